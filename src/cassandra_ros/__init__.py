@@ -1,0 +1,32 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Keep ROS topics in Apache Cassandra: every message a row, stored exactly, found by time."""
+
+from pkgutil import extend_path
+
+# The generated cassandra_ros.msg and .srv lie in another folder of the same name.
+__path__ = extend_path(__path__, __name__)
+
+_PUBLIC = {
+    "Cassandra": "cassandra_ros.store.connection",
+    "CassandraTopic": "cassandra_ros.topics.cassandra_topic",
+    "RosCassandra": "cassandra_ros.topics.ros_cassandra",
+    "CassandraTopic_": "cassandra_ros.formats.cassandra_topic_",
+    "CassandraTopic_binary": "cassandra_ros.formats.binary",
+    "CassandraTopic_ros": "cassandra_ros.formats.ros",
+    "Stamp": "cassandra_ros.messages.stamps",
+    "CassandraRosError": "cassandra_ros.errors",
+}
+
+__all__ = list(_PUBLIC)
+
+
+def __getattr__(name):
+    # Loaded on first use: a node that only wants cassandra_ros.srv needs no database driver.
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'cassandra_ros' has no attribute '{name}'")
+    from importlib import import_module
+
+    value = getattr(import_module(_PUBLIC[name]), name)
+    globals()[name] = value
+    return value

@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The one tree of errors of the package.
+
+* CassandraRosError
+  - ConnectionFailed     no server answers, or it refuses us
+  - StoreUnavailable     a connected server stopped answering
+  - WriteFailed          rows could not be stored (names the topic and how many)
+  - KeyspaceNotFound
+  - SchemaConflict       a table is not what its comment says, or a lock cannot be had
+  - UnsupportedSchema    the store was written by a newer release
+  - TopicNotFound        (also a KeyError)
+  - TopicExists
+  - MessageNotFound      (also a KeyError)
+  - TypeMismatch         (also a ValueError), like the following
+  - UnknownFormat
+  - InvalidKey           a time, row key or cursor that cannot be one
+  - InvalidName          a keyspace, topic or field that cannot be one
+  - InvalidQuery         shows the statement with a caret under the spot
+  - InvalidExpression
+  - DefinitionError      a message definition that is not one
+  - CorruptMessage       bytes that are not a message of their type
+  - BagError             a file that is not a bag that can be read
+    + BagUnindexed
+  - ClockNotSet          simulated time has not been received yet
+  - ServerError          the local Cassandra could not be installed, started or stopped
+  - MissingDependency    (also an ImportError)
+
+Each text is a finished sentence: what failed, on which topic, why, and what to do.
+"""
+
+from __future__ import annotations
+
+
+class CassandraRosError(Exception):
+    """Base of everything that this package raises on purpose."""
+
+    def __str__(self) -> str:
+        # KeyError would show the text in quotes and with \n escaped.
+        return str(self.args[0]) if self.args else type(self).__name__
+
+
+class ConnectionFailed(CassandraRosError):
+    """No Cassandra answers at the given address, or it refuses the connection."""
+
+
+class StoreUnavailable(CassandraRosError):
+    """A connected Cassandra did not answer in time, or too few replicas are up."""
+
+
+class WriteFailed(CassandraRosError):
+    """Rows could not be stored; the text names the topic, the number and the cause."""
+
+
+class KeyspaceNotFound(CassandraRosError):
+    """No keyspace is connected, or the one that was is gone."""
+
+
+class SchemaConflict(CassandraRosError):
+    """A table differs from what was asked for, or the schema lock cannot be had."""
+
+
+class UnsupportedSchema(CassandraRosError):
+    """A table was written by a newer release of this package."""
+
+
+class TopicNotFound(CassandraRosError, KeyError):
+    """No stored topic has this name; the text gives the nearest ones."""
+
+
+class TopicExists(CassandraRosError):
+    """The topic is stored already with other properties."""
+
+
+class MessageNotFound(CassandraRosError, KeyError):
+    """No message lies at this key."""
+
+
+class TypeMismatch(CassandraRosError, ValueError):
+    """A message is of another type than its topic; nothing was stored."""
+
+
+class UnknownFormat(CassandraRosError, ValueError):
+    """No storage format has this name."""
+
+
+class InvalidKey(CassandraRosError, ValueError):
+    """A time, row key or cursor cannot be understood."""
+
+
+class InvalidName(CassandraRosError, ValueError):
+    """A keyspace, topic or field name is not allowed."""
+
+
+class InvalidExpression(CassandraRosError, ValueError):
+    """A condition cannot be evaluated on the messages that it is asked of."""
+
+
+class InvalidQuery(CassandraRosError, ValueError):
+    """A statement cannot be parsed or names something unknown.
+
+    Args:
+        statement: The statement as it was given.
+        position: Index of the first character that is wrong, 0 to len(statement).
+        reason: One sentence: what is wrong and what was perhaps meant.
+    """
+
+    def __init__(self, statement: str, position: int, reason: str) -> None:
+        self.statement = statement
+        self.position = max(0, min(position, len(statement)))
+        self.reason = reason
+        start = statement.rfind("\n", 0, self.position) + 1
+        end = statement.find("\n", self.position)
+        line = statement[start : end if end >= 0 else len(statement)]
+        caret = " " * (self.position - start) + "^"
+        super().__init__(f"{reason}\n  {line}\n  {caret}")
+
+
+class DefinitionError(CassandraRosError, ValueError):
+    """A message definition is malformed, hostile, or does not agree with its md5sum."""
+
+
+class CorruptMessage(CassandraRosError, ValueError):
+    """Stored or received bytes are not a message of the type that they claim."""
+
+
+class BagError(CassandraRosError, ValueError):
+    """A file is not a bag of format 2.0 that can be read to its end."""
+
+
+class BagUnindexed(BagError):
+    """A bag has no index: it is still being written, or was cut short."""
+
+
+class ClockNotSet(CassandraRosError):
+    """Simulated time is in use and no /clock message has come yet."""
+
+
+class ServerError(CassandraRosError):
+    """The local Cassandra could not be installed, started, stopped or cleared."""
+
+
+class MissingDependency(CassandraRosError, ImportError):
+    """An optional Python package is needed for this and is not installed."""

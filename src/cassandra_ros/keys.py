@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where a row lies: its position in the total order of a topic, cursors, writer ids."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import secrets
+from typing import NamedTuple
+
+from cassandra_ros.errors import InvalidKey
+
+KEY_FORMATS = ("time", "msg_part", "hash", "manual")
+MAX_NS = (2**32 - 1) * 10**9 + 999_999_999
+"""The largest key: ROS 1 counts seconds in 32 bits (February 2106)."""
+
+WRITER_BITS = 31
+COUNTER_BITS = 32
+
+
+class Position(NamedTuple):
+    """Place of a row in the one order that all reads and cursors follow."""
+
+    t: int
+    """Key time, nanoseconds since 1970."""
+    node: str
+    """nodeID, the entity that produced the message."""
+    seq: int
+    """Writer id << 32 | counter."""
+    table: str
+
+
+def newWriterId() -> int:
+    """Draw a writer id: 31 bits, never 0.
+
+    Returns:
+        An int in [1, 2**31 - 1].
+    """
+    return secrets.randbelow(2**WRITER_BITS - 1) + 1
+
+
+def joinSeq(writer_id: int, counter: int) -> int:
+    """Combine a writer id and its counter.
+
+    Args:
+        writer_id: In [1, 2**31 - 1].
+        counter: In [0, 2**32 - 1].
+
+    Raises:
+        InvalidKey: Either is out of its range.
+    """
+    if not 0 < writer_id < 2**WRITER_BITS:
+        raise InvalidKey(f"writer id {writer_id} is not in [1, 2**31 - 1]")
+    if not 0 <= counter < 2**COUNTER_BITS:
+        raise InvalidKey(f"counter {counter} is not in [0, 2**32 - 1]; use a new writer id")
+    return writer_id << COUNTER_BITS | counter
+
+
+def splitSeq(seq: int) -> tuple[int, int]:
+    """Return (writer id, counter) of a ``_seq``."""
+    return seq >> COUNTER_BITS, seq & (2**COUNTER_BITS - 1)
+
+
+def encodeCursor(position: Position) -> str:
+    """Write a position as a short text without spaces."""
+    text = json.dumps(list(position), separators=(",", ":"), ensure_ascii=False)
+    return base64.urlsafe_b64encode(text.encode("utf-8", "surrogateescape")).decode("ascii")
+
+
+def decodeCursor(text: str) -> Position:
+    """Read a cursor back.
+
+    Raises:
+        InvalidKey: The text is not a cursor that encodeCursor wrote.
+    """
+    try:
+        raw = base64.b64decode(text.encode("ascii"), altchars=b"-_", validate=True)
+        parts = json.loads(raw.decode("utf-8", "surrogateescape"))
+    except (ValueError, binascii.Error, RecursionError) as exc:
+        raise InvalidKey(f"{text[:80]!r} is not a cursor of this package") from exc
+    if not (isinstance(parts, list) and [type(p) for p in parts] == [int, str, int, str]):
+        raise InvalidKey(f"{text[:80]!r} is not a cursor of this package")
+    return Position(*parts)

@@ -1,0 +1,104 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is known of a stored topic: the JSON in the comment of its table (paper section 3)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Mapping
+
+from cassandra_ros.errors import InvalidName, UnsupportedSchema
+
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True)
+class TopicMetadata:
+    """Immutable facts of one table. Counts and times never stand here."""
+
+    topic: str
+    msg_type: str
+    """Type of the first connection, 'pkg/Name'; others with the same md5 share the table."""
+    md5sum: str
+    format: str
+    """Name in the table of formats."""
+    bucket_ns: int
+    """Length of a time bucket, nanoseconds."""
+    definition: str = ""
+    key_format: str = "time"
+    key_part: str = ""
+    ttl: int = 0
+    """Seconds until a row expires, counted from its writing; 0 = never."""
+    nodeID: str = ""
+    """nodeID given at addTopic; '' when nobody said."""
+    comment: str = ""
+    date: str = ""
+    """When the table was made, ISO 8601."""
+    generation: int = 0
+    """Counts how often the topic was dropped: no table name is used twice."""
+    indexes: Mapping[str, str] = field(default_factory=dict)
+    """Indexed field -> shadow column."""
+    columns: tuple[Mapping[str, Any], ...] = ()
+    """How each column holds its field, as the format describes it."""
+    user: Mapping[str, Any] = field(default_factory=dict)
+    """The user's own keys (setMeta)."""
+    version: int = SCHEMA_VERSION
+
+    def toComment(self) -> str:
+        """Write the metadata as the JSON text of a table comment."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        values["columns"] = list(self.columns)
+        return json.dumps({"cassandra_ros": values}, sort_keys=True)
+
+    def with_(self, **changes: Any) -> TopicMetadata:
+        """Return a copy with some values changed."""
+        return replace(self, **changes)
+
+
+def fromComment(comment: str, table: str) -> TopicMetadata | None:
+    """Read the metadata out of a table comment.
+
+    Args:
+        comment: The comment of any table in the keyspace.
+        table: Its name, for the error text.
+
+    Returns:
+        The metadata, or None where the table is not one of ours.
+
+    Raises:
+        UnsupportedSchema: A newer release wrote it.
+    """
+    if '"cassandra_ros"' not in comment:
+        return None
+    try:
+        values = json.loads(comment)["cassandra_ros"]
+        version = int(values["version"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None  # a foreign table whose comment happens to name us
+    if version > SCHEMA_VERSION:
+        raise UnsupportedSchema(
+            f"table {table} was written with schema version {version}; this release of "
+            f"cassandra_ros reads versions up to {SCHEMA_VERSION}: install a newer one"
+        )
+    known = {f.name for f in fields(TopicMetadata)}
+    kept = {name: value for name, value in values.items() if name in known}
+    kept["columns"] = tuple(kept.get("columns", ()))
+    return TopicMetadata(**kept)
+
+
+def checkTopicName(topic: str) -> str:
+    """Return the topic's name if a table can be made for it.
+
+    Any text is data to us; only an empty name, a NUL or a lone surrogate cannot be kept.
+
+    Raises:
+        InvalidName: The name cannot be stored.
+    """
+    if not isinstance(topic, str) or not topic or "\0" in topic:
+        raise InvalidName(f"{topic!r} is not a topic name: it is empty or contains NUL")
+    try:
+        topic.encode("utf-8")
+    except UnicodeEncodeError as exc:
+        raise InvalidName(f"{topic!r} is not a topic name: it is not valid UTF-8") from exc
+    return topic
