@@ -1,0 +1,271 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Class Cassandra: the connection to a cluster (the left half of the paper's figure 1)."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import threading
+import time
+from typing import Any, Callable, Iterable, Sequence
+
+from cassandra import ConsistencyLevel
+from cassandra.auth import PlainTextAuthProvider
+from cassandra.cluster import (
+    EXEC_PROFILE_DEFAULT,
+    Cluster,
+    ExecutionProfile,
+    NoHostAvailable,
+    ResponseFuture,
+)
+from cassandra.policies import (
+    DCAwareRoundRobinPolicy,
+    ExponentialReconnectionPolicy,
+    TokenAwarePolicy,
+)
+from cassandra.query import PreparedStatement, SimpleStatement, tuple_factory
+
+from cassandra_ros.errors import ConnectionFailed
+from cassandra_ros.store.driver_errors import (
+    DRIVER_ERRORS,
+    START_HINT,
+    isPassing,
+    translate,
+    translated,
+)
+from cassandra_ros.store.raw_rows import RawProtocolHandler
+
+_log = logging.getLogger(__name__)
+
+CONNECT_TIMEOUT_SEC = 10.0
+REQUEST_TIMEOUT_SEC = 20.0
+RETRY_SEC = 30.0
+"""How long a single read or write is tried again before it fails."""
+
+
+class Cassandra:
+    """A connection to a Cassandra cluster. Safe to share between threads.
+
+    Args:
+        host: One address, several divided by commas, or a sequence of them.
+        port: CQL port.
+        consistency: Name of a consistency level, e.g. 'LOCAL_QUORUM', 'ONE'.
+        username: User name where the cluster asks for a login.
+        password: Its password.
+        ssl_context: An ``ssl.SSLContext`` where the cluster speaks TLS.
+
+    Raises:
+        ConnectionFailed: Nobody answers there, or refuses us.
+    """
+
+    def __init__(
+        self,
+        host: str | Sequence[str] = "127.0.0.1",
+        port: int = 9042,
+        *,
+        consistency: str = "LOCAL_QUORUM",
+        username: str | None = None,
+        password: str | None = None,
+        ssl_context: Any = None,
+    ) -> None:
+        hosts = host.split(",") if isinstance(host, str) else list(host)
+        self.hosts = [h.strip() for h in hosts if h.strip()]
+        self.port = int(port)
+        self.consistency = _consistencyLevel(consistency)
+        self._prepared: dict[str, PreparedStatement] = {}
+        self._prepare_lock = threading.Lock()
+        self._closed = False
+        auth = PlainTextAuthProvider(username, password) if username else None
+        profile = ExecutionProfile(
+            load_balancing_policy=TokenAwarePolicy(
+                DCAwareRoundRobinPolicy(), shuffle_replicas=True
+            ),
+            consistency_level=self.consistency,
+            request_timeout=REQUEST_TIMEOUT_SEC,
+            row_factory=tuple_factory,
+        )
+        self._cluster = Cluster(
+            contact_points=self.hosts,
+            port=self.port,
+            protocol_version=5,
+            compression=False,
+            auth_provider=auth,
+            ssl_context=ssl_context,
+            execution_profiles={EXEC_PROFILE_DEFAULT: profile},
+            # Without it batches stall 40 ms each on delayed acknowledgements.
+            sockopts=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
+            connect_timeout=CONNECT_TIMEOUT_SEC,
+            control_connection_timeout=CONNECT_TIMEOUT_SEC,
+            idle_heartbeat_interval=5,
+            idle_heartbeat_timeout=5,
+            reconnection_policy=ExponentialReconnectionPolicy(0.5, 10),
+        )
+        self._session, self._raw_session = self._connect()
+
+    def _connect(self) -> tuple[Any, Any]:
+        where = f"{','.join(self.hosts)} port {self.port}"
+        try:
+            session = self._cluster.connect()
+            raw_session = self._cluster.connect()
+        except NoHostAvailable as exc:
+            self._cluster.shutdown()
+            causes = "; ".join(sorted({str(error) for error in exc.errors.values()}))
+            raise ConnectionFailed(
+                f"no Cassandra answers at {where} ({causes or 'no address'}); {START_HINT}"
+            ) from exc
+        except (*DRIVER_ERRORS, OSError) as exc:
+            self._cluster.shutdown()
+            raise ConnectionFailed(f"cannot connect to Cassandra at {where}: {exc}") from exc
+        for each in (session, raw_session):
+            # Robots' clocks are wrong, and a fast one would hide later rows.
+            each.use_client_timestamp = False
+        raw_session.client_protocol_handler = RawProtocolHandler
+        return session, raw_session
+
+    # ---------------------------------------------------------------- statements
+
+    def prepare(self, cql: str) -> PreparedStatement:
+        """Prepare a statement, once for each text."""
+        statement = self._prepared.get(cql)
+        if statement is None:
+            with self._prepare_lock:
+                statement = self._prepared.get(cql)
+                if statement is None:
+                    with translated("preparing a statement"):
+                        statement = self._session.prepare(cql)
+                    statement.is_idempotent = True
+                    self._prepared[cql] = statement
+        return statement
+
+    def forget(self, table: str) -> None:
+        """Drop the prepared statements of a table that is gone."""
+        with self._prepare_lock:
+            self._prepared = {cql: s for cql, s in self._prepared.items() if table not in cql}
+
+    def execute(
+        self,
+        cql: str,
+        params: Sequence[Any] = (),
+        *,
+        what: str = "a query",
+        consistency: int | None = None,
+        retry_sec: float = RETRY_SEC,
+    ) -> list[tuple[Any, ...]]:
+        """Run one idempotent statement, all pages, trying again what may pass.
+
+        Args:
+            cql: Text with ``?`` for each parameter.
+            what: What is being done, for an error text.
+
+        Returns:
+            The rows as tuples of decoded values.
+        """
+        return _withRetries(lambda: self._run(cql, params, consistency), what, retry_sec)
+
+    def _run(
+        self, cql: str, params: Sequence[Any], consistency: int | None
+    ) -> list[tuple[Any, ...]]:
+        bound = self.prepare(cql).bind(tuple(params))
+        if consistency is not None:
+            bound.consistency_level = consistency
+        return list(self._session.execute(bound))
+
+    def executeOnce(
+        self, cql: str, params: Sequence[Any] = (), *, what: str
+    ) -> list[tuple[Any, ...]]:
+        """Run a statement that is not idempotent (a lightweight transaction), once."""
+        bound = self.prepare(cql).bind(tuple(params))
+        bound.is_idempotent = False
+        with translated(what):
+            return list(self._session.execute(bound))
+
+    def executeMany(
+        self, cql: str, params: Iterable[Sequence[Any]], *, what: str
+    ) -> list[list[tuple[Any, ...]]]:
+        """Run one idempotent statement with several sets of parameters, 16 at a time."""
+        results: list[list[tuple[Any, ...]]] = []
+        pending: list[tuple[Sequence[Any], ResponseFuture]] = []
+        prepared = self.prepare(cql)
+
+        def collect() -> None:
+            values, future = pending.pop(0)
+            try:
+                results.append(list(future.result()))
+            except DRIVER_ERRORS as exc:
+                if not isPassing(exc):
+                    raise translate(exc, what) from exc
+                results.append(self.execute(cql, values, what=what))
+
+        for values in params:
+            if len(pending) >= 16:
+                collect()
+            pending.append((values, self._session.execute_async(prepared.bind(tuple(values)))))
+        while pending:
+            collect()
+        return results
+
+    def schemaChange(self, cql: str, *, what: str) -> None:
+        """Run one DDL statement and wait until all nodes agree on the schema.
+
+        Raises:
+            StoreUnavailable: The nodes do not agree within 30 s.
+        """
+        with translated(what):
+            result = self._session.execute(SimpleStatement(cql), timeout=60.0)
+        deadline = time.monotonic() + 30.0
+        agreed = result.response_future.is_schema_agreed
+        while not agreed and time.monotonic() < deadline:
+            agreed = self._cluster.control_connection.wait_for_schema_agreement(wait_time=5.0)
+        if not agreed:
+            raise translate(TimeoutError("the nodes do not agree on the schema"), what)
+
+    # ---------------------------------------------------------------- for writer and reader
+
+    def sendRaw(self, statement: Any, timeout_sec: float = REQUEST_TIMEOUT_SEC) -> ResponseFuture:
+        """Send a bound or batch statement; the rows of its answer are undecoded bytes."""
+        return self._raw_session.execute_async(statement, timeout=timeout_sec)
+
+    def liveNodes(self) -> int:
+        """Count the nodes that the driver knows in the local data centre."""
+        return max(1, sum(1 for _ in self._cluster.metadata.all_hosts()))
+
+    def localDatacenter(self) -> str:
+        """Name the data centre of the node that we are connected to."""
+        rows = self.execute("SELECT data_center FROM system.local", what="asking for the node")
+        return str(rows[0][0])
+
+    def close(self) -> None:
+        """Close the connection; a second call is harmless."""
+        if not self._closed:
+            self._closed = True
+            self._cluster.shutdown()
+
+    def __enter__(self) -> Cassandra:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+
+def _consistencyLevel(name: str) -> int:
+    levels = ConsistencyLevel.name_to_value
+    if name.upper() not in levels:
+        raise ConnectionFailed(
+            f"{name!r} is not a consistency level; there are {', '.join(sorted(levels))}"
+        )
+    return int(levels[name.upper()])
+
+
+def _withRetries(run: Callable[[], Any], what: str, retry_sec: float) -> Any:
+    deadline = time.monotonic() + retry_sec
+    pause = 0.1
+    while True:
+        try:
+            return run()
+        except DRIVER_ERRORS as exc:
+            if not isPassing(exc) or time.monotonic() + pause > deadline:
+                raise translate(exc, what) from exc
+            _log.warning("%s: %s; trying again", what, exc)
+        time.sleep(pause)
+        pause = min(2 * pause, 5.0)

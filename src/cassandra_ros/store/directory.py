@@ -1,0 +1,198 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The directory: which buckets a table has, by node, and what lies in each.
+
+A bucket's row is written *open* before its first data row, so the directory always lists a
+superset of what is there. The values of a row count only when it is *closed*; of an open one
+they are estimates. Heartbeats are the server's time: robots' clocks are wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Sequence
+
+from cassandra_ros.store.buckets import slotOf
+from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.names import quoteName
+
+STALE_SEC = 60.0
+"""An open bucket whose heartbeat is older than this has no living writer."""
+HEARTBEAT_SEC = 10.0
+TTL_MARGIN_SEC = 3600
+
+
+class BucketRow(NamedTuple):
+    """What one writer put into one bucket."""
+
+    node: str
+    bucket: int
+    writer: int
+    closed: bool
+    heartbeat: Any
+    count: int
+    bytes: int
+    largest: int
+    """Size of the largest message kept in its row, bytes."""
+    t_min: int
+    t_max: int
+    odd: int
+    age_sec: float
+    """Seconds since the heartbeat, by the server's clock."""
+
+
+@dataclass
+class Totals:
+    """Values of a bucket that a writer closes."""
+
+    count: int = 0
+    bytes: int = 0
+    largest: int = 0
+    t_min: int = 2**63 - 1
+    t_max: int = -1
+    odd: int = 0
+
+
+class Directory:
+    """Reads and writes cr_node and cr_bucket of one keyspace."""
+
+    def __init__(self, cassandra: Cassandra, keyspace: str) -> None:
+        self._cassandra = cassandra
+        space = quoteName(keyspace)
+        self._nodes = (
+            f"SELECT slot, node FROM {space}.cr_node WHERE tbl = ? AND slot >= ? AND slot <= ?"
+        )
+        self._add_node = f"INSERT INTO {space}.cr_node (tbl, slot, node) VALUES (?, ?, ?)"
+        self._buckets = (
+            "SELECT bucket, writer, state, heartbeat, n, bytes, largest, t_min, t_max, odd, "
+            f"toTimestamp(now()) FROM {space}.cr_bucket "
+            "WHERE tbl = ? AND node = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
+        )
+        self._values = (
+            f"INSERT INTO {space}.cr_bucket (tbl, node, slot, bucket, writer, state, heartbeat, "
+            "n, bytes, largest, t_min, t_max, odd) "
+            "VALUES (?, ?, ?, ?, ?, ?, toTimestamp(now()), ?, ?, ?, ?, ?, ?) USING TTL ?"
+        )
+        self._reopen = (
+            f"INSERT INTO {space}.cr_bucket (tbl, node, slot, bucket, writer, state, heartbeat) "
+            "VALUES (?, ?, ?, ?, ?, 'open', toTimestamp(now())) USING TTL ?"
+        )
+        self._recount = (
+            f"UPDATE {space}.cr_bucket USING TTL ? SET state = 'closed', n = ?, bytes = ?, "
+            "largest = ?, t_min = ?, t_max = ?, odd = ? "
+            "WHERE tbl = ? AND node = ? AND slot = ? AND bucket = ? AND writer = ? "
+            "IF state = 'open' AND heartbeat = ?"
+        )
+        self._drop = f"DELETE FROM {space}.cr_bucket WHERE tbl = ? AND node = ? AND slot = ?"
+        self._drop_node = f"DELETE FROM {space}.cr_node WHERE tbl = ?"
+
+    def nodes(self, table: str, first_slot: int, last_slot: int) -> list[tuple[int, str]]:
+        """List the (slot, node) of a table in [first_slot, last_slot]."""
+        rows = self._cassandra.execute(
+            self._nodes, (table, first_slot, last_slot), what="reading the directory of nodes"
+        )
+        return [(row[0], row[1]) for row in rows]
+
+    def buckets(
+        self, table: str, first: int, last: int, nodes: Sequence[str] | None = None
+    ) -> list[BucketRow]:
+        """List the buckets of a table in [first, last], one row for each writer.
+
+        Args:
+            nodes: Only these nodeIDs; None = all.
+        """
+        found = [
+            (slot, node)
+            for slot, node in self.nodes(table, slotOf(first), slotOf(last))
+            if nodes is None or node in nodes
+        ]
+        answers = self._cassandra.executeMany(
+            self._buckets,
+            [(table, node, slot, first, last) for slot, node in found],
+            what="reading the directory of buckets",
+        )
+        return [_bucketRow(node, row) for (_, node), rows in zip(found, answers) for row in rows]
+
+    def find(self, table: str, node: str, bucket: int) -> list[BucketRow]:
+        """List the writers of one bucket."""
+        rows = self._cassandra.execute(
+            self._buckets,
+            (table, node, slotOf(bucket), bucket, bucket),
+            what="reading the directory of buckets",
+        )
+        return [_bucketRow(node, row) for row in rows]
+
+    def addNode(self, table: str, slot: int, node: str) -> None:
+        """Note that a node has buckets in this slot; before the first of them."""
+        self._cassandra.execute(
+            self._add_node, (table, slot, node), what="writing the directory of nodes"
+        )
+
+    def open(self, table: str, node: str, bucket: int, writer: int, ttl: int) -> None:
+        """Mark a bucket as being written (or deleted from), with a fresh heartbeat."""
+        self._cassandra.execute(
+            self._reopen,
+            (table, node, slotOf(bucket), bucket, writer, _ttl(ttl)),
+            what="opening a bucket in the directory",
+        )
+
+    def put(
+        self,
+        table: str,
+        node: str,
+        bucket: int,
+        writer: int,
+        totals: Totals,
+        closed: bool,
+        ttl: int,
+    ) -> None:
+        """Write the values of a bucket: final when closed, else estimates with a heartbeat."""
+        self._cassandra.execute(
+            self._values,
+            (
+                *(table, node, slotOf(bucket), bucket, writer, "closed" if closed else "open"),
+                *_values(totals),
+                _ttl(ttl),
+            ),
+            what="writing the directory of buckets",
+        )
+
+    def putRecount(self, table: str, row: BucketRow, totals: Totals, ttl: int) -> None:
+        """Close a bucket whose writer is gone, unless it has come back meanwhile."""
+        self._cassandra.executeOnce(
+            self._recount,
+            (
+                *(_ttl(ttl), *_values(totals)),
+                *(table, row.node, slotOf(row.bucket), row.bucket, row.writer, row.heartbeat),
+            ),
+            what="closing a bucket in the directory",
+        )
+
+    def forget(self, table: str) -> None:
+        """Remove all that is known of a table that was dropped."""
+        for slot, node in self.nodes(table, -(2**63), 2**63 - 1):
+            self._cassandra.execute(
+                self._drop, (table, node, slot), what="clearing the directory of buckets"
+            )
+        self._cassandra.execute(self._drop_node, (table,), what="clearing the directory")
+
+
+def _ttl(ttl: int) -> int:
+    return ttl + TTL_MARGIN_SEC if ttl else 0
+
+
+def _values(totals: Totals) -> tuple[int, ...]:
+    return (
+        *(totals.count, totals.bytes, totals.largest),
+        *(totals.t_min, totals.t_max, totals.odd),
+    )
+
+
+def _bucketRow(node: str, row: tuple[Any, ...]) -> BucketRow:
+    bucket, writer, state, heartbeat, n, size, largest, t_min, t_max, odd, now = row
+    age = (now - heartbeat).total_seconds() if heartbeat is not None else STALE_SEC + 1
+    return BucketRow(
+        *(node, bucket, writer, state == "closed", heartbeat),
+        *(n or 0, size or 0, largest or 0, t_min or 0, t_max if t_max is not None else -1),
+        *(odd or 0, age),
+    )

@@ -1,0 +1,122 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Driver errors become ours here, and nowhere else."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import Iterator
+
+from cassandra import (
+    AlreadyExists,
+    AuthenticationFailed,
+    CoordinationFailure,
+    DriverException,
+    InvalidRequest,
+    OperationTimedOut,
+    Timeout,
+    Unauthorized,
+    Unavailable,
+    UnresolvableContactPoints,
+)
+from cassandra.cluster import NoHostAvailable
+from cassandra.connection import ConnectionBusy, ConnectionException
+from cassandra.pool import NoConnectionsAvailable
+from cassandra.protocol import ErrorMessage, OverloadedErrorMessage, SyntaxException
+
+from cassandra_ros.errors import (
+    CassandraRosError,
+    ConnectionFailed,
+    KeyspaceNotFound,
+    SchemaConflict,
+    StoreUnavailable,
+)
+
+START_HINT = "start one with: rosrun cassandra_ros local_cassandra start"
+
+DRIVER_ERRORS = (
+    DriverException,
+    NoHostAvailable,
+    ConnectionException,
+    ConnectionBusy,
+    NoConnectionsAvailable,
+    ErrorMessage,
+)
+_PASSING = (
+    Unavailable,
+    Timeout,
+    CoordinationFailure,
+    OperationTimedOut,
+    OverloadedErrorMessage,
+    ConnectionException,
+    ConnectionBusy,
+    NoConnectionsAvailable,
+)
+
+
+def isBusy(exc: BaseException) -> bool:
+    """Say whether only our own sockets were full: nothing was sent, wait and send again.
+
+    The driver does not wait for a full socket buffer but fails (PYTHON-1248), disguised as
+    NoHostAvailable.
+    """
+    if isinstance(exc, (ConnectionBusy, NoConnectionsAvailable)):
+        return True
+    if isinstance(exc, NoHostAvailable) and exc.errors:
+        return all(isBusy(error) for error in exc.errors.values())
+    return False
+
+
+def isPassing(exc: BaseException) -> bool:
+    """Say whether the same idempotent statement may succeed later."""
+    if isinstance(exc, NoHostAvailable):
+        return not any(
+            isinstance(error, (Unauthorized, AuthenticationFailed, InvalidRequest))
+            for error in exc.errors.values()
+        )
+    return isinstance(exc, _PASSING)
+
+
+def isTableGone(exc: BaseException) -> bool:
+    """Say whether a statement failed because its table or keyspace was dropped."""
+    text = str(exc).lower()
+    return isinstance(exc, InvalidRequest) and (
+        "unconfigured table" in text or "does not exist" in text or "unknown table" in text
+    )
+
+
+def translate(exc: BaseException, what: str) -> CassandraRosError:
+    """Make one of our errors out of one of the driver's.
+
+    Args:
+        exc: What the driver raised.
+        what: What was being done, for the start of the sentence.
+    """
+    if isinstance(exc, (Unauthorized, AuthenticationFailed)):
+        return ConnectionFailed(f"{what}: the server refuses this user: {exc}")
+    if isinstance(exc, NoHostAvailable):
+        causes = "; ".join(f"{host}: {error}" for host, error in exc.errors.items())
+        return StoreUnavailable(f"{what}: no Cassandra node answers ({causes or exc.args[0]})")
+    if isinstance(exc, UnresolvableContactPoints):
+        return ConnectionFailed(f"{what}: the host name cannot be resolved: {exc}")
+    if isinstance(exc, Unavailable):
+        return StoreUnavailable(
+            f"{what}: too few replicas are up ({exc.alive_replicas} of the "
+            f"{exc.required_replicas} that the consistency level asks for)"
+        )
+    if isinstance(exc, (Timeout, OperationTimedOut, CoordinationFailure, *_PASSING)):
+        return StoreUnavailable(f"{what}: the server did not answer in time or failed: {exc}")
+    if isinstance(exc, InvalidRequest) and "keyspace" in str(exc).lower() and isTableGone(exc):
+        return KeyspaceNotFound(f"{what}: {exc}")
+    if isinstance(exc, (InvalidRequest, SyntaxException, AlreadyExists)):
+        return SchemaConflict(f"{what}: the server refuses the statement: {exc}")
+    return StoreUnavailable(f"{what}: {type(exc).__name__}: {exc}")
+
+
+@contextmanager
+def translated(what: str) -> Iterator[None]:
+    """Run a block in which driver errors become ours."""
+    try:
+        yield
+    except DRIVER_ERRORS as exc:
+        raise translate(exc, what) from exc

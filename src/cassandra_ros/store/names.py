@@ -1,0 +1,51 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Names and literals in CQL: the only text that is ever put into a statement."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+
+from cassandra_ros.errors import InvalidName
+
+_KEYSPACE = re.compile(r"[A-Za-z0-9_]{1,48}\Z")
+
+
+def quoteName(name: str) -> str:
+    """Quote a keyspace, table or column name for CQL."""
+    return '"' + name.replace('"', '""') + '"'
+
+
+def quoteText(text: str) -> str:
+    """Write a text literal for CQL; only DDL needs it, all else is bound."""
+    return "'" + text.replace("'", "''") + "'"
+
+
+def checkKeyspace(name: str) -> str:
+    """Return the name if Cassandra accepts it for a keyspace.
+
+    Raises:
+        InvalidName: It is not 1 to 48 letters, digits and underscores.
+    """
+    if not isinstance(name, str) or not _KEYSPACE.match(name):
+        raise InvalidName(
+            f"{name!r} is not a keyspace name: use 1 to 48 letters, digits and underscores"
+        )
+    return name
+
+
+def tableName(topic: str, md5sum: str, format_name: str, generation: int) -> str:
+    """Name the table of a topic: 't_' and 32 hex digits (paper section 3: a hash).
+
+    Args:
+        generation: Another one for each time the topic is made anew, so that no name is ever
+            used twice: a stale prepared INSERT into a re-created table succeeds silently.
+    """
+    text = "\0".join((topic, md5sum, format_name, str(generation)))
+    return "t_" + hashlib.md5(text.encode("utf-8", "surrogateescape")).hexdigest()
+
+
+def chunkTableName(table: str) -> str:
+    """Name the table that holds the bytes of a topic's large messages."""
+    return table + "_c"

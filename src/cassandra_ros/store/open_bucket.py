@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""One bucket that a writer has open: the batch that is being filled, and what was stored."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+from cassandra.query import BatchStatement, BatchType, BoundStatement
+
+from cassandra_ros.store.directory import Totals
+from cassandra_ros.store.row_table import UNSET, RowTable, encodeInt, encodeLong, encodeOwn
+
+BATCH_ROWS = 200
+BATCH_BYTES = 64 * 1024
+_ROW_OVERHEAD = 60
+
+
+class Batch:
+    """Rows of one partition on their way: one mutation, whatever their number."""
+
+    __slots__ = ("nbytes", "odd_rows", "rows", "since", "sizes", "times")
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[bool, bytes, Any]] = []
+        self.sizes: list[int] = []
+        self.times: list[int] = []
+        self.nbytes = 0
+        self.odd_rows = 0
+        self.since = time.monotonic()
+
+
+class OpenBucket:
+    """State of one (table, node, bucket) of one writer; guarded by the writer's lock.
+
+    ``totals`` and ``in_air`` also change on the driver's thread, under ``self.mutex``.
+    """
+
+    def __init__(self, table: RowTable, node: str, bucket: int, known: bool) -> None:
+        self.table = table
+        self.node = node
+        self.bucket = bucket
+        self.must_recount = known
+        """The bucket has rows that this state has not seen, so its totals are not final."""
+        self.totals = Totals()
+        self.in_air = 0
+        self.mutex = threading.Lock()
+        self.batch = Batch()
+        self.touched = self.marked = time.monotonic()
+        self.changed = False
+        self._node_bytes = node.encode("utf-8")
+        self._bucket_bytes = encodeLong(bucket)
+        plain, full = table.insertPlain(), table.insertFull()
+        self._plain_id, self._full_id = plain.query_id, full.query_id
+        # Found from the values by the first row, then the same for all of the bucket.
+        self._plain = plain
+        self._routing_key: bytes | None = None
+
+    def key(self, t: int, seq: int) -> tuple[bytes, ...]:
+        """Encode the primary key of a row in this bucket."""
+        return (self._node_bytes, self._bucket_bytes, encodeLong(t), encodeLong(seq))
+
+    def add(
+        self, t: int, seq: int, conn: int, size: int, columns: list[bytes | None], own: Any
+    ) -> None:
+        """Add a row to the batch.
+
+        Args:
+            columns: Encoded values; None where a column stays unset.
+            own: None for a plain row, else (nchunks, crc, odd, raw), each a value or None.
+        """
+        batch = self.batch
+        if not batch.rows:
+            batch.since = time.monotonic()
+        head = encodeOwn(t, seq, conn, size)
+        if own is None:
+            values: Any = (self._node_bytes, self._bucket_bytes, *head, *columns)
+            batch.rows.append((True, self._plain_id, values))
+            batch.nbytes += size + _ROW_OVERHEAD
+        else:
+            values = (self._node_bytes, self._bucket_bytes, *head, *_ownValues(*own))
+            values += tuple(UNSET if c is None else c for c in columns)
+            batch.rows.append((True, self._full_id, values))
+            batch.nbytes += _ROW_OVERHEAD + sum(len(v) for v in values if v is not UNSET)
+            batch.odd_rows += bool(own[2])
+        batch.sizes.append(size)
+        batch.times.append(t)
+
+    def isFull(self) -> bool:
+        """Say whether the batch should be sent now."""
+        return len(self.batch.rows) >= BATCH_ROWS or self.batch.nbytes >= BATCH_BYTES
+
+    def take(self) -> tuple[Batch, Any]:
+        """Take the filled batch; return it with the statement that stores it."""
+        batch, self.batch = self.batch, Batch()
+        statement = BatchStatement(BatchType.UNLOGGED)
+        statement.is_idempotent = True
+        # What BatchStatement.add does row by row, at once (cassandra.md: 10 to 6 µs a row).
+        statement._statements_and_parameters = batch.rows
+        if self._routing_key is None:
+            bound = BoundStatement(self._plain)
+            bound.values = list(batch.rows[0][2])
+            self._routing_key = bound.routing_key
+        statement.routing_key = self._routing_key
+        statement.keyspace = self._plain.keyspace
+        with self.mutex:
+            self.in_air += 1
+        return batch, statement
+
+    def stored(self, batch: Batch, large: bool) -> None:
+        """Count a batch that was acknowledged."""
+        with self.mutex:
+            self.in_air -= 1
+            totals = self.totals
+            totals.count += len(batch.sizes)
+            totals.bytes += sum(batch.sizes)
+            totals.t_min = min(totals.t_min, *batch.times)
+            totals.t_max = max(totals.t_max, *batch.times)
+            totals.odd += batch.odd_rows
+            if not large:
+                totals.largest = max(totals.largest, *batch.sizes)
+            self.changed = True
+
+    def failed(self) -> None:
+        """Note that a batch was given up: some of its rows may lie there or not."""
+        with self.mutex:
+            self.in_air -= 1
+            self.must_recount = True
+            self.changed = True
+
+
+def _ownValues(
+    nchunks: int | None, crc: int | None, odd: bool, raw: bytes | None
+) -> tuple[Any, ...]:
+    return (
+        UNSET if nchunks is None else encodeInt(nchunks),
+        UNSET if crc is None else encodeLong(crc),
+        b"\x01" if odd else UNSET,
+        UNSET if raw is None else raw,
+    )

@@ -1,0 +1,137 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""cr_connection, cr_definition and cr_run: what the rows refer to, written before them."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any, Mapping, NamedTuple
+
+from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.names import quoteName
+
+
+class ConnectionRow(NamedTuple):
+    """A connection header as it is kept: the definition cut out, its place noted."""
+
+    topic: str
+    number: int
+    header: bytes
+    def_offset: int
+    """Where the definition was cut out; -1 = the header has none."""
+    md5sum: str
+    definition: bytes
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recording or import."""
+
+    node: str
+    writer: int
+    kind: str
+    """'import', 'recording' or 'api'."""
+    name: str = ""
+    source: str = ""
+    format: str = ""
+    host: str = field(default_factory=platform.node)
+    started: datetime | None = None
+    ended: datetime | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
+    stored: Mapping[str, int] = field(default_factory=dict)
+    lost: Mapping[str, int] = field(default_factory=dict)
+
+
+class Registry:
+    """Reads and writes connections, definitions and runs of one keyspace."""
+
+    def __init__(self, cassandra: Cassandra, keyspace: str) -> None:
+        self._cassandra = cassandra
+        self._space = quoteName(keyspace)
+
+    def putConnection(self, table: str, conn: int, row: ConnectionRow) -> None:
+        """Store a connection header and its definition; the same values at each repeat."""
+        def_hash = hashlib.sha256(row.definition).digest()
+        self._cassandra.execute(
+            f"INSERT INTO {self._space}.cr_definition (md5sum, hash, text) VALUES (?, ?, ?)",
+            (row.md5sum, def_hash, row.definition),
+            what=f"storing the definition of topic {row.topic}",
+        )
+        self._cassandra.execute(
+            f"INSERT INTO {self._space}.cr_connection (tbl, conn, topic, number, header, "
+            "def_offset, md5sum, def_hash) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            (
+                *(table, conn, row.topic, row.number, row.header),
+                *(row.def_offset, row.md5sum, def_hash),
+            ),
+            what=f"storing the connection header of topic {row.topic}",
+        )
+
+    def getConnection(self, table: str, conn: int) -> ConnectionRow | None:
+        """Read a connection header back; None when there is none with this number."""
+        rows = self._cassandra.execute(
+            f"SELECT topic, number, header, def_offset, md5sum, def_hash "
+            f"FROM {self._space}.cr_connection WHERE tbl = ? AND conn = ?",
+            (table, conn),
+            what="reading a connection header",
+        )
+        if not rows:
+            return None
+        topic, number, header, offset, md5sum, def_hash = rows[0]
+        texts = self._cassandra.execute(
+            f"SELECT text FROM {self._space}.cr_definition WHERE md5sum = ? AND hash = ?",
+            (md5sum, def_hash),
+            what="reading a message definition",
+        )
+        if not texts:
+            return None
+        return ConnectionRow(topic, number, header, offset, md5sum, texts[0][0])
+
+    def forget(self, table: str) -> None:
+        """Remove the connections of a table that was dropped (a scan: connections are few)."""
+        rows = self._cassandra.execute(
+            f"SELECT tbl, conn FROM {self._space}.cr_connection", what="listing the connections"
+        )
+        self._cassandra.executeMany(
+            f"DELETE FROM {self._space}.cr_connection WHERE tbl = ? AND conn = ?",
+            [(tbl, conn) for tbl, conn in rows if tbl == table],
+            what="removing connection headers",
+        )
+
+    def putRun(self, run: Run, *, started: bool = False, ended: bool = False) -> None:
+        """Store a run; the server notes the time when it starts and ends."""
+        cassandra, table = self._cassandra, f"{self._space}.cr_run"
+        cassandra.execute(
+            f"INSERT INTO {table} (node, writer, kind, name, source, format, host, labels, "
+            "stored, lost) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            (
+                *(run.node, run.writer, run.kind, run.name, run.source, run.format, run.host),
+                *(dict(run.labels), dict(run.stored), dict(run.lost)),
+            ),
+            what="storing the run",
+        )
+        for column in ["started"] * started + ["ended"] * ended:
+            cassandra.execute(
+                f"INSERT INTO {table} (node, writer, {column}) VALUES (?, ?, toTimestamp(now()))",
+                (run.node, run.writer),
+                what="storing the run",
+            )
+
+    def runs(self) -> list[Run]:
+        """List all runs of the keyspace (a scan: runs are few)."""
+        rows = self._cassandra.execute(
+            "SELECT node, writer, kind, name, source, format, host, started, ended, labels, "
+            f"stored, lost FROM {self._space}.cr_run",
+            what="listing the runs",
+        )
+        return [_run(row) for row in rows]
+
+
+def _run(row: tuple[Any, ...]) -> Run:
+    node, writer, kind, name, source, format_name, host, started, ended, *maps = row
+    labels, stored, lost = (dict(m or {}) for m in maps)
+    texts = (kind or "", name or "", source or "", format_name or "", host or "")
+    return Run(node, writer, *texts, started, ended, labels, stored, lost)

@@ -1,0 +1,199 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""One topic table as rows: its statements, and our own columns in Cassandra's encoding."""
+
+from __future__ import annotations
+
+import struct
+import threading
+from typing import Any, NamedTuple, Sequence
+
+from cassandra.query import UNSET_VALUE, BoundStatement, PreparedStatement
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.names import chunkTableName, quoteName
+
+UNSET = UNSET_VALUE
+CHUNK_BYTES = 512 * 1024
+"""Messages above this go to the chunk table in pieces of this size (schema version 1)."""
+INLINE_COLUMN_BYTES = 64 * 1024
+"""Columns above this are left unset in the row of a chunked message."""
+
+MIN_SEQ, MAX_SEQ = -(2**63), 2**63 - 1
+_PACK = struct.Struct(">qqqi")
+_SPLIT = struct.Struct("8s8s8s4s")
+_LONG = struct.Struct(">q")
+_INT = struct.Struct(">i")
+_OWN = ("_t", "_seq", "_conn", "_size", "_nchunks", "_crc", "_odd", "_raw")
+
+
+class TableRow(NamedTuple):
+    """A row as it lies in its table, columns undecoded."""
+
+    t: int
+    node: str
+    seq: int
+    table: str
+    conn: int
+    size: int
+    nchunks: int
+    """0 = the message is in the row."""
+    crc: int
+    odd: bool
+    raw: bytes | None
+    columns: tuple[bytes | None, ...]
+
+
+class RowTable:
+    """Statements of one topic table; prepared when first needed.
+
+    Args:
+        cassandra: An open connection.
+        keyspace: Where the table lies.
+        name: The table's name.
+        metadata: What its comment says.
+        columns: Names of the format's columns, in the format's order.
+    """
+
+    def __init__(
+        self,
+        cassandra: Cassandra,
+        keyspace: str,
+        name: str,
+        metadata: TopicMetadata,
+        columns: Sequence[str],
+    ) -> None:
+        self._cassandra = cassandra
+        self._space = quoteName(keyspace)
+        self.name = name
+        self.metadata = metadata
+        self.columns = tuple(columns)
+        self.chunk_lock = threading.Lock()
+        self.has_chunks = False
+        """Whether the chunk table is known to exist."""
+
+    @property
+    def _qualified(self) -> str:
+        return f"{self._space}.{quoteName(self.name)}"
+
+    @property
+    def _chunks(self) -> str:
+        return f"{self._space}.{quoteName(chunkTableName(self.name))}"
+
+    def bucketOf(self, t_ns: int) -> int:
+        """Return the bucket of a key time."""
+        return t_ns // self.metadata.bucket_ns
+
+    # ---------------------------------------------------------------- statements
+
+    def _insert(self, own: Sequence[str]) -> PreparedStatement:
+        names = ["_node", "_bucket", *own, *self.columns]
+        listing = ", ".join(quoteName(n) for n in names)
+        marks = ", ".join("?" * len(names))
+        return self._cassandra.prepare(
+            f"INSERT INTO {self._qualified} ({listing}) VALUES ({marks})"
+        )
+
+    def insertPlain(self) -> PreparedStatement:
+        """INSERT of a row that needs neither chunks nor ``_raw``: nearly all of them."""
+        return self._insert(_OWN[:4])
+
+    def insertFull(self) -> PreparedStatement:
+        """INSERT with all of our own columns."""
+        return self._insert(_OWN)
+
+    def insertChunk(self) -> PreparedStatement:
+        """INSERT of one piece of a large message."""
+        return self._cassandra.prepare(
+            f'INSERT INTO {self._chunks} ("_node", "_bucket", "_t", "_seq", "_chunk", "_data") '
+            "VALUES (?, ?, ?, ?, ?, ?)"
+        )
+
+    def selectChunks(self) -> PreparedStatement:
+        """SELECT of all pieces of one large message, in order."""
+        return self._cassandra.prepare(
+            f'SELECT "_chunk", "_data" FROM {self._chunks} '
+            'WHERE "_node" = ? AND "_bucket" = ? AND "_t" = ? AND "_seq" = ?'
+        )
+
+    def selectRange(self, columns: Sequence[str], *, reverse: bool = False) -> PreparedStatement:
+        """SELECT of (node, bucket) from (t, seq) to (t, seq), both included."""
+        names = ", ".join(quoteName(n) for n in (*_OWN, *columns))
+        order = ' ORDER BY "_t" DESC, "_seq" DESC' if reverse else ""
+        return self._cassandra.prepare(
+            f'SELECT {names} FROM {self._qualified} WHERE "_node" = ? AND "_bucket" = ? '
+            f'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?){order}'
+        )
+
+    def selectKeys(self) -> PreparedStatement:
+        """SELECT of what counting needs."""
+        return self._cassandra.prepare(
+            f'SELECT "_t", "_seq", "_size", "_nchunks", "_odd" FROM {self._qualified} '
+            'WHERE "_node" = ? AND "_bucket" = ? '
+            'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
+        )
+
+    def deleteRange(self) -> str:
+        """DELETE of a stretch of one bucket, both ends included."""
+        return (
+            f'DELETE FROM {self._qualified} WHERE "_node" = ? AND "_bucket" = ? '
+            'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
+        )
+
+    def deleteChunks(self) -> str:
+        """DELETE of the pieces of one large message."""
+        return (
+            f'DELETE FROM {self._chunks} WHERE "_node" = ? AND "_bucket" = ? '
+            'AND "_t" = ? AND "_seq" = ?'
+        )
+
+    # ---------------------------------------------------------------- values
+
+    def rowFromValues(self, node: str, values: Sequence[bytes | None]) -> TableRow:
+        """Read the undecoded values of a selectRange row.
+
+        Raises:
+            CorruptMessage: A column that every row has is null.
+        """
+        try:
+            t, seq, conn, size = _PACK.unpack(b"".join(values[:4]))  # type: ignore[arg-type]
+        except TypeError as exc:
+            raise CorruptMessage(
+                f"a row of topic {self.metadata.topic} in table {self.name} has no connection or "
+                "size: something else than this package wrote or updated it"
+            ) from exc
+        nchunks, crc, odd, raw = values[4:8]
+        if nchunks is None and odd is None:
+            return TableRow(t, node, seq, self.name, conn, size, 0, 0, False, raw, values[8:])  # type: ignore[arg-type]
+        return TableRow(
+            *(t, node, seq, self.name, conn, size),
+            _INT.unpack(nchunks)[0] if nchunks else 0,
+            _LONG.unpack(crc)[0] if crc else 0,
+            odd == b"\x01",
+            raw,
+            tuple(values[8:]),
+        )
+
+
+def encodeOwn(t: int, seq: int, conn: int, size: int) -> tuple[bytes, ...]:
+    """Encode ``_t``, ``_seq``, ``_conn`` and ``_size`` as Cassandra stores them."""
+    return _SPLIT.unpack(_PACK.pack(t, seq, conn, size))
+
+
+def encodeLong(value: int) -> bytes:
+    """Encode a bigint."""
+    return _LONG.pack(value)
+
+
+def encodeInt(value: int) -> bytes:
+    """Encode an int."""
+    return _INT.pack(value)
+
+
+def bind(statement: PreparedStatement, values: Sequence[Any]) -> Any:
+    """Bind values that are encoded already."""
+    bound = BoundStatement(statement)
+    bound.values = list(values)
+    return bound

@@ -1,0 +1,348 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rows into Cassandra: batched by bucket, bounded in flight, counted, never silently lost."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Callable, Deque
+
+from cassandra_ros.errors import CassandraRosError, WriteFailed
+from cassandra_ros.store.buckets import slotOf
+from cassandra_ros.store.chunks import checksum, chunkCount, isLarge, pieces
+from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.counting import recount
+from cassandra_ros.store.directory import HEARTBEAT_SEC, Directory, Totals
+from cassandra_ros.store.driver_errors import isTableGone, translate
+from cassandra_ros.store.flight import Flight
+from cassandra_ros.store.open_bucket import Batch, OpenBucket
+from cassandra_ros.store.row_table import INLINE_COLUMN_BYTES, RowTable, bind, encodeInt
+from cassandra_ros.store.schema import Schema
+
+_log = logging.getLogger(__name__)
+
+TICK_SEC = 0.02
+IDLE_SEC = 10.0
+REOPEN_SEC = 30.0
+"""After so long without a heartbeat a bucket is marked open anew before it is written to."""
+
+
+@dataclass
+class WriteStats:
+    """What became of the rows of one table so far."""
+
+    stored: int = 0
+    bytes: int = 0
+    """Serialised bytes of the stored messages."""
+    lost: int = 0
+    reason: str = ""
+    """Why the first lost ones were lost."""
+
+
+LossCallback = Callable[[str, int, CassandraRosError], None]
+
+
+class RowWriter:
+    """Writes rows of any number of tables under one writer id. Thread-safe.
+
+    Args:
+        cassandra: An open connection.
+        schema: The keyspace's tables (chunk tables are made here when first needed).
+        directory: The keyspace's directory.
+        writer_id: 31 bits; the upper half of every ``_seq`` that is written.
+        linger_sec: How long a batch may wait to be filled.
+        give_up_after_sec: How long one request is tried.
+        on_loss: Called with (topic, rows, error) for rows that were given up, on another
+            thread; without it the next call of add, flush or close raises WriteFailed.
+    """
+
+    def __init__(
+        self,
+        cassandra: Cassandra,
+        schema: Schema,
+        directory: Directory,
+        writer_id: int,
+        *,
+        linger_sec: float = 0.2,
+        give_up_after_sec: float = 60.0,
+        on_loss: LossCallback | None = None,
+    ) -> None:
+        self._cassandra = cassandra
+        self._schema = schema
+        self._directory = directory
+        self._writer_id = writer_id
+        self._linger_sec = linger_sec
+        self._on_loss = on_loss
+        self._flight = Flight(cassandra.sendRaw, give_up_after_sec)
+        self._buckets: dict[tuple[str, str, int], OpenBucket] = {}
+        self._slots: set[tuple[str, int, str]] = set()
+        self._lock = threading.RLock()
+        self._ready: Deque[Callable[[], None]] = deque()
+        self._chunked = 0
+        self._chunked_changed = threading.Condition()
+        self.stats: dict[str, WriteStats] = {}
+        """Table name → what became of its rows."""
+        self._error: CassandraRosError | None = None
+        self._closing = threading.Event()
+        self._ticker = threading.Thread(target=self._tick, name="cassandra_ros-writer", daemon=True)
+        self._ticker.start()
+
+    # ---------------------------------------------------------------- rows in
+
+    def add(
+        self,
+        table: RowTable,
+        node: str,
+        t: int,
+        seq: int,
+        conn: int,
+        wire: bytes,
+        columns: list[bytes | None],
+        odd: bool,
+        raw: bytes | None,
+    ) -> None:
+        """Take one row; blocks while too much is in the air.
+
+        Args:
+            t: Key time, ns.
+            seq: Writer id << 32 | counter, fixed before the first attempt.
+            conn: Connection id.
+            wire: The serialised message.
+            columns, odd, raw: What the format made of it.
+
+        Raises:
+            WriteFailed: Earlier rows were given up (only without on_loss).
+        """
+        with self._lock:
+            self._raiseError()
+            bucket = self._bucket(table, node, table.bucketOf(t))
+            if isLarge(len(wire)):
+                self._addLarge(bucket, t, seq, conn, wire, columns)
+                return
+            own = (None, None, odd, raw) if odd or raw is not None else None
+            bucket.add(t, seq, conn, len(wire), columns, own)
+            if bucket.isFull():
+                self._send(bucket)
+
+    def _bucket(self, table: RowTable, node: str, number: int) -> OpenBucket:
+        key = (table.name, node, number)
+        bucket = self._buckets.get(key)
+        now = time.monotonic()
+        if bucket is None:
+            bucket = self._open(table, node, number)
+            self._buckets[key] = bucket
+        elif now - bucket.marked > REOPEN_SEC:
+            self._directory.open(table.name, node, number, self._writer_id, table.metadata.ttl)
+            bucket.marked = now
+        bucket.touched = now
+        return bucket
+
+    def _open(self, table: RowTable, node: str, number: int) -> OpenBucket:
+        slot = (table.name, slotOf(number), node)
+        if slot not in self._slots:
+            self._directory.addNode(*slot)
+            self._slots.add(slot)
+        rows = self._directory.find(table.name, node, number)
+        known = any(row.writer == self._writer_id for row in rows)
+        self._directory.open(table.name, node, number, self._writer_id, table.metadata.ttl)
+        self.stats.setdefault(table.name, WriteStats())
+        return OpenBucket(table, node, number, known)
+
+    def _send(self, bucket: OpenBucket, large: bool = False) -> None:
+        batch, statement = bucket.take()
+
+        def outcome(exc: BaseException | None) -> None:
+            if exc is None:
+                bucket.stored(batch, large)
+                self._count(bucket.table, batch)
+            else:
+                bucket.failed()
+                self._lost(bucket.table, len(batch.rows), exc)
+
+        self._flight.submit(statement, batch.nbytes, outcome)
+
+    # ---------------------------------------------------------------- large messages
+
+    def _addLarge(
+        self,
+        bucket: OpenBucket,
+        t: int,
+        seq: int,
+        conn: int,
+        wire: bytes,
+        columns: list[bytes | None],
+    ) -> None:
+        table = bucket.table
+        if not table.has_chunks:
+            self._schema.ensureChunkTable(table.name, table.metadata.ttl)
+            table.has_chunks = True
+        small = [c if c is not None and len(c) <= INLINE_COLUMN_BYTES else None for c in columns]
+        own = (chunkCount(len(wire)), checksum(wire), None in small, None)
+        key, size, left = bucket.key(t, seq), len(wire), [chunkCount(len(wire))]
+        failure: list[BaseException] = []
+        mutex = threading.Lock()
+        with bucket.mutex:
+            bucket.in_air += 1
+
+        def commit() -> None:
+            with bucket.mutex:
+                bucket.in_air -= 1
+            bucket.add(t, seq, conn, size, small, own)
+            # Alone in its batch, so that its size is known not to be one of an inline row.
+            self._send(bucket, large=True)
+
+        def outcome(exc: BaseException | None) -> None:
+            with mutex:
+                left[0] -= 1
+                last = not left[0]
+                if exc is not None:
+                    failure.append(exc)
+            if last and failure:
+                bucket.failed()
+                self._lost(table, 1, failure[0])
+            elif last:
+                # The row is the commit mark: it goes out when every chunk is acknowledged. Not
+                # from here: this is the driver's thread, and sending may block.
+                self._ready.append(commit)
+            if last:
+                with self._chunked_changed:
+                    self._chunked -= 1
+                    self._chunked_changed.notify_all()
+
+        if bucket.batch.rows:
+            self._send(bucket)
+        with self._chunked_changed:
+            self._chunked += 1
+        statement = table.insertChunk()
+        for number, data in pieces(wire):
+            values = (*key, encodeInt(number), data)
+            self._flight.submit(bind(statement, values), len(data), outcome)
+        self._commitReady()
+
+    def _commitReady(self) -> None:
+        while self._ready:
+            commit = self._ready.popleft()
+            commit()
+
+    # ---------------------------------------------------------------- outcomes
+
+    def _count(self, table: RowTable, batch: Batch) -> None:
+        stats = self.stats[table.name]
+        stats.stored += len(batch.sizes)
+        stats.bytes += sum(batch.sizes)
+
+    def _lost(self, table: RowTable, rows: int, exc: BaseException) -> None:
+        topic = table.metadata.topic
+        gone = "; its table was dropped meanwhile" if isTableGone(exc) else ""
+        error = WriteFailed(
+            f"{rows} messages of topic {topic} could not be stored{gone}: "
+            f"{translate(exc, 'writing')}"
+        )
+        error.__cause__ = exc
+        stats = self.stats[table.name]
+        stats.lost += rows
+        stats.reason = stats.reason or str(error)
+        if self._on_loss is not None:
+            self._on_loss(topic, rows, error)
+        elif self._error is None:
+            self._error = error
+
+    def _raiseError(self) -> None:
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+
+    # ---------------------------------------------------------------- time
+
+    def _tick(self) -> None:
+        beat = time.monotonic()
+        while not self._closing.wait(TICK_SEC):
+            try:
+                now = time.monotonic()
+                with self._lock:
+                    self._commitReady()
+                    self._sendOld(now)
+                if now - beat > HEARTBEAT_SEC:
+                    beat = now
+                    self._heartbeats(now)
+            except CassandraRosError as exc:
+                # The directory is behind, never wrong: its buckets still count as open.
+                _log.warning("the directory of buckets could not be updated: %s", exc)
+
+    def _sendOld(self, now: float) -> None:
+        for bucket in list(self._buckets.values()):
+            if bucket.batch.rows and now - bucket.batch.since > self._linger_sec:
+                self._send(bucket)
+
+    def _heartbeats(self, now: float) -> None:
+        with self._lock:
+            buckets = list(self._buckets.items())
+        for key, bucket in buckets:
+            idle = now - bucket.touched > IDLE_SEC
+            if idle or bucket.changed:
+                with self._lock:
+                    if idle and not bucket.in_air and not bucket.batch.rows:
+                        self._close(bucket)
+                        del self._buckets[key]
+                    else:
+                        self._mark(bucket)
+
+    def _mark(self, bucket: OpenBucket) -> None:
+        bucket.changed = False
+        self._put(bucket, bucket.totals, closed=False)
+        bucket.marked = time.monotonic()
+
+    def _close(self, bucket: OpenBucket) -> None:
+        totals = bucket.totals
+        if bucket.must_recount:
+            counted = recount(self._cassandra, bucket.table, bucket.node, bucket.bucket)
+            totals = counted.get(self._writer_id, Totals())
+        self._put(bucket, totals, closed=True)
+
+    def _put(self, bucket: OpenBucket, totals: Totals, closed: bool) -> None:
+        table = bucket.table
+        self._directory.put(
+            *(table.name, bucket.node, bucket.bucket, self._writer_id, totals, closed),
+            table.metadata.ttl,
+        )
+
+    # ---------------------------------------------------------------- end
+
+    def flush(self) -> None:
+        """Return when every row that was taken is acknowledged or counted as lost.
+
+        Raises:
+            WriteFailed: Rows were given up (only without on_loss).
+        """
+        with self._chunked_changed:
+            while self._chunked:
+                self._chunked_changed.wait()
+        with self._lock:
+            self._commitReady()
+            for bucket in self._buckets.values():
+                if bucket.batch.rows:
+                    self._send(bucket)
+            self._flight.wait()
+            self._raiseError()
+
+    def close(self) -> None:
+        """Flush, close the buckets in the directory, end the threads. Twice is harmless.
+
+        Raises:
+            WriteFailed: Rows were given up (only without on_loss).
+        """
+        if self._closing.is_set():
+            return
+        try:
+            self.flush()
+        finally:
+            self._closing.set()
+            self._ticker.join()
+            self._flight.close()
+        for bucket in self._buckets.values():
+            self._close(bucket)
+        self._buckets.clear()
