@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The topics of a keyspace by name: added, found, listed, removed."""
+
+from __future__ import annotations
+
+import difflib
+import logging
+import re
+import threading
+from typing import Optional
+
+from cassandra_ros.errors import DefinitionError, InvalidName, TopicExists, TopicNotFound
+from cassandra_ros.formats.table import formatClass
+from cassandra_ros.messages.classes import installedDefinition
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.graph import topicType
+from cassandra_ros.metadata import TopicMetadata, checkTopicName
+from cassandra_ros.topics.adder import Adder
+from cassandra_ros.topics.cassandra_topic import CassandraTopic, Wish
+from cassandra_ros.topics.keyspace import Keyspace
+
+_log = logging.getLogger(__name__)
+
+
+class Catalog:
+    """Finds topics by name, with or without the leading slash. Thread-safe.
+
+    Topics that were added before their type is known live here until their first message.
+    """
+
+    def __init__(self, keyspace: Keyspace, adder: Adder) -> None:
+        self._keyspace = keyspace
+        self._adder = adder
+        self._pending: dict[str, Wish] = {}
+        self._mutex = threading.Lock()
+
+    def add(self, topic: str, wish: Wish, msg_type: Optional[str]) -> CassandraTopic:
+        """Make a topic, or find it; see RosCassandra.addTopic."""
+        checkTopicName(topic)
+        formatClass(wish.format)
+        self._keyspace.schema.tables(fresh=True)
+        stored = self._keyspace.tables.ofTopic(topic)
+        definition = self._definitionFor(topic, msg_type, known=bool(stored))
+        for table in stored:
+            _checkSame(table.metadata, wish, definition)
+        with self._mutex:
+            self._pending[topic] = wish
+        found = self._topic(topic)
+        if definition is not None:
+            found.makeTable(definition)
+        return found
+
+    def _definitionFor(
+        self, topic: str, msg_type: Optional[str], known: bool
+    ) -> Optional[Definition]:
+        if msg_type is not None:
+            return installedDefinition(msg_type)
+        found = None if known else topicType(topic)
+        if found is None:
+            return None
+        try:
+            return installedDefinition(found)
+        except DefinitionError as exc:
+            _log.info("the type of topic %s is fixed by its first message: %s", topic, exc)
+            return None
+
+    def get(self, topic: str) -> CassandraTopic:
+        """Find a topic.
+
+        Raises:
+            TopicNotFound: There is none; the text gives the nearest names.
+        """
+        name = self._find(topic, fresh=False) or self._find(topic, fresh=True)
+        if name is not None:
+            return self._topic(name)
+        names = self.names()
+        near = difflib.get_close_matches(str(topic), names, n=3, cutoff=0.5)
+        hint = f"did you mean {', '.join(near)}?" if near else f"it holds {len(names)} topics"
+        raise TopicNotFound(
+            f"topic {topic!r} is not stored in keyspace {self._keyspace.name}; {hint}"
+        )
+
+    def exists(self, topic: str) -> bool:
+        """Say whether get would find the topic."""
+        return self._find(topic, fresh=True) is not None
+
+    def all(self, pattern: Optional[str]) -> list[CassandraTopic]:
+        """List the topics whose whole name matches a regular expression, sorted."""
+        try:
+            wanted = re.compile(".*" if pattern is None else pattern, re.DOTALL)
+        except re.error as exc:
+            raise InvalidName(f"{pattern!r} is not a regular expression: {exc}") from exc
+        return [self._topic(name) for name in sorted(self.names()) if wanted.fullmatch(name)]
+
+    def names(self, *, fresh: bool = True) -> set[str]:
+        """List the names of all topics."""
+        tables = self._keyspace.schema.tables(fresh=fresh)
+        with self._mutex:
+            return {metadata.topic for metadata in tables.values()} | set(self._pending)
+
+    def remove(self, topic: str) -> None:
+        """Drop a topic with all its messages."""
+        name = self.get(topic).name
+        self._adder.close()
+        space = self._keyspace
+        tables = [table.name for table in space.tables.ofTopic(name)]
+        space.schema.dropTables(tables)
+        for table in tables:
+            space.directory.forget(table)
+            space.registry.forget(table)
+        with self._mutex:
+            self._pending.pop(name, None)
+
+    def _find(self, topic: str, fresh: bool) -> Optional[str]:
+        names = self.names(fresh=fresh)
+        other = topic[1:] if topic.startswith("/") else "/" + topic
+        return next((name for name in (topic, other) if name in names), None)
+
+    def _topic(self, name: str) -> CassandraTopic:
+        with self._mutex:
+            pending = self._pending.get(name)
+        tables = self._keyspace.tables.ofTopic(name)
+        if pending is None and tables:
+            stored = tables[0].metadata
+            pending = Wish(stored.format, stored.nodeID, stored.ttl, stored.comment, False)
+        if pending is None:
+            raise TopicNotFound(f"topic {name} was removed from keyspace {self._keyspace.name}")
+        return CassandraTopic(self._keyspace, self._adder, name, pending)
+
+
+def _checkSame(metadata: TopicMetadata, wish: Wish, definition: Optional[Definition]) -> None:
+    wrong = []
+    if definition is not None and definition.md5sum != metadata.md5sum:
+        wrong.append(f"type {metadata.msg_type} [{metadata.md5sum}]")
+    if wish.ttl and wish.ttl != metadata.ttl:
+        wrong.append(f"ttl {metadata.ttl} s")
+    if wish.nodeID and wish.nodeID != metadata.nodeID:
+        wrong.append(f"nodeID {metadata.nodeID!r}")
+    if wrong:
+        raise TopicExists(
+            f"topic {metadata.topic} is stored already with {', '.join(wrong)}; give the same, "
+            "or remove the topic first"
+        )

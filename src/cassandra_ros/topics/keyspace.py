@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A connected keyspace: the parts that writers, readers and topics share."""
+
+from __future__ import annotations
+
+import logging
+from datetime import datetime, timezone
+from typing import Optional
+
+from cassandra_ros.errors import WriteFailed
+from cassandra_ros.formats.table import formatClass
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.store.buckets import SECOND_NS, limitForTtl
+from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.directory import Directory
+from cassandra_ros.store.names import checkKeyspace
+from cassandra_ros.store.registry import Registry
+from cassandra_ros.store.schema import Schema
+from cassandra_ros.store.side_tables import makeKeyspace
+from cassandra_ros.topics.connections import Connections
+from cassandra_ros.topics.reading import Rows
+from cassandra_ros.topics.topic_table import TopicTable, TopicTables
+
+_log = logging.getLogger(__name__)
+
+
+class Keyspace:
+    """One keyspace of a cluster, made with its side tables when missing.
+
+    Attributes:
+        cassandra: The connection.
+        name: The keyspace's name.
+        schema: Its topic tables, from their comments.
+        directory: Which buckets they have.
+        registry: Connections, definitions and runs as rows.
+        connections: Connection headers, each read once.
+        tables: The topic tables as objects.
+        rows: Reads, counts and deletes messages.
+
+    Raises:
+        InvalidName: The name is not 1 to 48 letters, digits and underscores.
+    """
+
+    def __init__(self, cassandra: Cassandra, name: str) -> None:
+        makeKeyspace(cassandra, checkKeyspace(name))
+        self.cassandra = cassandra
+        self.name = name
+        self.schema = Schema(cassandra, name)
+        self.directory = Directory(cassandra, name)
+        self.registry = Registry(cassandra, name)
+        self.connections = Connections(self.registry)
+        self.tables = TopicTables(cassandra, self.schema)
+        self.rows = Rows(cassandra, self.directory, self.connections)
+
+    def makeTable(self, metadata: TopicMetadata, definition: Optional[Definition]) -> TopicTable:
+        """Find the table for a topic, md5 and format, or make it.
+
+        Args:
+            metadata: What its comment is to say; columns, date and bucket are completed here.
+            definition: The checked definition, or None.
+        """
+        for table in self.tables.ofTopic(metadata.topic):
+            if (table.metadata.md5sum, table.metadata.format) == (metadata.md5sum, metadata.format):
+                return table
+            if table.metadata.md5sum != metadata.md5sum:
+                _log.warning(
+                    "topic %s was stored with type %s [%s] and goes on with %s [%s] in a table of "
+                    "its own; reading merges both",
+                    *(metadata.topic, table.metadata.msg_type, table.metadata.md5sum),
+                    *(metadata.msg_type, metadata.md5sum),
+                )
+        fmt = formatClass(metadata.format)(metadata.msg_type, metadata.md5sum, definition)
+        metadata = metadata.with_(
+            bucket_ns=limitForTtl(metadata.bucket_ns, metadata.ttl),
+            columns=tuple(fmt.describe()),
+            date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        )
+        name = self.schema.ensureTable(metadata, fmt.getColValidationClasses())
+        found = self.tables.byName(name)
+        if found is None:
+            raise WriteFailed(
+                f"the table of topic {metadata.topic} was dropped as soon as it was made: another "
+                "client removes this topic; try again"
+            )
+        return found
+
+
+def defaultBucket(definition: Optional[Definition]) -> int:
+    """Return the bucket length where the rate is unknown: 1 min for types with arrays."""
+    arrays = definition is None or any(
+        field.is_array for spec in definition.specs.values() for field in spec.fields
+    )
+    return (60 if arrays else 600) * SECOND_NS

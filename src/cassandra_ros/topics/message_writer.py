@@ -1,0 +1,248 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Serialised messages into the store: what recorder, importer and addData write with."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from dataclasses import dataclass, replace
+from typing import Optional
+
+from cassandra_ros.errors import CassandraRosError, DefinitionError, InvalidKey
+from cassandra_ros.formats.table import DEFAULT_FORMAT, formatClass
+from cassandra_ros.keys import COUNTER_BITS, MAX_NS, joinSeq
+from cassandra_ros.messages.classes import installedDefinition
+from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.definition import Definition, parseDefinition
+from cassandra_ros.metadata import TopicMetadata, checkTopicName
+from cassandra_ros.store.registry import Run
+from cassandra_ros.store.writer import LossCallback, RowWriter, WriteStats
+from cassandra_ros.topics.keyspace import Keyspace, defaultBucket
+from cassandra_ros.topics.topic_table import TopicTable
+
+_log = logging.getLogger(__name__)
+
+_FALLBACK = "binary"
+
+
+@dataclass(frozen=True)
+class Handle:
+    """An open connection of a writer: where its messages go, and how."""
+
+    connection: Connection
+    table: TopicTable
+    conn: int
+    node: str
+    warning: Optional[str] = None
+    """Why the topic is kept in another way than asked for."""
+
+    @property
+    def topic(self) -> str:
+        """The topic's name."""
+        return self.table.metadata.topic
+
+    @property
+    def format(self) -> str:
+        """Name of the format in which the messages are kept."""
+        return self.table.metadata.format
+
+
+class MessageWriter:
+    """Writes messages of any topic under one writer id. Thread-safe.
+
+    Args:
+        keyspace: The connected keyspace.
+        rows: Writes the rows; owned and closed by this object.
+        writer_id: 31 bits, never 0.
+        format: Name of the format for topics that are not stored yet.
+        nodeID: The entity that produces the messages; '' = nobody says.
+        ttl: Seconds until a row expires; 0 = never.
+        run: The recording or import that this is; stored at once and with counts at close.
+        on_loss: As in RowWriter.
+    """
+
+    def __init__(
+        self,
+        keyspace: Keyspace,
+        rows: RowWriter,
+        writer_id: int,
+        *,
+        format: str = DEFAULT_FORMAT,
+        nodeID: str = "",
+        ttl: int = 0,
+        run: Optional[Run] = None,
+        on_loss: Optional[LossCallback] = None,
+    ) -> None:
+        formatClass(format)
+        self.writer_id = writer_id
+        self._keyspace = keyspace
+        self._rows = rows
+        self._format = format
+        self._node = nodeID
+        self._ttl = ttl
+        self._on_loss = on_loss
+        self._handles: dict[tuple[Connection, str, str], Handle] = {}
+        self._topics: dict[str, str] = {}
+        self._refused: dict[str, WriteStats] = {}
+        self._mutex = threading.Lock()
+        self._high = joinSeq(writer_id, 0)
+        self._closed = False
+        self._run = run
+        if run is not None:
+            keyspace.registry.putRun(run, started=True)
+
+    # ---------------------------------------------------------------- connections
+
+    def connect(
+        self,
+        connection: Connection,
+        bucket_ns: Optional[int] = None,
+        *,
+        format: Optional[str] = None,
+        nodeID: Optional[str] = None,
+    ) -> Handle:
+        """Make ready for the messages of a connection: its table, definition and header.
+
+        A definition that is empty, broken or hostile, or does not agree with the md5sum, is
+        kept as it is and its messages as ``binary``; the handle's warning says so.
+
+        Args:
+            connection: Topic and header.
+            bucket_ns: Length of the time buckets where the table is made here, ns; None =
+                1 min for types with arrays, else 10 min.
+            format, nodeID: Other ones than the writer's.
+
+        Raises:
+            SchemaConflict, StoreUnavailable: The table cannot be made.
+        """
+        node = self._node if nodeID is None else nodeID
+        key = (connection, format or self._format, node)
+        with self._mutex:
+            if key in self._handles:
+                return self._handles[key]
+        checkTopicName(connection.topic)
+        definition, warning = _usable(connection)
+        format_name = key[1] if definition is not None else _FALLBACK
+        table = self._keyspace.makeTable(
+            TopicMetadata(
+                topic=connection.topic,
+                msg_type=connection.type,
+                md5sum=connection.md5sum,
+                format=format_name,
+                bucket_ns=bucket_ns or defaultBucket(definition),
+                definition=definition.text if definition else connection.definition_text,
+                ttl=self._ttl,
+                nodeID=node,
+            ),
+            definition,
+        )
+        conn = self._keyspace.connections.put(table.name, connection)
+        if warning:
+            _log.warning("%s", warning)
+        handle = Handle(connection, table, conn, node, warning)
+        with self._mutex:
+            self._topics[table.name] = connection.topic
+            return self._handles.setdefault(key, handle)
+
+    # ---------------------------------------------------------------- messages
+
+    def write(self, handle: Handle, t_ns: int, counter: int, wire: bytes) -> int:
+        """Take one serialised message; blocks while too much is on its way.
+
+        Args:
+            t_ns: Key time, ns, 0 to MAX_NS.
+            counter: Arrival order in this run (or position in the bag), 0 to 2**32 - 1.
+
+        Returns:
+            The row's ``_seq``.
+
+        Raises:
+            InvalidKey: Time or counter is out of range.
+            WriteFailed: Earlier messages were given up (only without on_loss).
+        """
+        if not (0 <= t_ns <= MAX_NS and 0 <= counter < 1 << COUNTER_BITS):
+            raise InvalidKey(
+                f"a message of topic {handle.topic} has time {t_ns} ns and counter {counter}; "
+                f"times are 0 to {MAX_NS} ns, counters below 2**{COUNTER_BITS}"
+            )
+        seq = self._high | counter
+        table = handle.table
+        columns, odd, raw = table.format.encodeWire(wire)
+        try:
+            self._rows.add(table, handle.node, t_ns, seq, handle.conn, wire, columns, odd, raw)
+        except CassandraRosError as exc:
+            if self._on_loss is None:
+                raise
+            self._refuse(table, exc)
+        return seq
+
+    def _refuse(self, table: TopicTable, exc: CassandraRosError) -> None:
+        topic = table.metadata.topic
+        with self._mutex:
+            stats = self._refused.setdefault(table.name, WriteStats())
+            stats.lost += 1
+            stats.reason = stats.reason or str(exc)
+        if self._on_loss is not None:
+            self._on_loss(topic, 1, exc)
+
+    def stats(self) -> dict[str, WriteStats]:
+        """Return what became of the messages so far, by topic."""
+        found: dict[str, WriteStats] = {}
+        with self._mutex:
+            parts = [*self._rows.stats.items(), *self._refused.items()]
+            topics = dict(self._topics)
+        for name, part in parts:
+            total = found.setdefault(topics.get(name, name), WriteStats())
+            total.stored += part.stored
+            total.bytes += part.bytes
+            total.lost += part.lost
+            total.reason = total.reason or part.reason
+        return found
+
+    def flush(self) -> None:
+        """Return when every message that was taken is acknowledged or counted as lost.
+
+        Raises:
+            WriteFailed: Messages were given up (only without on_loss).
+        """
+        self._rows.flush()
+
+    def close(self) -> None:
+        """Flush, close the buckets in the directory, note the end of the run. Twice is harmless.
+
+        Raises:
+            WriteFailed: Messages were given up (only without on_loss).
+        """
+        if self._closed:
+            return
+        self._closed = True
+        self._rows.close()
+        if self._run is not None:
+            stats = self.stats()
+            stored = {topic: part.stored for topic, part in stats.items()}
+            lost = {topic: part.lost for topic, part in stats.items() if part.lost}
+            run = replace(self._run, stored=stored, lost=lost)
+            self._keyspace.registry.putRun(run, ended=True)
+
+    def __enter__(self) -> MessageWriter:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+
+def _usable(connection: Connection) -> tuple[Optional[Definition], Optional[str]]:
+    """Return the checked definition of a connection, or why there is none."""
+    text, md5sum = connection.definition_text, connection.md5sum
+    try:
+        if not text.strip() and md5sum:
+            # Some publishers leave the definition out; an installed type of the md5 is as good.
+            installed = installedDefinition(connection.type)
+            if installed.md5sum == md5sum:
+                return installed, None
+        return parseDefinition(connection.type, text, md5sum), None
+    except DefinitionError as exc:
+        return None, (
+            f"topic {connection.topic} is kept as binary, its fields cannot be queried: {exc}"
+        )

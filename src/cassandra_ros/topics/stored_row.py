@@ -1,0 +1,140 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A stored message as the library hands it on: bytes first, an object when asked for."""
+
+from __future__ import annotations
+
+from typing import Any, Callable, Optional
+
+from cassandra_ros.errors import DefinitionError
+from cassandra_ros.keys import Position
+from cassandra_ros.messages.classes import deserialize, messageClass, rawClass
+from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.store.row_table import TableRow
+from cassandra_ros.topics.topic_table import TopicTable
+
+
+class StoredRow:
+    """One message of one topic.
+
+    Attributes:
+        t: Key time, ns since 1970.
+        node: nodeID, '' when nobody said.
+        seq: Writer id << 32 | counter.
+        conn: Number of its connection.
+        size: Serialised bytes.
+        table: The TopicTable in which it lies.
+    """
+
+    __slots__ = ("_connection_of", "_row", "_wire", "_wire_of", "table")
+
+    def __init__(
+        self,
+        row: TableRow,
+        table: TopicTable,
+        wire_of: Callable[[TopicTable, TableRow], bytes],
+        connection_of: Callable[[str, int], Connection],
+    ) -> None:
+        self._row = row
+        self.table = table
+        self._wire: Optional[bytes] = None
+        self._wire_of = wire_of
+        self._connection_of = connection_of
+
+    @property
+    def t(self) -> int:
+        """Key time, ns."""
+        return self._row.t
+
+    @property
+    def node(self) -> str:
+        """The nodeID."""
+        return self._row.node
+
+    @property
+    def seq(self) -> int:
+        """Writer id << 32 | counter."""
+        return self._row.seq
+
+    @property
+    def conn(self) -> int:
+        """Number of the connection."""
+        return self._row.conn
+
+    @property
+    def size(self) -> int:
+        """Serialised bytes."""
+        return self._row.size
+
+    @property
+    def odd(self) -> bool:
+        """Whether some field is not held exactly in its column."""
+        return self._row.odd
+
+    @property
+    def columns(self) -> tuple[Optional[bytes], ...]:
+        """The format's columns, undecoded."""
+        return self._row.columns
+
+    @property
+    def topic(self) -> str:
+        """The topic under which it is stored."""
+        return self.table.metadata.topic
+
+    @property
+    def position(self) -> Position:
+        """Its place in the order of all reads."""
+        return Position(*self._row[:4])
+
+    @property
+    def key(self) -> Stamp:
+        """The row key: exact time, and where the row lies."""
+        row = self._row
+        return Stamp.fromNs(row.t, node=row.node, seq=row.seq, table=row.table)
+
+    @property
+    def wire(self) -> bytes:
+        """The serialised message, byte for byte as it was sent."""
+        if self._wire is None:
+            self._wire = self._wire_of(self.table, self._row)
+        return self._wire
+
+    @property
+    def connection(self) -> Connection:
+        """The connection over which it came."""
+        return self._connection_of(self.table.name, self._row.conn)
+
+    @property
+    def type(self) -> str:
+        """Message type as its connection names it, 'pkg/Name'."""
+        return self.connection.type
+
+    @property
+    def md5sum(self) -> str:
+        """md5 of the message definition."""
+        return self.table.metadata.md5sum
+
+    def messageClass(self) -> Any:
+        """Return the class of the message: installed, generated, or RawMessage."""
+        table = self.table
+        if table.definition is None:
+            return rawClass(self.type, self.md5sum)
+        if self.type == table.definition.type:
+            return messageClass(table.definition)
+        connection = self.connection
+        try:
+            # The same md5 under another name, as tf/tfMessage and tf2_msgs/TFMessage.
+            other = parseDefinition(connection.type, connection.definition_text, self.md5sum)
+        except DefinitionError:
+            return messageClass(table.definition)
+        return messageClass(other)
+
+    def message(self) -> Any:
+        """Deserialise the message.
+
+        Raises:
+            CorruptMessage: The bytes are not a message of the type.
+        """
+        return deserialize(self.messageClass(), self.wire)
