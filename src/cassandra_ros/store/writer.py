@@ -7,20 +7,20 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import deque
 from dataclasses import dataclass
 from typing import Callable, Deque
 
-from cassandra_ros.errors import CassandraRosError, WriteFailed
+from cassandra_ros.errors import CassandraRosError, StoreUnavailable, WriteFailed
 from cassandra_ros.store.buckets import slotOf
-from cassandra_ros.store.chunks import checksum, chunkCount, isLarge, pieces
+from cassandra_ros.store.chunks import isLarge
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.counting import recount
 from cassandra_ros.store.directory import HEARTBEAT_SEC, Directory, Totals
 from cassandra_ros.store.driver_errors import isTableGone, translate
 from cassandra_ros.store.flight import Flight
+from cassandra_ros.store.large import LargeMessages
 from cassandra_ros.store.open_bucket import Batch, OpenBucket
-from cassandra_ros.store.row_table import INLINE_COLUMN_BYTES, RowTable, bind, encodeInt
+from cassandra_ros.store.row_table import RowTable
 from cassandra_ros.store.schema import Schema
 
 _log = logging.getLogger(__name__)
@@ -81,9 +81,7 @@ class RowWriter:
         self._buckets: dict[tuple[str, str, int], OpenBucket] = {}
         self._slots: set[tuple[str, int, str]] = set()
         self._lock = threading.RLock()
-        self._ready: Deque[Callable[[], None]] = deque()
-        self._chunked = 0
-        self._chunked_changed = threading.Condition()
+        self._large = LargeMessages(schema, self._flight, self._send, self._lost)
         self.stats: dict[str, WriteStats] = {}
         """Table name → what became of its rows."""
         self._error: CassandraRosError | None = None
@@ -121,7 +119,9 @@ class RowWriter:
             self._raiseError()
             bucket = self._bucket(table, node, table.bucketOf(t))
             if isLarge(len(wire)):
-                self._addLarge(bucket, t, seq, conn, wire, columns)
+                if bucket.batch.rows:
+                    self._send(bucket)
+                self._large.send(bucket, t, seq, conn, wire, columns)
                 return
             own = (None, None, odd, raw) if odd or raw is not None else None
             bucket.add(t, seq, conn, len(wire), columns, own)
@@ -165,69 +165,6 @@ class RowWriter:
 
         self._flight.submit(statement, batch.nbytes, outcome)
 
-    # ---------------------------------------------------------------- large messages
-
-    def _addLarge(
-        self,
-        bucket: OpenBucket,
-        t: int,
-        seq: int,
-        conn: int,
-        wire: bytes,
-        columns: list[bytes | None],
-    ) -> None:
-        table = bucket.table
-        if not table.has_chunks:
-            self._schema.ensureChunkTable(table.name, table.metadata.ttl)
-            table.has_chunks = True
-        small = [c if c is not None and len(c) <= INLINE_COLUMN_BYTES else None for c in columns]
-        own = (chunkCount(len(wire)), checksum(wire), None in small, None)
-        key, size, left = bucket.key(t, seq), len(wire), [chunkCount(len(wire))]
-        failure: list[BaseException] = []
-        mutex = threading.Lock()
-        with bucket.mutex:
-            bucket.in_air += 1
-
-        def commit() -> None:
-            with bucket.mutex:
-                bucket.in_air -= 1
-            bucket.add(t, seq, conn, size, small, own)
-            # Alone in its batch, so that its size is known not to be one of an inline row.
-            self._send(bucket, large=True)
-
-        def outcome(exc: BaseException | None) -> None:
-            with mutex:
-                left[0] -= 1
-                last = not left[0]
-                if exc is not None:
-                    failure.append(exc)
-            if last and failure:
-                bucket.failed()
-                self._lost(table, 1, failure[0])
-            elif last:
-                # The row is the commit mark: it goes out when every chunk is acknowledged. Not
-                # from here: this is the driver's thread, and sending may block.
-                self._ready.append(commit)
-            if last:
-                with self._chunked_changed:
-                    self._chunked -= 1
-                    self._chunked_changed.notify_all()
-
-        if bucket.batch.rows:
-            self._send(bucket)
-        with self._chunked_changed:
-            self._chunked += 1
-        statement = table.insertChunk()
-        for number, data in pieces(wire):
-            values = (*key, encodeInt(number), data)
-            self._flight.submit(bind(statement, values), len(data), outcome)
-        self._commitReady()
-
-    def _commitReady(self) -> None:
-        while self._ready:
-            commit = self._ready.popleft()
-            commit()
-
     # ---------------------------------------------------------------- outcomes
 
     def _count(self, table: RowTable, batch: Batch) -> None:
@@ -264,7 +201,7 @@ class RowWriter:
             try:
                 now = time.monotonic()
                 with self._lock:
-                    self._commitReady()
+                    self._large.commit()
                     self._sendOld(now)
                 if now - beat > HEARTBEAT_SEC:
                     beat = now
@@ -318,11 +255,9 @@ class RowWriter:
         Raises:
             WriteFailed: Rows were given up (only without on_loss).
         """
-        with self._chunked_changed:
-            while self._chunked:
-                self._chunked_changed.wait()
+        self._large.wait()
         with self._lock:
-            self._commitReady()
+            self._large.commit()
             for bucket in self._buckets.values():
                 if bucket.batch.rows:
                     self._send(bucket)
@@ -343,6 +278,17 @@ class RowWriter:
             self._closing.set()
             self._ticker.join()
             self._flight.close()
+        self._closeAll()
+
+    def _closeAll(self) -> None:
         for bucket in self._buckets.values():
-            self._close(bucket)
+            try:
+                self._close(bucket)
+            except StoreUnavailable as exc:
+                # Nothing is lost: buckets that stay open are counted live by the next reader.
+                _log.warning("buckets stay open in the directory: %s", exc)
+                break
+            except CassandraRosError as exc:
+                topic = bucket.table.metadata.topic
+                _log.warning("a bucket of topic %s stays open: %s", topic, exc)
         self._buckets.clear()

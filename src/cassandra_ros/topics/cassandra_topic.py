@@ -175,7 +175,7 @@ class CassandraTopic:
         if nearest != "after":
             before = next(self.rows(0, t, nodeID=nodeID, limit=1, reverse=True), None)
         if nearest != "before":
-            after = next(self.rows(t, LAST_NS, nodeID=nodeID, limit=1), None)
+            after = next(self.rows(t, nodeID=nodeID, limit=1), None)
         if before is None or after is None:
             return before or after
         return before if t - before.t <= after.t - t else after

@@ -8,6 +8,7 @@ import difflib
 import logging
 import re
 import threading
+from dataclasses import replace
 from typing import Optional
 
 from cassandra_ros.errors import DefinitionError, InvalidName, TopicExists, TopicNotFound
@@ -119,14 +120,15 @@ class Catalog:
 
     def _topic(self, name: str) -> CassandraTopic:
         with self._mutex:
-            pending = self._pending.get(name)
+            wish = self._pending.get(name)
         tables = self._keyspace.tables.ofTopic(name)
-        if pending is None and tables:
-            stored = tables[0].metadata
-            pending = Wish(stored.format, stored.nodeID, stored.ttl, stored.comment, False)
-        if pending is None:
+        if wish is None and not tables:
             raise TopicNotFound(f"topic {name} was removed from keyspace {self._keyspace.name}")
-        return CassandraTopic(self._keyspace, self._adder, name, pending)
+        if wish is None:
+            stored = tables[0].metadata
+            wish = Wish(stored.format, stored.nodeID, stored.ttl, stored.comment)
+        wish = replace(wish, pending=not tables)
+        return CassandraTopic(self._keyspace, self._adder, name, wish)
 
 
 def _checkSame(metadata: TopicMetadata, wish: Wish, definition: Optional[Definition]) -> None:

@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Large messages on their way: all chunks acknowledged first, then the row that commits them."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from typing import Callable, Deque
+
+from cassandra_ros.store.chunks import checksum, chunkCount, pieces
+from cassandra_ros.store.flight import Flight
+from cassandra_ros.store.open_bucket import OpenBucket
+from cassandra_ros.store.row_table import INLINE_COLUMN_BYTES, RowTable, bind, encodeInt
+from cassandra_ros.store.schema import Schema
+
+
+class LargeMessages:
+    """Sends messages that are kept in chunks; guarded by the writer's lock but for wait.
+
+    Args:
+        schema: Makes the chunk table when it is first needed.
+        flight: Sends the chunks.
+        send: Sends the batch of a bucket; told whether its row is one of a large message.
+        lost: Told (table, messages, error) of what was given up.
+    """
+
+    def __init__(
+        self,
+        schema: Schema,
+        flight: Flight,
+        send: Callable[[OpenBucket, bool], None],
+        lost: Callable[[RowTable, int, BaseException], None],
+    ) -> None:
+        self._schema = schema
+        self._flight = flight
+        self._send = send
+        self._lost = lost
+        self._ready: Deque[Callable[[], None]] = deque()
+        self._count = 0
+        self._changed = threading.Condition()
+
+    def send(
+        self,
+        bucket: OpenBucket,
+        t: int,
+        seq: int,
+        conn: int,
+        wire: bytes,
+        columns: list[bytes | None],
+    ) -> None:
+        """Send the chunks of a message; its row follows by commit, when all of them are stored."""
+        table = bucket.table
+        if not table.has_chunks:
+            self._schema.ensureChunkTable(table.name, table.metadata.ttl)
+            table.has_chunks = True
+        small = [c if c is not None and len(c) <= INLINE_COLUMN_BYTES else None for c in columns]
+        size, own = len(wire), (chunkCount(len(wire)), checksum(wire), None in small, None)
+
+        def row() -> None:
+            with bucket.mutex:
+                bucket.in_air -= 1
+            bucket.add(t, seq, conn, size, small, own)
+            # Alone in its batch: its size is not one of a row with the message inside.
+            self._send(bucket, True)
+
+        with bucket.mutex:
+            bucket.in_air += 1
+        with self._changed:
+            self._count += 1
+        outcome = self._outcome(bucket, chunkCount(size), row)
+        statement, key = table.insertChunk(), bucket.key(t, seq)
+        for number, data in pieces(wire):
+            values = (*key, encodeInt(number), data)
+            self._flight.submit(bind(statement, values), len(data), outcome)
+        self.commit()
+
+    def _outcome(
+        self, bucket: OpenBucket, chunks: int, row: Callable[[], None]
+    ) -> Callable[[BaseException | None], None]:
+        left, failures, mutex = [chunks], [], threading.Lock()
+
+        def outcome(exc: BaseException | None) -> None:
+            with mutex:
+                left[0] -= 1
+                if exc is not None:
+                    failures.append(exc)
+                if left[0]:
+                    return
+            if failures:
+                bucket.failed()
+                self._lost(bucket.table, 1, failures[0])
+            else:
+                # Not sent from here: this is the driver's thread, and sending may block.
+                self._ready.append(row)
+            with self._changed:
+                self._count -= 1
+                self._changed.notify_all()
+
+        return outcome
+
+    def commit(self) -> None:
+        """Send the rows of messages whose chunks are all stored."""
+        while self._ready:
+            self._ready.popleft()()
+
+    def wait(self) -> None:
+        """Return when the chunks of every message are stored or given up."""
+        with self._changed:
+            while self._count:
+                self._changed.wait()

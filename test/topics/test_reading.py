@@ -1,0 +1,101 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Merged reads: the total order, cursors, both directions, any page size."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from std_msgs.msg import String, UInt32
+
+from cassandra_ros.keys import Position, decodeCursor, encodeCursor
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection import apiConnection
+from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.store import reader
+
+SEC = 10**9
+T0 = 1_500_000_000 * SEC
+
+
+@pytest.fixture
+def filled(rosCas):
+    """Three topics of two nodes, some 1,000 rows with many equal stamps over several buckets."""
+    rand = random.Random(5)
+    wanted = []
+    for node, writer_id in (("", 5), ("r1", 3)):
+        with rosCas.messageWriter(writer_id=writer_id, nodeID=node) as writer:
+            handles = [
+                writer.connect(apiConnection(f"/t{n}", definitionOf(String), "/x"), bucket_ns=SEC)
+                for n in range(2)
+            ]
+            handles.append(writer.connect(apiConnection("/t0", definitionOf(UInt32), "/x")))
+            for counter in range(500):
+                handle = rand.choice(handles)
+                t = T0 + rand.randrange(8) * SEC // 2
+                text = f"{node}{counter}"
+                is_text = handle.connection.type == "std_msgs/String"
+                wire = serialize(String(data=text) if is_text else UInt32(data=counter))
+                seq = writer.write(handle, t, counter, wire)
+                wanted.append((Position(t, node, seq, handle.table.name), handle.topic, wire))
+    return rosCas, sorted(wanted)
+
+
+def found(rows):
+    return [(row.position, row.topic, row.wire) for row in rows]
+
+
+@pytest.mark.parametrize("page_bytes", [1, 500, 10**6])
+def test_merged_order(filled, monkeypatch, page_bytes):
+    rosCas, wanted = filled
+    monkeypatch.setattr(reader, "PAGE_BYTES", page_bytes)
+    assert found(rosCas.readMessages()) == wanted
+    for topic in ("/t0", "/t1"):
+        mine = [entry for entry in wanted if entry[1] == topic]
+        assert found(rosCas.getTopic(topic).rows()) == mine
+        assert found(rosCas.getTopic(topic).rows(reverse=True)) == mine[::-1]
+        assert rosCas.getTopic(topic).countTopicData() == len(mine)
+
+
+def test_ranges_and_nodes(filled):
+    rosCas, wanted = filled
+    low, high = T0 + SEC, T0 + 2 * SEC
+    inside = [entry for entry in wanted if low <= entry[0].t <= high]
+    assert found(rosCas.readMessages(key=low, to_key=high)) == inside
+    mine = [entry for entry in inside if entry[0].node == "r1"]
+    assert found(rosCas.readMessages(key=low, to_key=high, nodeID="r1")) == mine
+    assert found(rosCas.readMessages(key=high, to_key=low)) == []
+    assert found(rosCas.readMessages(key=0, to_key=T0 - 1)) == []
+
+
+def test_cursors_go_on_anywhere(filled):
+    rosCas, wanted = filled
+    mine = [entry for entry in wanted if entry[1] == "/t0"]
+    topic = rosCas.getTopic("/t0")
+    for number in range(0, len(mine), 23):
+        after = decodeCursor(encodeCursor(mine[number][0]))
+        rest = found(topic.rows(after=after, limit=40))
+        assert rest == mine[number + 1 : number + 41]
+
+
+def test_two_definitions_of_a_topic(filled):
+    rosCas, _ = filled
+    topic = rosCas.getTopic("/t0")
+    assert len(topic.tables) == 2
+    kinds = {type(message) for _, message in topic.items()}
+    assert kinds == {String, UInt32}
+    assert {i.type for i in rosCas.info(["/t0"])} == {"std_msgs/String", "std_msgs/UInt32"}
+
+
+def test_times_at_the_ends_of_the_world(rosCas):
+    from cassandra_ros.keys import MAX_NS
+
+    topic = rosCas.addTopic("/a")
+    for t in (0, 1, 2**31 * SEC, MAX_NS):
+        topic.addData(String(data=str(t)), key=t)
+    assert [int(m.data) for _, m in topic.items()] == [0, 1, 2**31 * SEC, MAX_NS]
+    assert int(topic.getData(MAX_NS).data) == MAX_NS
+    assert topic.first().ns == 0
+    assert topic.last().ns == MAX_NS
+    assert topic.countTopicData(0, MAX_NS) == 4
