@@ -21,7 +21,7 @@ _PUBLIC = {
 __all__ = list(_PUBLIC)
 
 
-def __getattr__(name):
+def __getattr__(name: str) -> object:
     # Loaded on first use: a node that only wants cassandra_ros.srv needs no database driver.
     if name not in _PUBLIC:
         raise AttributeError(f"module 'cassandra_ros' has no attribute '{name}'")

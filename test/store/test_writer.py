@@ -118,7 +118,7 @@ def test_a_stale_open_bucket_is_recounted_and_closed(rosCas, monkeypatch):
     monkeypatch.setattr(counting, "STALE_SEC", -1.0)
     assert rosCas.info(["/a"])[0].count == 10
     row = directory.find(name, "", bucket)[0]
-    assert row.closed and row.count == 10
+    assert row.closed and row.rows == 10
     # A writer that came back meanwhile is not overridden.
     directory.open(name, "", bucket, 99, 0)
     directory.putRecount(name, row._replace(closed=False), Totals(), 0)

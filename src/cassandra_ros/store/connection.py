@@ -8,7 +8,7 @@ import logging
 import socket
 import threading
 import time
-from typing import Any, Callable, Iterable, Sequence
+from typing import Any, Callable, Iterable, Sequence, TypeVar
 
 from cassandra import ConsistencyLevel
 from cassandra.auth import PlainTextAuthProvider
@@ -37,6 +37,7 @@ from cassandra_ros.store.driver_errors import (
 from cassandra_ros.store.raw_rows import RawProtocolHandler
 
 _log = logging.getLogger(__name__)
+_Result = TypeVar("_Result")
 
 CONNECT_TIMEOUT_SEC = 10.0
 REQUEST_TIMEOUT_SEC = 20.0
@@ -257,7 +258,7 @@ def _consistencyLevel(name: str) -> int:
     return int(levels[name.upper()])
 
 
-def _withRetries(run: Callable[[], Any], what: str, retry_sec: float) -> Any:
+def _withRetries(run: Callable[[], _Result], what: str, retry_sec: float) -> _Result:
     deadline = time.monotonic() + retry_sec
     pause = 0.1
     while True:

@@ -51,7 +51,7 @@ def recount(cassandra: Cassandra, table: RowTable, node: str, bucket: int) -> di
     found: dict[int, Totals] = {}
     for t, seq, size, chunked, odd in scanKeys(cassandra, table, node, bucket, -(2**63), MAX_SEQ):
         totals = found.setdefault(splitSeq(seq)[0], Totals())
-        totals.count += 1
+        totals.rows += 1
         totals.bytes += size
         totals.t_min = min(totals.t_min, t)
         totals.t_max = max(totals.t_max, t)
@@ -89,7 +89,7 @@ def settle(
                 directory.putRecount(table.name, row, totals, table.metadata.ttl)
             settled.append(
                 row._replace(
-                    count=totals.count,
+                    rows=totals.rows,
                     bytes=totals.bytes,
                     largest=totals.largest,
                     t_min=totals.t_min,

@@ -30,7 +30,7 @@ class BucketRow(NamedTuple):
     writer: int
     closed: bool
     heartbeat: Any
-    count: int
+    rows: int
     bytes: int
     largest: int
     """Size of the largest message kept in its row, bytes."""
@@ -45,7 +45,7 @@ class BucketRow(NamedTuple):
 class Totals:
     """Values of a bucket that a writer closes."""
 
-    count: int = 0
+    rows: int = 0
     bytes: int = 0
     largest: int = 0
     t_min: int = 2**63 - 1
@@ -183,7 +183,7 @@ def _ttl(ttl: int) -> int:
 
 def _values(totals: Totals) -> tuple[int, ...]:
     return (
-        *(totals.count, totals.bytes, totals.largest),
+        *(totals.rows, totals.bytes, totals.largest),
         *(totals.t_min, totals.t_max, totals.odd),
     )
 

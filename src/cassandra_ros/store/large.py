@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from typing import Callable, Deque
+from typing import Callable, Deque, Sequence
 
 from cassandra_ros.store.chunks import checksum, chunkCount, pieces
 from cassandra_ros.store.flight import Flight
@@ -47,7 +47,7 @@ class LargeMessages:
         seq: int,
         conn: int,
         wire: bytes,
-        columns: list[bytes | None],
+        columns: Sequence[bytes | None],
     ) -> None:
         """Send the chunks of a message; its row follows by commit, when all of them are stored."""
         table = bucket.table

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any
+from typing import Any, Sequence
 
 from cassandra.query import BatchStatement, BatchType, BoundStatement
 
@@ -63,7 +63,7 @@ class OpenBucket:
         return (self._node_bytes, self._bucket_bytes, encodeLong(t), encodeLong(seq))
 
     def add(
-        self, t: int, seq: int, conn: int, size: int, columns: list[bytes | None], own: Any
+        self, t: int, seq: int, conn: int, size: int, columns: Sequence[bytes | None], own: Any
     ) -> None:
         """Add a row to the batch.
 
@@ -114,7 +114,7 @@ class OpenBucket:
         with self.mutex:
             self.in_air -= 1
             totals = self.totals
-            totals.count += len(batch.sizes)
+            totals.rows += len(batch.sizes)
             totals.bytes += sum(batch.sizes)
             totals.t_min = min(totals.t_min, *batch.times)
             totals.t_max = max(totals.t_max, *batch.times)

@@ -21,7 +21,9 @@ def _asBytes(metadata: Any) -> Any:
 _Decoding = ProtocolHandler.message_types_by_opcode[ResultMessage.opcode]
 
 
-class _RawResultMessage(_Decoding):  # type: ignore[misc]
+class _RawResultMessage(_Decoding):  # type: ignore[misc, valid-type]
+    column_metadata: Any
+
     def recv_results_metadata(self, f: Any, user_type_map: Any) -> None:
         super().recv_results_metadata(f, user_type_map)
         self.column_metadata = _asBytes(self.column_metadata)
@@ -33,7 +35,7 @@ class _RawResultMessage(_Decoding):  # type: ignore[misc]
         super().recv_results_rows(f, version, user_type_map, _asBytes(result_metadata), policy)
 
 
-class RawProtocolHandler(ProtocolHandler):  # type: ignore[misc]
+class RawProtocolHandler(ProtocolHandler):
     """Like the driver's handler, but every column of a row is bytes or None."""
 
     message_types_by_opcode = {

@@ -84,9 +84,12 @@ def readRows(
 def _order(row: TableRow, sign: int) -> Any:
     if sign > 0:
         return row[:4]
-    # Descending text needs inverted code points, closed by one that is above all of them.
-    invert = lambda text: (*(-ord(c) for c in text), 1)  # noqa: E731
-    return (-row.t, invert(row.node), -row.seq, invert(row.table))
+    return (-row.t, _inverted(row.node), -row.seq, _inverted(row.table))
+
+
+def _inverted(text: str) -> tuple[int, ...]:
+    # Closed by a number above all others: of two texts the longer one comes first.
+    return (*(-ord(c) for c in text), 1)
 
 
 def _pieces(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> list[_Piece]:
@@ -114,7 +117,7 @@ def _pieces(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> lis
 
 
 def _pageRows(group: list[BucketRow], page_bytes: int) -> int:
-    count = sum(row.count for row in group)
+    count = sum(row.rows for row in group)
     if not count:
         return max(1, page_bytes // UNKNOWN_ROW_BYTES)
     mean = sum(row.bytes for row in group) / count + _ROW_OVERHEAD

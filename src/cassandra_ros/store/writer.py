@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from dataclasses import dataclass
-from typing import Callable, Deque
+from typing import Callable, Sequence
 
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable, WriteFailed
 from cassandra_ros.store.buckets import slotOf
@@ -99,7 +99,7 @@ class RowWriter:
         seq: int,
         conn: int,
         wire: bytes,
-        columns: list[bytes | None],
+        columns: Sequence[bytes | None],
         odd: bool,
         raw: bytes | None,
     ) -> None:

@@ -120,7 +120,7 @@ class Rows:
                 r for r in rows if low <= r.bucket * length and (r.bucket + 1) * length - 1 <= high
             ]
             settled = settle(self._cassandra, self._directory, table, inner)
-            total += sum(row.count for row in settled)
+            total += sum(row.rows for row in settled)
             edges = {(r.node, r.bucket) for r in rows} - {(r.node, r.bucket) for r in inner}
             for node, bucket in edges:
                 total += sum(1 for _ in scanKeys(self._cassandra, table, node, bucket, low, high))
@@ -171,18 +171,18 @@ class Rows:
 
 
 def _describe(table: TopicTable, node: str, rows: list[BucketRow]) -> TopicInfo:
-    filled = [row for row in rows if row.count]
+    filled = [row for row in rows if row.rows]
     metadata = table.metadata
     by_bucket: dict[int, int] = {}
     for row in filled:
-        by_bucket[row.bucket] = by_bucket.get(row.bucket, 0) + row.count
+        by_bucket[row.bucket] = by_bucket.get(row.bucket, 0) + row.rows
     return TopicInfo(
         topic=metadata.topic,
         type=metadata.msg_type,
         md5sum=metadata.md5sum,
         format=metadata.format,
         node=node,
-        count=sum(row.count for row in filled),
+        count=sum(row.rows for row in filled),
         bytes=sum(row.bytes for row in filled),
         first_ns=min((row.t_min for row in filled), default=None),
         last_ns=max((row.t_max for row in filled), default=None),

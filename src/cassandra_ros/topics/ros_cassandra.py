@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Iterable, Iterator, Optional, Sequence
+from typing import Any, Iterable, Iterator, Optional, Sequence, TypeVar
 
 from cassandra_ros.errors import KeyspaceNotFound
 from cassandra_ros.formats.table import DEFAULT_FORMAT
@@ -23,6 +23,8 @@ from cassandra_ros.topics.message_writer import MessageWriter
 from cassandra_ros.topics.reading import LAST_NS, TopicInfo
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
+
+_Part = TypeVar("_Part")
 
 
 class RosCassandra:
@@ -295,7 +297,7 @@ class RosCassandra:
         self.close()
 
 
-def _connected(part: Any) -> Any:
+def _connected(part: Optional[_Part]) -> _Part:
     if part is None:
         raise KeyspaceNotFound("no keyspace is connected: call connectToKeyspace('ros') first")
     return part

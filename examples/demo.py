@@ -1,0 +1,242 @@
+#!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Record a real robot into a real Cassandra, ask it, get it back: all of it, in two minutes.
+
+Starts a Cassandra, a roscore and the recorder, plays the bag of a Clearpath Husky, compares what
+was recorded with it, asks over services, in Python and in CQL, imports and exports the bag, and
+leaves nothing running. Pictures and the exported bag go to --out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+from cassandra_ros.local_server import LocalCluster, free_port
+
+HERE = Path(__file__).resolve().parent
+BAG = HERE / "data" / "husky_gps_data.bag"
+# roscore's own rosout node writes to the plain names.
+RENAMED = {"/rosout": "/husky/rosout", "/rosout_agg": "/husky/rosout_agg"}
+LIVE, COPY = "husky_live", "husky_import"
+RUN = ["rosrun", "cassandra_ros"]
+
+
+class Demo:
+    """The steps, the processes that they started, and what they found out."""
+
+    def __init__(self, out: Path, stack: ExitStack) -> None:
+        self.out = out
+        self.stack = stack
+        self.env = dict(os.environ, PYTHONUNBUFFERED="1")
+        self.findings: list[tuple[str, str]] = []
+        self.home = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="husky_demo_")))
+
+    # ------------------------------------------------------------ processes
+
+    def say(self, text: str) -> None:
+        """Head a step."""
+        print(f"\n=== {text}", flush=True)
+
+    def run(self, *command: object, shown: int | None = None) -> str:
+        """Run a command as a user would; print it and what it prints; fail when it fails."""
+        words = [str(word) for word in command]
+        print(f"$ {_shell(words)}", flush=True)
+        done = subprocess.run(
+            words, env=self.env, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True
+        )
+        lines = done.stdout.rstrip().splitlines()
+        cut = lines if shown is None or len(lines) <= shown else [*lines[:shown], "..."]
+        print("\n".join(cut), flush=True)
+        if done.returncode:
+            raise SystemExit(f"demo: {words[2] if words[0] == 'rosrun' else words[0]} failed")
+        return done.stdout
+
+    def spawn(self, name: str, command: list[str], ready: str, timeout_sec: float = 60.0) -> Node:
+        """Start a program that stays, and wait for a line that says it is ready."""
+        print(f"$ {_shell(command)} &", flush=True)
+        node = Node(name, command, self.env, self.home / f"{name}.log")
+        self.stack.callback(node.stop)
+        node.waitFor(ready, timeout_sec)
+        return node
+
+    def note(self, what: str, figure: str) -> None:
+        """Keep a figure for the closing table."""
+        self.findings.append((what, figure))
+
+    # ------------------------------------------------------------ steps
+
+    def servers(self) -> None:
+        self.say("A Cassandra and a roscore of our own")
+        port = _portOr(9042)
+        cluster = LocalCluster(self.home / "cassandra", port=port, say=print)
+        self.stack.callback(cluster.stop)
+        start = time.monotonic()
+        cluster.start(die_with_us=True)
+        self.note("Cassandra ready after", f"{time.monotonic() - start:.1f} s")
+        master = _portOr(11311)
+        self.env.update(
+            CASSANDRA_ROS_PORT=str(port),
+            CASSANDRA_ROS_KEYSPACE=LIVE,
+            ROS_MASTER_URI=f"http://127.0.0.1:{master}",
+            ROS_IP="127.0.0.1",
+            ROS_HOME=str(self.home / "ros"),
+            ROS_LOG_DIR=str(self.home / "ros" / "log"),
+        )
+        self.spawn("roscore", ["roscore", "-p", str(master)], r"started core service \[/rosout\]")
+
+    def record(self) -> None:
+        self.say("Record the robot's 24 topics while it drives (four times as fast)")
+        topics = [RENAMED.get(topic, topic) for topic in _topics()]
+        command = [*RUN, "recorder", "--node-id", "husky", "--format", "ros", *topics]
+        recorder = self.spawn("recorder", command, rf"recording {len(topics)} topics")
+        play = ["rosbag", "play", "-q", "-r", "4", "-d", "2", "--wait-for-subscribers"]
+        play += ["--queue", "100000", BAG, *(f"{a}:={b}" for a, b in RENAMED.items())]
+        self.run(*play)
+        time.sleep(1.0)
+        print("$ kill -INT recorder", flush=True)
+        if recorder.stop():
+            raise SystemExit(f"demo: the recorder lost messages:\n{recorder.text()}")
+        print(recorder.text())
+        renames = [word for a, b in RENAMED.items() for word in ("--map", f"{a}:={b}")]
+        text = self.run(*RUN, "cassandra_bag", "verify", BAG, "--content", *renames)
+        self.note("recorded live", _equal(text))
+
+    def ask(self) -> None:
+        self.say("Ask the past over services")
+        self.spawn("query_server", [*RUN, "query_server"], "services under /cassandra_ros")
+        call = ["rosservice", "call"]
+        name = "/cassandra_ros/"
+        newest = "{topic: /fix, key_text: '2100-01-01', nearest: before, omit_data: true}"
+        begin = time.monotonic()
+        answer = self.run(*call, name + "getData", newest, shown=30)
+        first = re.search(r"secs: (\d+)\n\s*nsecs:\s*(\d+)", answer)
+        assert first is not None and "success: True" in answer, answer
+        stretch = (
+            f"{{topic: /imu/data, key: {{secs: {int(first[1]) - 5}}}, limit: 3, omit_data: true, "
+            "omit_yaml: true}"
+        )
+        answer = self.run(*call, name + "range", stretch, shown=45)
+        assert answer.count("topic: ") == 3 and "success: True" in answer, answer
+        cql = "select KEY, latitude, longitude from /fix where status.status >= 0 limit 3"
+        answer = self.run(*call, name + "executeCQL", f'{{statement: "{cql}"}}')
+        assert "success: True" in answer, answer
+        self.note("three service calls", f"{time.monotonic() - begin:.1f} s, command line included")
+
+    def read(self) -> None:
+        self.say("Read it in Python: the paper's listing")
+        store = ["--port", self.env["CASSANDRA_ROS_PORT"], "--keyspace", LIVE]
+        self.run(sys.executable, HERE / "listing.py", *store)
+        self.say("Draw the track from two CQL queries")
+        picture = self.out / "track.png"
+        text = self.run(sys.executable, HERE / "track.py", *store, "--out", picture)
+        self.note("track drawn from CQL", text.partition(": ")[2].strip())
+
+    def bags(self) -> None:
+        self.say("Import the bag, export it, compare exactly")
+        self.env["CASSANDRA_ROS_KEYSPACE"] = COPY
+        begin = time.monotonic()
+        self.run(*RUN, "cassandra_bag", "import", BAG, shown=8)
+        self.note("import of the bag", f"{time.monotonic() - begin:.1f} s, program start included")
+        self.run(*RUN, "cassandra_bag", "info", shown=8)
+        text = self.run(*RUN, "cassandra_bag", "verify", BAG)
+        self.note("imported, exactly", _equal(text))
+        exported = self.out / "exported.bag"
+        self.run(*RUN, "cassandra_bag", "export", "-f", exported, shown=8)
+        text = self.run(*RUN, "cassandra_bag", "verify", exported)
+        self.note("exported again, exactly", _equal(text))
+
+    def table(self) -> None:
+        self.say("What was recorded, asked and verified")
+        width = max(len(what) for what, _ in self.findings)
+        for what, figure in self.findings:
+            print(f"{what:{width}}  {figure}")
+        print(f"{'pictures and bag':{width}}  {self.out}")
+
+
+class Node:
+    """A program in the background; its output goes to a file."""
+
+    def __init__(self, name: str, command: list[str], env: dict[str, str], log: Path) -> None:
+        self.name = name
+        self.log = log
+        with log.open("wb") as sink:
+            self.process = subprocess.Popen(
+                command, env=env, stdin=subprocess.DEVNULL, stdout=sink, stderr=subprocess.STDOUT
+            )
+
+    def text(self) -> str:
+        """Return what it has printed."""
+        return self.log.read_text(errors="replace").rstrip()
+
+    def waitFor(self, pattern: str, timeout_sec: float) -> None:
+        """Wait for a line."""
+        deadline = time.monotonic() + timeout_sec
+        while not re.search(pattern, self.text()):
+            if self.process.poll() is not None or time.monotonic() > deadline:
+                raise SystemExit(f"demo: {self.name} did not start:\n{self.text()}")
+            time.sleep(0.1)
+
+    def stop(self) -> int:
+        """Interrupt it and wait for its end; return its exit status."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        try:
+            return self.process.wait(60)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            return self.process.wait()
+
+
+def _topics() -> list[str]:
+    from cassandra_ros.bag.reader import BagReader
+
+    with BagReader(BAG) as bag:
+        return sorted({connection.topic for connection in bag.connections.values()})
+
+
+def _equal(text: str) -> str:
+    return text.strip().splitlines()[-1]
+
+
+def _portOr(wanted: int) -> int:
+    from cassandra_ros.local_server.ports import is_free
+
+    return wanted if is_free("127.0.0.1", wanted) else free_port()
+
+
+def _shell(words: list[str]) -> str:
+    import shlex
+
+    words = [os.path.relpath(w) if w.startswith(str(HERE.parent)) else w for w in words]
+    return " ".join(w if ":=" in w else shlex.quote(w) for w in words)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--out", type=Path, default=HERE.parent / "demo-output")
+    args = parser.parse_args()
+    if shutil.which("rosrun") is None:
+        sys.exit("demo: rosrun is not on the path; run: make demo")
+    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
+    args.out.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as stack:
+        demo = Demo(args.out.resolve(), stack)
+        for step in (demo.servers, demo.record, demo.ask, demo.read, demo.bags, demo.table):
+            step()
+    print("\nNothing is left running.")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
