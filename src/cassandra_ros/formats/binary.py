@@ -1,0 +1,35 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Format ``binary``: the wire bytes in one column. The fastest; works without a definition."""
+
+from __future__ import annotations
+
+from typing import Sequence
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
+
+
+class CassandraTopic_binary(CassandraTopic_):
+    """The serialised message as a blob."""
+
+    NAME = "binary"
+
+    def getColValidationClasses(self) -> dict[str, str]:
+        """Return the one column."""
+        return {"_data": "blob"}
+
+    def encodeWire(self, wire: bytes) -> EncodedMessage:
+        """Take the bytes as they are."""
+        return EncodedMessage((wire,), False, None)
+
+    def decodeWire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
+        """Give the bytes back.
+
+        Raises:
+            CorruptMessage: The row has none.
+        """
+        wire = columns[0] if raw is None else raw
+        if wire is None:
+            raise CorruptMessage(f"a row of {self.msg_type} in format binary has no bytes")
+        return wire

@@ -1,0 +1,90 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What every format can do (paper section 3.1)."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, NamedTuple, Sequence
+
+from cassandra_ros.errors import DefinitionError
+from cassandra_ros.messages.classes import deserialize, messageClass, rawClass, serialize
+from cassandra_ros.messages.definition import Definition
+
+
+class EncodedMessage(NamedTuple):
+    """A message as the values of its row."""
+
+    columns: Sequence[bytes | None]
+    """Values in CQL's encoding, in the order of getColValidationClasses; None = left unset."""
+    odd: bool
+    """Whether some field is not held exactly in its column (``_odd``)."""
+    raw: bytes | None
+    """The wire bytes where the columns cannot give them back (``_raw``), else None."""
+
+
+class CassandraTopic_(ABC):
+    """One storage format of one message type.
+
+    Args:
+        msg_type: 'pkg/Name'.
+        md5sum: As the connection says.
+        definition: The checked definition; None when it is unusable.
+    """
+
+    NAME: str
+
+    def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
+        self.msg_type = msg_type
+        self.md5sum = md5sum
+        self.definition = definition
+
+    @abstractmethod
+    def getColValidationClasses(self) -> dict[str, str]:
+        """Return the CQL type of each column by name, in the order of the columns."""
+
+    @abstractmethod
+    def encodeWire(self, wire: bytes) -> EncodedMessage:
+        """Turn wire bytes into column values; never fails, whatever the bytes are."""
+
+    @abstractmethod
+    def decodeWire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
+        """Return the wire bytes of a row, exactly as they were.
+
+        Raises:
+            CorruptMessage: The columns are no message of the type.
+        """
+
+    def describe(self) -> list[dict[str, Any]]:
+        """Return what the table's comment says about each column."""
+        return []
+
+    def requireClass(self) -> None:
+        """Make sure that message objects of the type can be made; asked before a table is made.
+
+        Raises:
+            DefinitionError: They cannot: such a topic is kept as ``binary``.
+        """
+        if self.definition is None:
+            raise DefinitionError(f"the definition of {self.msg_type} is unusable")
+        messageClass(self.definition)
+
+    def encode(self, msg: Any) -> EncodedMessage:
+        """Turn a message into column values.
+
+        Raises:
+            TypeMismatch: A field holds what its type cannot.
+        """
+        return self.encodeWire(serialize(msg))
+
+    def decode(self, encoded: EncodedMessage) -> Any:
+        """Turn column values into a message; bytes only where the definition is unusable.
+
+        Raises:
+            CorruptMessage: The values are no message of the type.
+            DefinitionError: No class can be made of the definition.
+        """
+        wire = self.decodeWire(encoded.columns, encoded.raw)
+        if self.definition is None:
+            return deserialize(rawClass(self.msg_type, self.md5sum), wire)
+        return deserialize(messageClass(self.definition), wire)

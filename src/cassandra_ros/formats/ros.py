@@ -1,0 +1,73 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Format ``ros``: one typed column per field, named by its path (paper, listing 3)."""
+
+from __future__ import annotations
+
+from typing import Any, Sequence
+
+from cassandra_ros.errors import DefinitionError
+from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.wire import wirePlan
+
+INLINE_BYTES = 512 * 1024
+"""Of larger messages only the scalar fields get columns: the row holds all bytes anyway."""
+
+
+class CassandraTopic_ros(CassandraTopic_):
+    """Columns that CQL can ask, exact to the bit.
+
+    Arrays of numbers are blobs as on the wire, arrays of messages a list for each field of
+    their elements. Where a column cannot give a field back (time with nsecs of 10**9, text that
+    is no UTF-8, ...) it is unset and the row also holds the wire bytes. So do all rows of types
+    with more than 64 fields, of which only the first 64 scalar ones have columns.
+    """
+
+    NAME = "ros"
+
+    def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
+        super().__init__(msg_type, md5sum, definition)
+        if definition is None:
+            raise DefinitionError(
+                f"format ros needs the definition of {msg_type}, which is unusable: use binary"
+            )
+        self.plan = wirePlan(definition)
+
+    def getColValidationClasses(self) -> dict[str, str]:
+        """Return the columns in the order of the fields on the wire."""
+        return {column.name: column.cql_type for column in self.plan.columns}
+
+    def encodeWire(self, wire: bytes) -> EncodedMessage:
+        """Walk the bytes once."""
+        plan = self.plan
+        if len(wire) <= INLINE_BYTES:
+            columns, odd = plan.walk(wire)
+        else:
+            columns, odd = plan.walkScalars(wire)
+        return EncodedMessage(columns, odd, wire if odd or not plan.complete else None)
+
+    def decodeWire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
+        """Build the bytes of the columns, unless the row has them.
+
+        Raises:
+            CorruptMessage: A column is missing or malformed.
+        """
+        return self.plan.build(columns) if raw is None else raw
+
+    def describe(self) -> list[dict[str, Any]]:
+        """Return what each column holds: field, ROS type, and the array of messages, if any.
+
+        A field without a CQL type has no column and lies in ``_raw`` only.
+        """
+        stored = set(self.plan.columns)
+        return [
+            {
+                "name": c.name,
+                "cql": c.cql_type if c in stored else None,
+                "field": c.name,
+                "type": c.field_type,
+                "array": c.array,
+            }
+            for c in self.plan.all_columns
+        ]

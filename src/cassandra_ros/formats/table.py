@@ -1,0 +1,30 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The table of formats: a new one is a file beside this and a line here."""
+
+from __future__ import annotations
+
+from typing import Mapping
+
+from cassandra_ros.errors import UnknownFormat
+from cassandra_ros.formats.binary import CassandraTopic_binary
+from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
+from cassandra_ros.formats.ros import CassandraTopic_ros
+
+DEFAULT_FORMAT = "ros"
+
+FORMATS: Mapping[str, type[CassandraTopic_]] = {
+    "binary": CassandraTopic_binary,
+    "ros": CassandraTopic_ros,
+}
+
+
+def formatClass(name: str) -> type[CassandraTopic_]:
+    """Return the class of a format.
+
+    Raises:
+        UnknownFormat: There is none of this name; the text lists those that are.
+    """
+    if name not in FORMATS:
+        raise UnknownFormat(f"there is no format {name!r}; formats are: {', '.join(FORMATS)}")
+    return FORMATS[name]

@@ -1,0 +1,222 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Message classes and objects: installed ones, and those generated from a definition."""
+
+from __future__ import annotations
+
+import importlib.abc
+import importlib.util
+import threading
+from functools import lru_cache
+from io import BytesIO
+from types import ModuleType
+from typing import Any, Callable, Sequence, cast
+
+import genmsg
+import genmsg.msg_loader
+import genpy
+import genpy.dynamic
+import genpy.generator
+import genpy.message
+
+from cassandra_ros.errors import CorruptMessage, DefinitionError, TypeMismatch
+from cassandra_ros.messages.definition import (
+    Definition,
+    attributeName,
+    definitionOf,
+    nestedDefinition,
+    renderSpec,
+)
+from cassandra_ros.messages.installed import installedClass
+from cassandra_ros.messages.wire_count import compileObjectCheck
+from cassandra_ros.messages.wire_skip import WIRE_ERRORS, compileSkip
+
+_lock = threading.RLock()  # genpy generates through global variables
+_classes: dict[Definition, Any] = {}
+
+
+class RawMessage(genpy.Message):
+    """A message whose definition is unusable: its bytes in ``_buff``, nothing else."""
+
+    __slots__ = ["_buff"]
+    _slot_types = ["uint8[]"]
+    _type = "*"
+    _md5sum = "*"
+    _full_text = ""
+    _has_header = False
+
+    def __init__(self, _buff: bytes = b"") -> None:
+        self._buff = _buff
+
+    def _get_types(self) -> list[str]:
+        return self._slot_types
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and other._buff == self._buff
+
+    def serialize(self, buff: Any) -> None:
+        """Write the bytes as they are."""
+        buff.write(self._buff)
+
+    def deserialize(self, str: bytes) -> RawMessage:  # noqa: A002 - genpy calls it so
+        """Take the bytes as they are."""
+        self._buff = bytes(str)
+        return self
+
+
+class _Source(importlib.abc.InspectLoader):
+    """Loads a module from text that was generated here."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+
+    def get_source(self, fullname: str) -> str:
+        return self._text
+
+    def is_package(self, fullname: str) -> bool:
+        return False
+
+
+def installedDefinition(msg_type: str) -> Definition:
+    """Return the definition of an installed message type.
+
+    Raises:
+        DefinitionError: The type is not installed, or its class is broken.
+    """
+    found = installedClass(msg_type)
+    if found is None:
+        raise DefinitionError(f"message type {msg_type} is not installed on this machine")
+    return definitionOf(found)
+
+
+def messageClass(definition: Definition) -> Any:
+    """Return the class of a definition: the installed one if its md5 agrees, else a generated one.
+
+    Raises:
+        DefinitionError: genpy cannot make a class of it.
+    """
+    with _lock:
+        if definition not in _classes:
+            found = installedClass(definition.type)
+            if found is None or found._md5sum != definition.md5sum:
+                found = _generate(definition)
+            _classes[definition] = found
+        return _classes[definition]
+
+
+@lru_cache(maxsize=1024)
+def rawClass(msg_type: str, md5sum: str) -> Any:
+    """Return a class that holds the bytes of messages whose definition is unusable."""
+    attributes = {"__slots__": [], "_type": msg_type, "_md5sum": md5sum}
+    return type("RawMessage", (RawMessage,), attributes)
+
+
+def _generate(definition: Definition) -> Any:
+    names = {name: "_{}__{}".format(*name.split("/")) for name in definition.specs}
+    if len(set(names.values())) < len(names):
+        raise DefinitionError(f"genpy cannot tell the types of {definition.type} apart")
+    try:
+        module = _load(_source(definition), f"cassandra_ros.generated.{names[definition.type]}")
+        for msg_type, name in names.items():
+            _complete(getattr(module, name), definition, msg_type)
+    except Exception as exc:  # SyntaxError, MemoryError, RecursionError and five more are known
+        raise DefinitionError(
+            f"genpy cannot make a class of {definition.type}: {type(exc).__name__}: "
+            f"{str(exc)[:200]}"
+        ) from exc
+    return getattr(module, names[definition.type])
+
+
+def _source(definition: Definition) -> str:
+    """Do what genpy.dynamic.generate_dynamic does, without its files in /tmp."""
+    context = genmsg.MsgContext.create_default()
+    load = genmsg.msg_loader.load_msg_from_string
+    specs = {name: load(context, renderSpec(s), name) for name, s in definition.specs.items()}
+    types = list(specs)
+    lines = []
+    for name, spec in specs.items():
+        for line in genpy.generator.msg_generator(context, spec, {}):
+            lines.append(genpy.dynamic._gen_dyn_modify_references(line, name, types))
+    return "\n".join(lines)
+
+
+def _load(source: str, name: str) -> ModuleType:
+    loader = _Source(source)
+    spec = importlib.util.spec_from_loader(name, loader)
+    if spec is None:
+        raise ImportError(name)
+    module = importlib.util.module_from_spec(spec)
+    loader.exec_module(module)
+    return module
+
+
+def _complete(generated: Any, definition: Definition, msg_type: str) -> None:
+    """Give a generated class what was kept from genpy: text, md5 and constants."""
+    own = definition
+    if msg_type != definition.type:
+        own = nestedDefinition(definition, msg_type)
+    generated._definition = own
+    generated._md5sum = own.md5sum
+    generated._full_text = own.text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+    for constant in own.root.constants:
+        name = attributeName(constant.name)
+        if not hasattr(generated, name):  # a method keeps its name, as in genpy
+            setattr(generated, name, constant.value)
+
+
+def serialize(msg: Any) -> bytes:
+    """Return the wire bytes of a message.
+
+    Raises:
+        TypeMismatch: A field holds what its type cannot.
+    """
+    if getattr(type(msg), "_type", None) == "*":
+        return bytes(msg._buff)  # RawMessage and rospy.AnyMsg
+    buffer = BytesIO()
+    try:
+        msg.serialize(buffer)
+    except Exception as exc:
+        name = getattr(type(msg), "_type", type(msg).__name__)
+        raise TypeMismatch(f"this {name} cannot be serialised: {str(exc)[:300]}") from exc
+    return buffer.getvalue()
+
+
+def deserialize(cls: Any, wire: bytes) -> Any:
+    """Make a message of wire bytes. Surplus bytes are ignored, as in ROS.
+
+    Raises:
+        CorruptMessage: The bytes are no message of this class.
+    """
+    if issubclass(cls, RawMessage):
+        return cls(wire)
+    try:
+        # genpy cuts strings silently at the end of a short buffer.
+        for check in _checks(cls):
+            check(wire)
+    except WIRE_ERRORS as exc:
+        raise CorruptMessage(
+            f"{len(wire)} bytes are no {cls._type}: they end too early or count too far"
+        ) from exc
+    try:
+        return cls().deserialize(wire)
+    except Exception as exc:
+        raise CorruptMessage(f"{len(wire)} bytes are no {cls._type}: {str(exc)[:300]}") from exc
+
+
+@lru_cache(maxsize=1024)
+def _checks(cls: Any) -> Sequence[Callable[[bytes], object]]:
+    definition = definitionOf(cls)
+    skip = compileSkip(definition.type, definition.specs)
+    count = compileObjectCheck(definition.type, definition.specs)
+
+    def check_end(wire: bytes) -> int:
+        return skip(wire, 0)
+
+    return [check_end] if count is None else [check_end, count]
+
+
+def toYaml(msg: Any) -> str:
+    """Return what ``rostopic echo`` prints of a message."""
+    if isinstance(msg, RawMessage):
+        return f"# {len(msg._buff)} bytes of {msg._type}, whose definition is unusable"
+    return cast(str, genpy.message.strify_message(msg))

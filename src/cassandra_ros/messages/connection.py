@@ -1,0 +1,147 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Connection headers: who published what on a topic, kept byte for byte."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Iterator, Mapping
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.messages.definition import Definition
+
+_LENGTH = struct.Struct("<I")
+_DEFINITION = b"message_definition"
+
+
+@dataclass(frozen=True)
+class Connection:
+    """One publisher's connection to a topic."""
+
+    topic: str
+    header: bytes
+    """The fields as ROS writes them: uint32 length (little endian), name=value, and so on."""
+    number: int = -1
+    """Number of the connection in its bag; -1 when it was live."""
+
+    @cached_property
+    def fields(self) -> dict[str, bytes]:
+        """The header's fields by name.
+
+        Raises:
+            CorruptMessage: The bytes are not a connection header.
+        """
+        return {_text(name): value for name, value, _ in _walk(self.header, self.topic)}
+
+    @cached_property
+    def type(self) -> str:
+        """Message type, 'pkg/Name'; '' when the header does not say."""
+        return self._field("type")
+
+    @cached_property
+    def md5sum(self) -> str:
+        """md5 of the definition as the publisher gave it; '' when it did not."""
+        return self._field("md5sum")
+
+    @cached_property
+    def definition_text(self) -> str:
+        """The message definition; bytes that are not UTF-8 are surrogates."""
+        return self._field("message_definition")
+
+    @cached_property
+    def callerid(self) -> str:
+        """Name of the publishing node, or ''."""
+        return self._field("callerid")
+
+    @cached_property
+    def latching(self) -> bool:
+        """Whether the publisher latches its last message."""
+        return self.fields.get("latching") == b"1"
+
+    def _field(self, name: str) -> str:
+        return _text(self.fields.get(name, b""))
+
+
+def liveConnection(topic: str, header: Mapping[str, str | bytes]) -> Connection:
+    """Make a connection of the header that rospy received, field by field.
+
+    Args:
+        topic: Resolved name of the topic.
+        header: rospy's ``_connection_header``; any field may be missing.
+    """
+    fields = [_bytes(name) + b"=" + _bytes(value) for name, value in header.items()]
+    return Connection(topic, b"".join(_LENGTH.pack(len(field)) + field for field in fields))
+
+
+def apiConnection(topic: str, definition: Definition, callerid: str) -> Connection:
+    """Make the connection under which addData stores messages."""
+    return liveConnection(
+        topic,
+        {
+            "topic": topic,
+            "type": definition.type,
+            "md5sum": definition.md5sum,
+            "message_definition": definition.text,
+            "callerid": callerid,
+        },
+    )
+
+
+def cutDefinition(header: bytes) -> tuple[bytes, int, bytes]:
+    """Take the value of message_definition out of a header.
+
+    The field's length prefix stays as it was, so that joinDefinition is the exact inverse.
+
+    Returns:
+        The header without the value, the value's offset (-1: there is none, or the header is
+        malformed), and the value.
+    """
+    offset, definition = -1, b""
+    try:
+        for name, value, at in _walk(header, ""):
+            if name == _DEFINITION:
+                offset, definition = at, value
+    except CorruptMessage:
+        return header, -1, b""
+    if offset < 0:
+        return header, -1, b""
+    return header[:offset] + header[offset + len(definition) :], offset, definition
+
+
+def joinDefinition(header_without: bytes, offset: int, definition: bytes) -> bytes:
+    """Put the definition back where cutDefinition took it from."""
+    if offset < 0:
+        return header_without
+    return header_without[:offset] + definition + header_without[offset:]
+
+
+def _walk(header: bytes, topic: str) -> Iterator[tuple[bytes, bytes, int]]:
+    """Yield name, value and the value's offset of each field."""
+    at = 0
+    while at < len(header):
+        if at + 4 > len(header):
+            raise CorruptMessage(f"the connection header of {topic or 'a topic'} is cut short")
+        (length,) = _LENGTH.unpack_from(header, at)
+        field = header[at + 4 : at + 4 + length]
+        name, equals, value = field.partition(b"=")
+        if len(field) != length or not equals:
+            raise CorruptMessage(
+                f"the connection header of {topic or 'a topic'} is malformed at byte {at}"
+            )
+        yield name, value, at + 4 + len(name) + 1
+        at += 4 + length
+
+
+def _text(value: bytes) -> str:
+    return value.decode("utf-8", "surrogateescape")
+
+
+def _bytes(value: str | bytes) -> bytes:
+    if isinstance(value, bytes):
+        return value
+    try:
+        return value.encode("utf-8", "surrogateescape")
+    except UnicodeEncodeError:
+        return value.encode("utf-8", "surrogatepass")

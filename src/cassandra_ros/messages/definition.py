@@ -1,0 +1,207 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Message definitions as connection headers and bags carry them, checked before all else.
+
+A definition is text from outside, and genpy executes what it is given: only what was parsed here
+and is rendered anew by renderDefinition may reach it.
+"""
+
+from __future__ import annotations
+
+import keyword
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, Callable, Iterable, Mapping
+
+from cassandra_ros.errors import DefinitionError
+from cassandra_ros.messages.installed import installedText
+from cassandra_ros.messages.shape import checkShape, computeMd5
+from cassandra_ros.messages.spec import (
+    Constant,
+    Field,
+    MessageSpec,
+    checkTypeName,
+    parseSpec,
+    resolveType,
+)
+
+__all__ = [
+    "Constant",
+    "Definition",
+    "Field",
+    "MessageSpec",
+    "attributeName",
+    "definitionOf",
+    "nestedDefinition",
+    "parseDefinition",
+    "renderDefinition",
+    "renderSpec",
+]
+
+MAX_TEXT = 1 << 20
+MAX_TYPES = 256
+
+_SEPARATOR = "=" * 80
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A message type with all that it uses. Equal when type and md5 are equal."""
+
+    type: str
+    md5sum: str
+    text: str = field(compare=False, repr=False)
+    """The text as it was given."""
+    specs: Mapping[str, MessageSpec] = field(compare=False, repr=False)
+    """The type itself and every type that it uses, directly or not, by name."""
+    md5sums: Mapping[str, str] = field(compare=False, repr=False)
+    """The md5 of each of them."""
+
+    @property
+    def root(self) -> MessageSpec:
+        """The spec of the type itself."""
+        return self.specs[self.type]
+
+
+def parseDefinition(msg_type: str, text: str, md5sum: str | None = None) -> Definition:
+    """Parse and check a full definition (the text of ``gendeps --cat``).
+
+    Types that the text uses but does not define are taken from installed packages, and only when
+    the md5 of the whole then is md5sum.
+
+    Args:
+        msg_type: 'pkg/Name'.
+        text: Definition of the type, then of each type that it uses, after a line of 80 '=' and
+            a line 'MSG: pkg/Name'.
+        md5sum: What the md5 must be; None accepts any, but then the text must be complete.
+
+    Raises:
+        DefinitionError: The text is no definition, is hostile, or has another md5.
+    """
+    if not isinstance(text, str) or len(text) > MAX_TEXT:
+        raise DefinitionError(f"the definition of {msg_type!r} is no text of at most 1 MiB")
+    return _parse(checkTypeName(msg_type), text, md5sum)
+
+
+@lru_cache(maxsize=256)
+def _parse(msg_type: str, text: str, md5sum: str | None) -> Definition:
+    sections = _split(msg_type, text)
+    specs: dict[str, MessageSpec] = {}
+    missing: set[str] = set()
+    waiting = [msg_type]
+    while waiting:
+        name = waiting.pop()
+        if name in specs:
+            continue
+        if name not in sections:
+            missing.add(name)
+            sections.update(_installed_sections(name, msg_type, md5sum, sections))
+        specs[name] = parseSpec(name, sections[name])
+        waiting.extend(f.type for f in specs[name].fields if not f.is_primitive)
+        if len(specs) > MAX_TYPES:
+            raise DefinitionError(f"the definition of {msg_type} uses over {MAX_TYPES} types")
+    checkShape(msg_type, specs)
+    md5sums = computeMd5(msg_type, specs)
+    if md5sum is not None and md5sums[msg_type] != md5sum:
+        where = f" ({', '.join(sorted(missing))} taken from installed packages)" if missing else ""
+        raise DefinitionError(
+            f"the definition of {msg_type}{where} has md5 {md5sums[msg_type]}, not {md5sum[:80]!r} "
+            f"as its connection says"
+        )
+    return Definition(msg_type, md5sums[msg_type], text, specs, md5sums)
+
+
+def _split(msg_type: str, text: str) -> dict[str, str]:
+    """Return the text of each type in a full definition."""
+    sections: dict[str, str] = {}
+    name, expect_name = msg_type, False
+    lines: list[str] = []
+    for line in [*text.split("\n"), _SEPARATOR]:
+        stripped = line.strip()
+        if expect_name:
+            if not stripped.startswith("MSG:"):
+                raise DefinitionError(
+                    f"the definition of {msg_type} names no type after a separator: "
+                    f"{stripped[:80]!r}"
+                )
+            name = checkTypeName(resolveType(stripped[4:].strip(), ""))
+            lines, expect_name = [], False
+        elif len(stripped) >= 8 and stripped == "=" * len(stripped):
+            body = "\n".join(lines)
+            if sections.setdefault(name, body) != body:
+                raise DefinitionError(f"the definition of {msg_type} defines {name} twice")
+            expect_name = True
+        else:
+            lines.append(line)
+    return sections
+
+
+def _installed_sections(
+    name: str, msg_type: str, md5sum: str | None, known: Iterable[str]
+) -> dict[str, str]:
+    """Return the text of a missing type, and of what it uses, from the installed packages."""
+    found = installedText(name) if md5sum is not None else None
+    if found is None:
+        raise DefinitionError(
+            f"the definition of {msg_type} uses {name}, which it does not define"
+            + (" and which is not installed" if md5sum is not None else "")
+        )
+    return {key: text for key, text in _split(name, found).items() if key not in known}
+
+
+def renderDefinition(definition: Definition) -> str:
+    """Write the definition anew from its checked specs, without constants or comments.
+
+    The only text that may be given to genpy. Its md5 differs where there are constants.
+    """
+    return _render(definition, definition.type, renderSpec)
+
+
+def renderSpec(spec: MessageSpec) -> str:
+    """Write one message type anew, without constants, comments and the types that it uses.
+
+    Names are those of the class's attributes: genpy forgets to rename keywords inside a path.
+    """
+    return "\n".join(f"{f.full_type} {attributeName(f.name)}" for f in spec.fields)
+
+
+def attributeName(name: str) -> str:
+    """Return what a field or constant is called in Python: genpy renames ``from`` to ``from_``."""
+    return name + "_" if keyword.iskeyword(name) or name == "self" else name
+
+
+def nestedDefinition(definition: Definition, msg_type: str) -> Definition:
+    """Return the definition of a type that another one uses, constants included."""
+    text = _render(definition, msg_type, _render_whole)
+    return parseDefinition(msg_type, text, definition.md5sums[msg_type])
+
+
+def _render_whole(spec: MessageSpec) -> str:
+    constants = [f"{c.type} {c.name}={c.text}" for c in spec.constants]
+    return "\n".join([*constants, *(f"{f.declared or f.full_type} {f.name}" for f in spec.fields)])
+
+
+def _render(definition: Definition, msg_type: str, write: Callable[[MessageSpec], str]) -> str:
+    names = [msg_type]
+    for name in names:
+        used = (f.type for f in definition.specs[name].fields if not f.is_primitive)
+        names.extend(dict.fromkeys(n for n in used if n not in names))
+    specs = definition.specs
+    parts = [write(specs[msg_type]), *(f"MSG: {n}\n{write(specs[n])}" for n in names[1:])]
+    return f"\n{_SEPARATOR}\n".join(parts)
+
+
+def definitionOf(msg_class: Any) -> Definition:
+    """Return the definition of an installed or generated message class (or an instance).
+
+    Raises:
+        DefinitionError: It is no message class.
+    """
+    known = getattr(msg_class, "_definition", None)
+    if isinstance(known, Definition):  # of a class that messageClass generated
+        return known
+    try:
+        msg_type, text, md5sum = msg_class._type, msg_class._full_text, msg_class._md5sum
+    except AttributeError as exc:
+        raise DefinitionError(f"{msg_class!r} is not a ROS message class") from exc
+    return parseDefinition(msg_type, text, md5sum)

@@ -1,0 +1,63 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Message classes of the packages installed on this machine."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import logging
+import os
+import sys
+from functools import lru_cache
+from typing import Any
+
+from cassandra_ros.errors import DefinitionError
+from cassandra_ros.messages.spec import checkTypeName
+
+_log = logging.getLogger(__name__)
+
+
+@lru_cache(maxsize=1024)
+def installedClass(msg_type: str) -> Any | None:
+    """Return the class of an installed message type, or None.
+
+    A type name comes from outside: nothing is imported before the package is seen to be a folder
+    that has ``msg/_Name.py``.
+
+    Raises:
+        DefinitionError: It is no 'pkg/Name'.
+    """
+    package, name = checkTypeName(msg_type).split("/")
+    if not _has_message(package, name):
+        return None
+    try:
+        found = getattr(importlib.import_module(f"{package}.msg._{name}"), name)
+        if found._type == msg_type:
+            return found
+        _log.warning("installed class %s calls itself %s: not used", msg_type, found._type)
+    except (ImportError, AttributeError, SyntaxError) as exc:
+        _log.warning("installed message type %s cannot be imported: %s", msg_type, exc)
+    return None
+
+
+def _has_message(package: str, name: str) -> bool:
+    loaded = sys.modules.get(package)
+    if loaded is not None:  # it may have extended its path
+        folders = getattr(loaded, "__path__", [])
+    else:
+        try:
+            spec = importlib.util.find_spec(package)
+        except (ImportError, ValueError):
+            return False
+        folders = (spec.submodule_search_locations if spec is not None else None) or []
+    return any(os.path.isfile(os.path.join(f, "msg", f"_{name}.py")) for f in folders)
+
+
+def installedText(msg_type: str) -> str | None:
+    """Return the full definition text of an installed type, or None."""
+    try:
+        found = installedClass(msg_type)
+    except DefinitionError:
+        return None
+    return None if found is None else str(found._full_text)

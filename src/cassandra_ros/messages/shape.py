@@ -1,0 +1,112 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How deep and how large the messages of a definition are; their md5."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import Mapping
+
+from cassandra_ros.errors import DefinitionError
+from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, MessageSpec
+
+MAX_DEPTH = 64
+MAX_FIXED_BYTES = 1 << 26
+OBJECT_BYTES = 16
+"""What a message in a fixed array is counted with at least, for it may have no bytes itself."""
+MAX_LEAVES = 1 << 12
+"""Fields of a message when those of its messages are written out: it grows exponentially."""
+
+
+@dataclass(frozen=True)
+class _Shape:
+    height: int
+    leaves: int
+    least_bytes: int
+    objects: int
+    """Messages that one such message consists of, itself included; var. arrays count as empty."""
+
+
+def checkShape(msg_type: str, specs: Mapping[str, MessageSpec]) -> None:
+    """Check that a type is finite and of a size that a machine can bear.
+
+    Raises:
+        DefinitionError: A type contains itself, is nested deeper than 64, has fixed arrays of
+            more than 2**26 bytes, or more than 2**12 fields.
+    """
+    _shape(msg_type, specs, {}, ())
+
+
+def objectCounts(msg_type: str, specs: Mapping[str, MessageSpec]) -> dict[str, int] | None:
+    """Return the objects in a message of each type where a few bytes can mean many of them.
+
+    That takes a message without bytes inside another one. None: there is none.
+    """
+    done: dict[str, _Shape] = {}
+    _shape(msg_type, specs, done, ())
+    if all(shape.least_bytes for name, shape in done.items() if name != msg_type):
+        return None
+    return {name: shape.objects for name, shape in done.items()}
+
+
+def _shape(
+    name: str, specs: Mapping[str, MessageSpec], done: dict[str, _Shape], path: tuple[str, ...]
+) -> _Shape:
+    if name in done:
+        return done[name]
+    if name in path:
+        raise DefinitionError(f"message type {name} contains itself")
+    if len(path) > MAX_DEPTH:
+        raise DefinitionError(f"message type {path[0]} is nested deeper than {MAX_DEPTH}")
+    height, leaves, least, objects = 0, 0, 0, 1
+    for field in specs[name].fields:
+        element = _Shape(-1, 1, PRIMITIVE_SIZES.get(field.type, 0), 0)
+        if not field.is_primitive:
+            element = _shape(field.type, specs, done, (*path, name))
+        height = max(height, element.height + 1)
+        leaves += max(1, element.leaves)
+        count = _count(name, field, element)
+        least += 4 if count is None else count * element.least_bytes
+        objects += (count or 0) * element.objects
+    if height > MAX_DEPTH:
+        raise DefinitionError(f"message type {name} is nested deeper than {MAX_DEPTH}")
+    if leaves > MAX_LEAVES:
+        raise DefinitionError(f"message type {name} has over {MAX_LEAVES} fields in all")
+    if max(least, objects * OBJECT_BYTES) > MAX_FIXED_BYTES:
+        raise DefinitionError(f"the fixed arrays of message type {name} exceed 2**26 bytes")
+    done[name] = _Shape(height, leaves, least, objects)
+    return done[name]
+
+
+def _count(name: str, field: Field, element: _Shape) -> int | None:
+    """Elements of a field, None where the message carries their number."""
+    if not field.is_array or field.length is None:
+        return None if field.is_array else 1
+    if field.length * max(1, element.least_bytes) > MAX_FIXED_BYTES:
+        raise DefinitionError(f"{field.full_type} {field.name} of {name} exceeds 2**26 bytes")
+    return field.length
+
+
+def computeMd5(msg_type: str, specs: Mapping[str, MessageSpec]) -> dict[str, str]:
+    """Return the md5 of a checked type and of all that it uses, as genmsg computes it.
+
+    It covers constants, then fields; names of message types are replaced by their md5.
+    """
+    sums: dict[str, str] = {}
+    _md5(msg_type, specs, sums)
+    return sums
+
+
+def _md5(name: str, specs: Mapping[str, MessageSpec], sums: dict[str, str]) -> str:
+    if name not in sums:
+        spec = specs[name]
+        lines = [f"{c.type} {c.name}={c.text}\n" for c in spec.constants]
+        for field in spec.fields:
+            shown = field.declared or field.full_type
+            if not field.is_primitive:
+                shown = _md5(field.type, specs, sums)
+            lines.append(f"{shown} {field.name}\n")
+        text = "".join(lines).strip().encode("utf-8", "surrogateescape")
+        sums[name] = hashlib.md5(text).hexdigest()
+    return sums[name]

@@ -1,0 +1,219 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""One message definition, line by line: fields and constants, nothing believed unchecked.
+
+The grammar is genmsg's, narrowed where genmsg lets text pass that becomes code later: names are
+ASCII identifiers and constants are literals of their type.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from cassandra_ros.errors import DefinitionError
+
+PRIMITIVE_SIZES = {
+    "bool": 1,
+    "int8": 1,
+    "uint8": 1,
+    "byte": 1,
+    "char": 1,
+    "int16": 2,
+    "uint16": 2,
+    "int32": 4,
+    "uint32": 4,
+    "float32": 4,
+    "int64": 8,
+    "uint64": 8,
+    "float64": 8,
+    "time": 8,
+    "duration": 8,
+    "string": 4,
+}
+"""Bytes on the wire; of a string its length prefix, the least that it takes."""
+
+MAX_NAME = 255
+
+_ALIASES = {"byte": "int8", "char": "uint8"}
+_NAME = "[A-Za-z][A-Za-z0-9_]*"
+_IS_NAME = re.compile(_NAME)
+_IS_TYPE = re.compile(f"{_NAME}/{_NAME}")
+_FIELD_TYPE = re.compile(
+    rf"(?P<base>{_NAME}(?:/{_NAME})?)(?P<array>\[(?P<length>[0-9]{{0,10}})\])?"
+)
+_INTEGER = re.compile(r"[+-]?[0-9]{1,40}")
+_FLOAT = re.compile(
+    r"[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?|inf|infinity|nan)", re.IGNORECASE
+)
+_BOOLS = {"true": True, "false": False}
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field of a message."""
+
+    name: str
+    type: str
+    """Primitive name or 'pkg/Name', without the array's brackets."""
+    is_array: bool = False
+    length: int | None = None
+    """Elements of a fixed array; None when the message carries the number."""
+    declared: str = ""
+    """The type as written, brackets included: what the md5 is computed from."""
+
+    @property
+    def base(self) -> str:
+        """The type with the old names resolved: byte is int8, char is uint8."""
+        return _ALIASES.get(self.type, self.type)
+
+    @property
+    def is_primitive(self) -> bool:
+        """Whether the elements are no messages."""
+        return self.type in PRIMITIVE_SIZES
+
+    @property
+    def full_type(self) -> str:
+        """The resolved type with brackets, as 'float64[9]'."""
+        if not self.is_array:
+            return self.type
+        return f"{self.type}[{'' if self.length is None else self.length}]"
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One constant of a message."""
+
+    name: str
+    type: str
+    value: int | float | bool | str
+    text: str
+    """The value as written: what the md5 is computed from."""
+
+
+@dataclass(frozen=True)
+class MessageSpec:
+    """One message type: its fields in the order of the wire, and its constants."""
+
+    type: str
+    fields: tuple[Field, ...]
+    constants: tuple[Constant, ...]
+
+
+def checkTypeName(name: str) -> str:
+    """Return name if it is a message type, 'pkg/Name'.
+
+    Raises:
+        DefinitionError: It is not.
+    """
+    if not isinstance(name, str) or len(name) > MAX_NAME or not _IS_TYPE.fullmatch(name):
+        raise DefinitionError(f"{str(name)[:80]!r} is not a message type: expected pkg/Name")
+    return name
+
+
+def parseSpec(msg_type: str, text: str) -> MessageSpec:
+    """Parse the text of one message type, without those that it uses.
+
+    Args:
+        msg_type: Checked 'pkg/Name'; its package resolves the types that name none.
+        text: The lines of its .msg file.
+
+    Raises:
+        DefinitionError: A line is neither field nor constant, or a name occurs twice.
+    """
+    package = msg_type.split("/")[0]
+    fields: list[Field] = []
+    constants: list[Constant] = []
+    for number, line in enumerate(text.split("\n"), 1):
+        code = line.split("#")[0].strip()
+        if not code:
+            continue
+        try:
+            if "=" in code:
+                constants.append(_parse_constant(code, line))
+            else:
+                fields.append(_parse_field(code, package))
+        except (DefinitionError, ValueError, OverflowError) as exc:
+            raise DefinitionError(f"definition of {msg_type}, line {number}: {exc}") from exc
+    _check_unique(msg_type, fields, constants)
+    return MessageSpec(msg_type, tuple(fields), tuple(constants))
+
+
+def resolveType(name: str, package: str) -> str:
+    """Return the full name of a message type that a definition in package mentions."""
+    if name in ("Header", "roslib/Header"):  # roslib: where Header lay before 2010
+        return "std_msgs/Header"
+    return name if "/" in name else f"{package}/{name}"
+
+
+def _check_name(name: str, what: str) -> str:
+    if len(name) > MAX_NAME or not _IS_NAME.fullmatch(name):
+        raise DefinitionError(f"{name[:80]!r} is not a {what} name")
+    return name
+
+
+def _check_unique(msg_type: str, fields: list[Field], constants: list[Constant]) -> None:
+    names: set[str] = set()
+    for field in fields:
+        if field.name in names:
+            raise DefinitionError(f"definition of {msg_type}: field {field.name} occurs twice")
+        names.add(field.name)
+    for constant in constants:
+        if constant.name in names:
+            raise DefinitionError(
+                f"definition of {msg_type}: {constant.name} is both field and constant"
+            )
+
+
+def _parse_field(code: str, package: str) -> Field:
+    parts = code.split()
+    if len(parts) != 2:
+        raise DefinitionError(f"{code[:80]!r} is neither 'type name' nor a constant")
+    declared, name = parts
+    match = _FIELD_TYPE.fullmatch(declared)
+    if match is None or len(match["base"]) > MAX_NAME:
+        raise DefinitionError(f"{declared[:80]!r} is not a field type")
+    _check_name(name, "field")
+    base, is_array = match["base"], match["array"] is not None
+    if base not in PRIMITIVE_SIZES:
+        # genmsg knows the short name Header only where no brackets follow.
+        base = f"{package}/{base}" if base == "Header" and is_array else resolveType(base, package)
+        checkTypeName(base)
+    length = int(match["length"]) if is_array and match["length"] else None
+    return Field(name, base, is_array, length, declared)
+
+
+def _parse_constant(code: str, line: str) -> Constant:
+    type_ = code.split()[0].split("=")[0]
+    if type_ not in PRIMITIVE_SIZES or type_ in ("time", "duration"):
+        raise DefinitionError(f"{type_[:80]!r} is not the type of a constant")
+    # A string is everything right of the '=', comments included.
+    source = line if type_ == "string" else code
+    left, _, right = source.partition("=")
+    name = _check_name(left.strip()[len(type_) :].strip(), "constant")
+    text = right.strip()
+    return Constant(name, type_, _literal(type_, text), text)
+
+
+def _literal(type_: str, text: str) -> int | float | bool | str:
+    if type_ == "string":
+        return text
+    if type_ in ("float32", "float64"):
+        if _FLOAT.fullmatch(text):
+            return float(text)
+    elif type_ == "bool" and text.lower() in _BOOLS:
+        return _BOOLS[text.lower()]
+    elif _INTEGER.fullmatch(text):
+        value = int(text)
+        if type_ == "bool":
+            return bool(value)
+        if _fits(value, type_):
+            return value
+    raise DefinitionError(f"{text[:80]!r} is not a literal of type {type_}")
+
+
+def _fits(value: int, type_: str) -> bool:
+    bits = 8 * PRIMITIVE_SIZES[type_]
+    if type_ == "char" or type_.startswith("u"):
+        return 0 <= value < 1 << bits
+    return -(1 << bits - 1) <= value < 1 << bits - 1

@@ -1,0 +1,134 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where a message or field ends on the wire, found without looking at what it holds."""
+
+from __future__ import annotations
+
+import struct
+from typing import Callable, Dict, List, Mapping, Union
+
+from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, MessageSpec
+
+Skip = Callable[[bytes, int], int]
+"""(wire bytes, offset of a field) -> offset behind it; raises struct.error where they end."""
+
+WIRE_ERRORS = (struct.error,)
+"""What reading past the end of a buffer raises."""
+
+_length = struct.Struct("<I").unpack_from
+
+_Part = Union[int, Skip]
+"""A number of bytes, or the function that finds it."""
+
+
+def shortBuffer() -> struct.error:
+    """Return the error to raise where a buffer ends too early."""
+    return struct.error("the buffer ends before the message does")
+
+
+def compileSkip(msg_type: str, specs: Mapping[str, MessageSpec]) -> Skip:
+    """Return the function that finds the end of a message of a checked definition."""
+    return _chain(_message_parts(msg_type, specs, {}))
+
+
+def compileFieldSkip(field: Field, specs: Mapping[str, MessageSpec]) -> Skip:
+    """Return the function that finds the end of one field, count of an array included."""
+    return _chain(_field_parts(field, specs, {}))
+
+
+def fixedSize(msg_type: str, specs: Mapping[str, MessageSpec]) -> int | None:
+    """Return the bytes that every message of a type takes, None when they vary."""
+    return _size(_message_parts(msg_type, specs, {}))
+
+
+_Memo = Dict[str, List[_Part]]
+
+
+def _message_parts(name: str, specs: Mapping[str, MessageSpec], memo: _Memo) -> list[_Part]:
+    if name not in memo:
+        parts: list[_Part] = []
+        for field in specs[name].fields:
+            for part in _field_parts(field, specs, memo):
+                if parts and isinstance(part, int) and isinstance(parts[-1], int):
+                    parts[-1] += part
+                else:
+                    parts.append(part)
+        memo[name] = parts
+    return memo[name]
+
+
+def _field_parts(field: Field, specs: Mapping[str, MessageSpec], memo: _Memo) -> list[_Part]:
+    if field.length == 0:
+        return [0]
+    if field.type == "string":
+        element: list[_Part] = [_skip_string]
+    elif field.is_primitive:
+        element = [PRIMITIVE_SIZES[field.type]]
+    else:
+        element = _message_parts(field.type, specs, memo)
+    if not field.is_array:
+        return element
+    size = _size(element)
+    if size is None:
+        return [_skip_elements(_chain(element), field.length)]
+    return [_skip_fixed(size)] if field.length is None else [size * field.length]
+
+
+def _size(parts: list[_Part]) -> int | None:
+    sizes = [part for part in parts if isinstance(part, int)]
+    return sum(sizes) if len(sizes) == len(parts) else None
+
+
+def _chain(parts: list[_Part]) -> Skip:
+    skips = [_skip_bytes(p) if isinstance(p, int) else p for p in parts]
+    if len(skips) == 1:
+        return skips[0]
+
+    def skip(wire: bytes, at: int) -> int:
+        for part in skips:
+            at = part(wire, at)
+        return at
+
+    return skip
+
+
+def _skip_bytes(size: int) -> Skip:
+    def skip(wire: bytes, at: int) -> int:
+        at += size
+        if at > len(wire):
+            raise shortBuffer()
+        return at
+
+    return skip
+
+
+def _skip_string(wire: bytes, at: int) -> int:
+    at += 4 + _length(wire, at)[0]
+    if at > len(wire):
+        raise shortBuffer()
+    return at
+
+
+def _skip_fixed(size: int) -> Skip:
+    def skip(wire: bytes, at: int) -> int:
+        (count,) = _length(wire, at)
+        at += 4 + count * size
+        if at > len(wire):
+            raise shortBuffer()
+        return at
+
+    return skip
+
+
+def _skip_elements(element: Skip, length: int | None) -> Skip:
+    def skip(wire: bytes, at: int) -> int:
+        if length is None:
+            (count,) = _length(wire, at)
+            at += 4
+        else:
+            count = length
+        for _ in range(count):
+            at = element(wire, at)
+        return at
+
+    return skip

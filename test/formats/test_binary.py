@@ -1,0 +1,29 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+from __future__ import annotations
+
+import pytest
+
+from cassandra_ros.errors import DefinitionError
+from cassandra_ros.formats.binary import CassandraTopic_binary
+
+
+def test_without_a_definition_the_bytes_are_kept():
+    storage = CassandraTopic_binary("led_array_msgs/Status", "53a14e6c", None)
+    assert storage.getColValidationClasses() == {"_data": "blob"}
+    encoded = storage.encodeWire(b"\0\1")
+    assert encoded == ((b"\0\1",), False, None)
+    message = storage.decode(encoded)
+    assert (message._type, message._md5sum, message._buff) == (
+        "led_array_msgs/Status",
+        "53a14e6c",
+        b"\0\1",
+    )
+    assert storage.encode(message) == encoded
+    with pytest.raises(DefinitionError, match="led_array_msgs/Status"):
+        storage.requireClass()
+
+
+def test_empty_messages():
+    storage = CassandraTopic_binary("std_msgs/Empty", "d41d8cd9", None)
+    assert storage.decodeWire(storage.encodeWire(b"").columns, None) == b""

@@ -1,0 +1,176 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What every format must do: a new one is tested by its line in the table."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import json
+import pkgutil
+import re
+
+import pytest
+import rosbag
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from messages.random_wire import DefinitionMaker, WireMaker, installedTypes
+
+import cassandra_ros.formats
+from cassandra_ros.errors import CorruptMessage, DefinitionError, UnknownFormat
+from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
+from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS, formatClass
+from cassandra_ros.messages.classes import deserialize, installedDefinition, messageClass, serialize
+from cassandra_ros.messages.definition import parseDefinition
+
+SEEDS = st.integers(0, 2**32)
+every_format = pytest.mark.parametrize("name", FORMATS)
+
+# CQL types that a column may have, also in a frozen list, and their bytes where always the same.
+SCALARS = "blob text boolean tinyint smallint int bigint varint float double".split()
+SIZES = {"boolean": 1, "tinyint": 1, "smallint": 2, "int": 4, "bigint": 8, "float": 4, "double": 8}
+
+
+def makeFormat(name, definition):
+    return formatClass(name)(definition.type, definition.md5sum, definition)
+
+
+def checkWire(storage, wire):
+    """Bytes that go in come out, by the columns and raw bytes that a row would hold."""
+    columns, odd, raw = storage.encodeWire(wire)
+    types = list(storage.getColValidationClasses().values())
+    assert len(columns) == len(types)
+    assert odd or None not in columns
+    if None in columns:
+        assert raw == wire
+    for column, cql_type in zip(columns, types):
+        checkColumn(column, cql_type)
+    assert raw in (None, wire)
+    assert storage.decodeWire(columns, raw) == wire
+    assert storage.decodeWire([None] * len(columns), wire) == wire
+    return odd
+
+
+def checkColumn(column, cql_type):
+    if column is None:
+        return
+    assert type(column) is bytes
+    assert len(column) == SIZES.get(cql_type, len(column))
+    if cql_type == "text":
+        column.decode()
+    if cql_type.startswith("frozen<list<"):
+        inner, at = cql_type[12:-2], 4
+        for _ in range(int.from_bytes(column[:4], "big")):
+            size = int.from_bytes(column[at : at + 4], "big")
+            checkColumn(column[at + 4 : at + 4 + size], inner)
+            at += 4 + size
+        assert at == len(column)
+
+
+def test_every_format_of_the_folder_is_in_the_table():
+    classes = set()
+    for module in pkgutil.iter_modules(cassandra_ros.formats.__path__, "cassandra_ros.formats."):
+        for _, found in inspect.getmembers(importlib.import_module(module.name), inspect.isclass):
+            if issubclass(found, CassandraTopic_) and not inspect.isabstract(found):
+                classes.add(found)
+    assert set(FORMATS.values()) == classes
+    assert len(classes) >= 2
+    assert DEFAULT_FORMAT in FORMATS
+
+
+def test_unknown_format_names_those_that_are():
+    with pytest.raises(UnknownFormat, match=", ".join(FORMATS)):
+        formatClass("xml")
+
+
+@every_format
+def test_a_format_is_one_class_in_a_file_of_its_name(name):
+    found = formatClass(name)
+    assert found.NAME == name
+    assert found.__name__ == f"CassandraTopic_{name}"
+    assert found.__module__ == f"cassandra_ros.formats.{name}"
+    assert found.__doc__
+
+
+@every_format
+def test_columns_are_named_typed_and_described(name):
+    for msg_type in installedTypes():
+        storage = makeFormat(name, installedDefinition(msg_type))
+        columns = storage.getColValidationClasses()
+        for column, cql_type in columns.items():
+            assert re.fullmatch(r"_data|[A-Za-z][A-Za-z0-9_.]*", column)
+            inner = re.sub(r"^frozen<list<(.*)>>$", r"\1", cql_type)
+            assert inner in SCALARS
+        description = storage.describe()
+        assert json.loads(json.dumps(description)) == description
+        if description:
+            assert [(d["name"], d["cql"]) for d in description if d["cql"]] == list(columns.items())
+
+
+@every_format
+def test_every_installed_type_is_exact(name):
+    for number, msg_type in enumerate(installedTypes()):
+        definition = installedDefinition(msg_type)
+        storage = makeFormat(name, definition)
+        for seed in range(number, number + 4):
+            checkWire(storage, WireMaker(definition, seed).make())
+            checkWire(storage, WireMaker(definition, seed, odd=True).make())
+
+
+@every_format
+@settings(deadline=None)
+@given(seed=SEEDS, cut=st.integers(0, 500), surplus=st.binary(max_size=5))
+def test_random_types_and_broken_messages_are_exact(name, seed, cut, surplus):
+    definition = parseDefinition(*DefinitionMaker(seed).make())
+    storage = makeFormat(name, definition)
+    wire = WireMaker(definition, seed, odd=True).make()
+    checkWire(storage, wire)
+    checkWire(storage, wire[:cut] + surplus)
+
+
+@every_format
+def test_message_objects_go_in_and_come_out(name):
+    for msg_type in installedTypes():
+        definition = installedDefinition(msg_type)
+        storage = makeFormat(name, definition)
+        storage.requireClass()
+        cls = messageClass(definition)
+        message = deserialize(cls, WireMaker(definition, 3, signalling=False).make())
+        again = storage.decode(storage.encode(message))
+        assert type(again) is cls
+        assert serialize(again) == serialize(message)
+
+
+@every_format
+def test_messages_of_the_bags_are_exact(name, bags):
+    for path in sorted(bags.glob("*.bag")):
+        if path.name == "truncated_header_only.bag":
+            continue
+        with rosbag.Bag(str(path)) as bag:
+            storages = {}
+            for info in bag._get_connections():
+                try:
+                    definition = parseDefinition(info.datatype, info.msg_def, info.md5sum)
+                except DefinitionError:
+                    assert path.name == "empty_message_definition.bag"
+                    continue
+                storages[info.datatype] = makeFormat(name, definition)
+            for number, (_, raw, _) in enumerate(bag.read_messages(raw=True)):
+                if raw[0] in storages and (number < 100 or number % 20 == 0):
+                    odd = checkWire(storages[raw[0]], raw[1])
+                    assert not odd or len(raw[1]) > 512 * 1024
+
+
+@every_format
+def test_large_messages_are_exact(name):
+    definition = installedDefinition("std_msgs/UInt8MultiArray")
+    message = messageClass(definition)(data=b"x" * (3 << 20))
+    message.layout.data_offset = 7
+    checkWire(makeFormat(name, definition), serialize(message))
+
+
+@every_format
+def test_rows_without_their_values_are_corrupt(name):
+    storage = makeFormat(name, installedDefinition("std_msgs/Header"))
+    with pytest.raises(CorruptMessage, match="std_msgs/Header"):
+        storage.decodeWire([None] * len(storage.getColValidationClasses()), None)

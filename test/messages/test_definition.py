@@ -1,0 +1,189 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+from __future__ import annotations
+
+import math
+
+import genmsg
+import genmsg.msg_loader
+import pytest
+import rosbag
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from messages.random_wire import SEPARATOR, DefinitionMaker, installedTypes
+
+from cassandra_ros.errors import DefinitionError
+from cassandra_ros.messages.classes import installedDefinition
+from cassandra_ros.messages.definition import (
+    attributeName,
+    definitionOf,
+    parseDefinition,
+    renderDefinition,
+)
+from cassandra_ros.messages.installed import installedClass
+
+
+def genmsgMd5(msg_type, text):
+    """The md5 as genmsg computes it; only for text that was made here."""
+    context = genmsg.MsgContext.create_default()
+    parts = text.split(SEPARATOR)
+    load = genmsg.msg_loader.load_msg_from_string
+    root = load(context, parts[0], msg_type)
+    for part in parts[1:]:
+        head, _, body = part.partition("\n")
+        load(context, body, head[5:])
+    genmsg.msg_loader.load_depends(context, root, {})
+    return genmsg.compute_md5(context, root)
+
+
+def test_every_installed_type_has_the_md5_of_genmsg():
+    names = installedTypes()
+    assert len(names) >= 150
+    for name in names:
+        found = installedClass(name)
+        definition = definitionOf(found)
+        assert definition.md5sum == found._md5sum
+        assert definition.root.type == name
+        assert len(definition.root.fields) == len(found.__slots__)
+    print(f"{len(names)} installed message types")
+
+
+def test_every_connection_of_the_bags_is_understood(bags):
+    broken, count = [], 0
+    for path in sorted(bags.glob("*.bag")):
+        try:
+            bag = rosbag.Bag(str(path))
+        except rosbag.ROSBagException:
+            assert path.name == "truncated_header_only.bag"
+            continue
+        for info in bag._get_connections():
+            count += 1
+            try:
+                definition = parseDefinition(info.datatype, info.msg_def, info.md5sum)
+                assert definition.md5sum == info.md5sum
+            except DefinitionError:
+                broken.append(path.name)
+        bag.close()
+    assert broken == ["empty_message_definition.bag"]
+    assert count > 50
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**32))
+def test_random_definitions_have_the_md5_of_genmsg(seed):
+    msg_type, text = DefinitionMaker(seed).make()
+    definition = parseDefinition(msg_type, text)
+    assert definition.md5sum == genmsgMd5(msg_type, text)
+    assert parseDefinition(msg_type, text, definition.md5sum) == definition
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**32))
+def test_rendered_definitions_say_the_same_without_constants(seed):
+    definition = parseDefinition(*DefinitionMaker(seed).make())
+    rendered = renderDefinition(definition)
+    assert "TEXT" not in rendered
+    assert "#" not in rendered
+    again = parseDefinition(definition.type, rendered)
+    assert set(again.specs) == set(definition.specs)
+    for name, spec in definition.specs.items():
+        assert [(f.name, f.full_type) for f in again.specs[name].fields] == [
+            (attributeName(f.name), f.full_type) for f in spec.fields
+        ]
+        assert not again.specs[name].constants
+
+
+def test_fields():
+    text = """
+# comment
+Header header
+float64[9] covariance # row major
+byte b
+char[] c
+geometry_msgs/Point[2] points
+Local local
+"""
+    others = ["MSG: std_msgs/Header\nuint32 seq", "MSG: geometry_msgs/Point\nfloat64 x"]
+    parts = [text, *others, "MSG: pkg/Local\n", "MSG: pkg/Unused\nnonsense that nobody uses"]
+    definition = parseDefinition("pkg/Type", SEPARATOR.join(parts))
+    assert [(f.name, f.type, f.is_array, f.length, f.base) for f in definition.root.fields] == [
+        ("header", "std_msgs/Header", False, None, "std_msgs/Header"),
+        ("covariance", "float64", True, 9, "float64"),
+        ("b", "byte", False, None, "int8"),
+        ("c", "char", True, None, "uint8"),
+        ("points", "geometry_msgs/Point", True, 2, "geometry_msgs/Point"),
+        ("local", "pkg/Local", False, None, "pkg/Local"),
+    ]
+    used = {"std_msgs/Header", "geometry_msgs/Point", "pkg/Local"}
+    assert set(definition.specs) == {"pkg/Type"} | used
+
+
+def test_constants():
+    text = """
+string S= it's # no comment\t
+string EMPTY=
+uint8 A=1 # one
+int64   B  =  -9223372036854775808
+float32 F=.5e3
+float64 N=nan
+bool T=True
+bool U=0
+char C=255
+byte D=-128
+"""
+    constants = parseDefinition("pkg/Type", text).root.constants
+    values = {constant.name: constant.value for constant in constants}
+    assert math.isnan(values.pop("N"))
+    assert values == {
+        "S": "it's # no comment",
+        "EMPTY": "",
+        "A": 1,
+        "B": -(2**63),
+        "F": 500.0,
+        "T": True,
+        "U": False,
+        "C": 255,
+        "D": -128,
+    }
+
+
+def test_old_home_of_header():
+    new = installedDefinition("std_msgs/Header")
+    text = "Header header" + SEPARATOR + "MSG: roslib/Header\n" + new.text
+    definition = parseDefinition("pkg/Old", text)
+    assert definition.root.fields[0].type == "std_msgs/Header"
+
+
+def test_windows_line_ends_and_spaces_do_not_matter():
+    text = "  uint8 x \r\n" + SEPARATOR.replace("\n", "\r\n") + "MSG: pkg/Other\r\nint8 y\r\n"
+    assert parseDefinition("pkg/T", text).md5sum == parseDefinition("pkg/T", "uint8 x").md5sum
+
+
+def test_missing_types_come_from_installed_packages_when_the_md5_agrees():
+    whole = installedDefinition("geometry_msgs/PoseStamped")
+    text = "Header header\nPose pose"
+    definition = parseDefinition("geometry_msgs/PoseStamped", text, whole.md5sum)
+    assert set(definition.specs) == set(whole.specs)
+    with pytest.raises(DefinitionError, match="does not define"):
+        parseDefinition("geometry_msgs/PoseStamped", text)
+    with pytest.raises(DefinitionError, match="taken from installed packages"):
+        parseDefinition("geometry_msgs/PoseStamped", text, "0" * 32)
+    with pytest.raises(DefinitionError, match="not installed"):
+        parseDefinition("pkg/T", "nobody_has/This x", "0" * 32)
+
+
+def test_definition_of_a_class():
+    from std_msgs.msg import String
+
+    assert definitionOf(String) == definitionOf(String()) == installedDefinition("std_msgs/String")
+    for wrong in (str, None, 5):
+        with pytest.raises(DefinitionError, match="not a ROS message class"):
+            definitionOf(wrong)
+
+
+def test_a_type_that_is_not_installed():
+    with pytest.raises(DefinitionError, match="not installed"):
+        installedDefinition("nobody_has/This")
+    for package in ("os", "antigravity", "this"):  # modules, but no packages of messages
+        with pytest.raises(DefinitionError, match="not installed"):
+            installedDefinition(f"{package}/Path")

@@ -1,0 +1,68 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from xmlrpc.server import SimpleXMLRPCServer
+
+import pytest
+
+from cassandra_ros.messages.graph import topicType
+
+
+@pytest.fixture
+def master(monkeypatch):
+    """A server that answers as a ROS master does; its answer can be set."""
+    server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False, allow_none=True)
+    answers = [[1, "", [["/chatter", "std_msgs/String"], ["/any", "*"]]]]
+    server.register_function(lambda caller: answers[-1], "getTopicTypes")
+    thread = threading.Thread(target=server.serve_forever, args=(0.02,))
+    thread.start()
+    monkeypatch.setenv("ROS_MASTER_URI", f"http://127.0.0.1:{server.server_address[1]}")
+    yield answers
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+def test_type_that_the_master_knows(master):
+    assert topicType("/chatter") == "std_msgs/String"
+    assert topicType("chatter") == "std_msgs/String"
+    assert topicType("/other") is None
+    assert topicType("/any") is None
+
+
+@pytest.mark.parametrize("answer", [[-1, "no", []], [0, "", 5], "text", None, [1, "", [["/x"]]], 5])
+def test_nonsense_leaves_the_type_open(master, answer):
+    master.append(answer)
+    assert topicType("/chatter") is None
+
+
+def test_no_master_leaves_the_type_open(monkeypatch):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        uri = f"http://127.0.0.1:{free.getsockname()[1]}"
+    monkeypatch.setenv("ROS_MASTER_URI", uri)
+    assert topicType("/chatter") is None
+    monkeypatch.setenv("ROS_MASTER_URI", "nonsense")
+    assert topicType("/chatter") is None
+    monkeypatch.delenv("ROS_MASTER_URI")
+    assert topicType("/chatter") is None
+
+
+def test_a_master_that_is_silent_is_left_after_a_second(monkeypatch):
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen()
+        uri = f"http://127.0.0.1:{silent.getsockname()[1]}"
+        monkeypatch.setenv("ROS_MASTER_URI", uri)
+        start = time.monotonic()
+        assert topicType("/chatter") is None
+        assert time.monotonic() - start < 5
+
+
+def test_a_real_master(roscore, monkeypatch):
+    monkeypatch.setenv("ROS_MASTER_URI", roscore.uri)
+    assert topicType("/rosout_agg") == "rosgraph_msgs/Log"

@@ -1,0 +1,183 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+from __future__ import annotations
+
+import copy
+import pickle
+from decimal import Decimal
+
+import genpy
+import numpy
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cassandra_ros.errors import InvalidKey
+from cassandra_ros.keys import MAX_NS
+from cassandra_ros.messages.stamps import Stamp, isoTime, toNs
+
+NS = st.integers(0, MAX_NS)
+DAY = 86_400 * 10**9
+
+
+@given(NS)
+def test_stamp_is_exactly_its_nanoseconds(ns):
+    stamp = Stamp.fromNs(ns)
+    assert stamp.ns == stamp.to_nsec() == int(str(stamp)) == toNs(stamp) == toNs(str(stamp)) == ns
+    assert stamp == genpy.Time(0, ns)
+    assert genpy.Time(0, ns) == stamp
+    assert hash(stamp) == hash(genpy.Time(0, ns))
+
+
+@given(NS)
+def test_iso_text_is_exact(ns):
+    assert toNs(isoTime(ns)) == ns
+
+
+@given(NS, NS)
+def test_order_is_that_of_nanoseconds_from_both_sides(a, b):
+    for other in (Stamp.fromNs(b), genpy.Time(0, b), b):
+        assert (Stamp.fromNs(a) < other) == (a < b)
+        assert (Stamp.fromNs(a) <= other) == (a <= b)
+        assert (Stamp.fromNs(a) > other) == (a > b)
+        assert (Stamp.fromNs(a) >= other) == (a >= b)
+        assert (other < Stamp.fromNs(a)) == (b < a)
+        assert (other >= Stamp.fromNs(a)) == (b >= a)
+
+
+def test_order_against_floats_means_seconds():
+    stamp = Stamp(1, 500_000_000)
+    assert 1.4 < stamp < 1.6
+    assert stamp <= 1.5 <= stamp
+    assert float("-inf") < stamp < float("inf")
+    assert not stamp < float("nan")
+    assert not stamp >= float("nan")
+    with pytest.raises(TypeError):
+        assert stamp < "2"
+
+
+def test_equality_is_genpys():
+    assert Stamp(1, 5) != 1_000_000_005
+    assert Stamp.fromNs(5, node="a", seq=1, table="x") == Stamp.fromNs(5, node="b")
+
+
+@given(NS, st.floats(0, 1e6))
+def test_adding_seconds_rounds_their_shortest_text(ns, seconds):
+    exact = ns + int((Decimal(repr(seconds)) * 10**9).to_integral_value())
+    if exact > MAX_NS:
+        with pytest.raises(InvalidKey):
+            Stamp.fromNs(ns) + seconds
+    else:
+        assert (Stamp.fromNs(ns) + seconds).ns == exact
+        assert (seconds + Stamp.fromNs(ns)).ns == exact
+
+
+def test_arithmetic():
+    stamp = Stamp(10, 5)
+    assert (stamp + 0.1).ns == 10_100_000_005
+    assert (stamp + 5).ns == 15_000_000_005
+    assert (stamp - 5).ns == 5_000_000_005
+    assert (stamp - 11).ns == 0
+    assert (stamp + -11).ns == 0
+    assert (stamp + genpy.Duration(1, 1)).ns == 11_000_000_006
+    assert (genpy.Duration(1, 1) + stamp).ns == 11_000_000_006
+    assert (stamp - genpy.Duration(20)).ns == 0
+    assert (stamp + numpy.float64(0.5)).ns == 10_500_000_005
+    assert (stamp + numpy.int64(2)).ns == 12_000_000_005
+    assert (stamp + Decimal("0.000000001")).ns == 10_000_000_006
+    assert stamp - genpy.Time(4, 0) == genpy.Duration(6, 5)
+    assert genpy.Time(4, 0) - stamp == genpy.Duration(-6, -5)
+    assert type(stamp + 1) is Stamp
+    for wrong in ("1", None, True, [1]):
+        with pytest.raises(TypeError):
+            stamp + wrong
+    with pytest.raises(TypeError):
+        5 - stamp
+
+
+def test_seconds_of_any_kind():
+    assert Stamp(1.1).ns == 1_100_000_000
+    assert Stamp.from_sec(1.1).ns == 1_100_000_000
+    assert Stamp(1, 2_000_000_000).ns == 3_000_000_000
+
+
+@pytest.mark.parametrize("ns", [-1, MAX_NS + 1])
+def test_limits(ns):
+    assert Stamp.fromNs(MAX_NS).secs == 2**32 - 1
+    with pytest.raises(InvalidKey, match="2106"):
+        Stamp.fromNs(ns)
+    with pytest.raises(InvalidKey, match="2106"):
+        toNs(ns)
+
+
+def test_row_is_kept_by_copies_but_not_by_arithmetic():
+    stamp = Stamp.fromNs(7, node="r1", seq=3, table="t_1")
+    for twin in (copy.copy(stamp), copy.deepcopy(stamp), pickle.loads(pickle.dumps(stamp))):  # noqa: S301
+        assert (twin.ns, twin.node, twin.seq, twin.table) == (7, "r1", 3, "t_1")
+    later = stamp + 1
+    assert (later.node, later.seq, later.table) == (None, None, None)
+
+
+@pytest.mark.parametrize(
+    ("value", "ns"),
+    [
+        (genpy.Time(1, 2), 1_000_000_002),
+        (17, 17),
+        (numpy.int64(17), 17),
+        (1.5, 1_500_000_000),
+        (1368021980.1, 1368021980_100000000),
+        (Decimal("0.1"), 100_000_000),
+        ("17", 17),
+        ("1.5", 1_500_000_000),
+        ("1970-01-02", DAY),
+        ("1970-01-02T00:00", DAY),
+        (" 1970-01-02 00:00:01 ", DAY + 10**9),
+        ("1970-01-02T00:00:00.5", DAY + 5 * 10**8),
+        ("1970-01-02T00:00:00,000000001Z", DAY + 1),
+        ("1970-01-02T01:30:00+01:30", DAY),
+        ("1970-01-02T01:30:00+0130", DAY),
+        ("1970-01-01T22:00:00.25-02", DAY + 25 * 10**7),
+    ],
+)
+def test_forms_of_a_time(value, ns):
+    assert toNs(value) == ns
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        None,
+        True,
+        b"17",
+        genpy.Duration(1),
+        float("nan"),
+        float("inf"),
+        -1,
+        "",
+        "yesterday",
+        "-5",
+        "1e3",
+        "1970-13-01",
+        "1970-02-30",
+        "1970-01-01T24:00",
+        "1970-01-01T00:00:60",
+        "1970-01-01T00:00:00.0000000001",
+        "1970-01-01T00:00+99:00",
+        "1970-01-01T00:00+01:75",
+        "1969-12-31",
+        "2106-02-08",
+        "٣",
+        "9" * 5000,
+    ],
+)
+def test_no_times(value):
+    with pytest.raises(InvalidKey):
+        toNs(value)
+
+
+@given(st.text(max_size=40))
+def test_any_text_is_a_time_or_an_error_of_ours(text):
+    try:
+        assert 0 <= toNs(text) <= MAX_NS
+    except InvalidKey:
+        pass

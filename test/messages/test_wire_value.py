@@ -1,0 +1,71 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The values of columns are those that the message object has."""
+
+from __future__ import annotations
+
+from functools import reduce
+
+import pytest
+from messages.random_wire import SEPARATOR, WireMaker, installedTypes
+
+from cassandra_ros.messages.classes import deserialize, installedDefinition, messageClass, serialize
+from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.wire import WirePlan, wirePlan
+
+
+def attribute(message, path):
+    return reduce(
+        lambda value, name: getattr(value, name, getattr(value, name + "_", 0)), path, message
+    )
+
+
+def plain(value):
+    """A value as a plan gives it."""
+    if hasattr(value, "to_nsec"):
+        return value.to_nsec()
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if hasattr(value, "_slot_types"):
+        return {name: plain(getattr(value, name)) for name in value.__slots__}
+    return value
+
+
+@pytest.mark.parametrize("name", installedTypes())
+def test_values_are_those_of_the_message(name):
+    definition = installedDefinition(name)
+    plan = wirePlan(definition)
+    read = plan.reader([c.name for c in plan.all_columns])
+    for seed in range(4):
+        wire = WireMaker(definition, seed, signalling=False).make()
+        message = deserialize(messageClass(definition), wire)
+        for column, value in zip(plan.all_columns, read(wire)):
+            if column.array:
+                inner = column.name[len(column.array) + 1 :].split(".")
+                elements = attribute(message, column.array.split("."))
+                expected = [plain(attribute(element, inner)) for element in elements]
+            else:
+                expected = plain(attribute(message, column.name.split(".")))
+            if column.field_type.endswith("Empty[]"):
+                expected = len(expected)
+            assert repr(value) == repr(expected), column
+
+
+def test_arrays_in_arrays():
+    inner = "MSG: pkg/E\nstring[] s\nP[] p\nint16[2] i\ntime[] t\nN[] n\nP[1] one"
+    text = SEPARATOR.join(["E[] e", inner, "MSG: pkg/P\nuint8 x\nbool[] b", "MSG: pkg/N"])
+    definition = parseDefinition("pkg/T", text)
+    cls = messageClass(definition)
+    messages = (deserialize(cls, WireMaker(definition, seed).make()) for seed in range(99))
+    message = next(m for m in messages if any(element.p and element.n for element in m.e))
+    plan = WirePlan(definition)
+    names = ["e.s", "e.p", "e.i", "e.t", "e.n", "e.one"]
+    values = plan.reader(names)(serialize(message))
+    assert values == [
+        [element.s for element in message.e],
+        [[{"x": p.x, "b": p.b} for p in element.p] for element in message.e],
+        [list(element.i) for element in message.e],
+        [plain(element.t) for element in message.e],
+        [len(element.n) for element in message.e],
+        [[{"x": p.x, "b": p.b} for p in element.one] for element in message.e],
+    ]
