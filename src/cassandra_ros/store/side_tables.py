@@ -38,7 +38,7 @@ SIDE_TABLES = {
         "node text, writer bigint, kind text, name text, source text, format text, "
         "host text, started timestamp, ended timestamp, labels frozen<map<text, text>>, "
         "stored frozen<map<text, bigint>>, lost frozen<map<text, bigint>>, "
-        "PRIMARY KEY ((node), writer)"
+        "PRIMARY KEY ((writer), node)"
     ),
 }
 _COMMENT = "cassandra_ros side table, schema version 1"

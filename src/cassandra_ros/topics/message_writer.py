@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import logging
 import threading
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Optional
 
-from cassandra_ros.errors import CassandraRosError, DefinitionError, InvalidKey
+from cassandra_ros.errors import CassandraRosError, CorruptMessage, DefinitionError, InvalidKey
 from cassandra_ros.formats.table import DEFAULT_FORMAT, formatClass
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, joinSeq
 from cassandra_ros.messages.classes import installedDefinition
@@ -122,7 +123,7 @@ class MessageWriter:
             if key in self._handles:
                 return self._handles[key]
         checkTopicName(connection.topic)
-        definition, warning = _usable(connection)
+        definition, warning = _usable(connection, key[1])
         format_name = key[1] if definition is not None else _FALLBACK
         table = self._keyspace.makeTable(
             TopicMetadata(
@@ -232,17 +233,26 @@ class MessageWriter:
         self.close()
 
 
-def _usable(connection: Connection) -> tuple[Optional[Definition], Optional[str]]:
-    """Return the checked definition of a connection, or why there is none."""
-    text, md5sum = connection.definition_text, connection.md5sum
+def _usable(connection: Connection, format_name: str) -> tuple[Optional[Definition], Optional[str]]:
+    """Return the definition of a connection that the format can work with, or why there is none."""
     try:
-        if not text.strip() and md5sum:
-            # Some publishers leave the definition out; an installed type of the md5 is as good.
-            installed = installedDefinition(connection.type)
-            if installed.md5sum == md5sum:
-                return installed, None
-        return parseDefinition(connection.type, text, md5sum), None
-    except DefinitionError as exc:
+        definition = _definition(connection)
+        fmt = formatClass(format_name)(connection.type, connection.md5sum, definition)
+        if format_name != _FALLBACK:
+            fmt.requireClass()
+        return definition, None
+    except (DefinitionError, CorruptMessage) as exc:
         return None, (
             f"topic {connection.topic} is kept as binary, its fields cannot be queried: {exc}"
         )
+
+
+def _definition(connection: Connection) -> Definition:
+    text, md5sum = connection.definition_text, connection.md5sum
+    if not text.strip():
+        # Some publishers leave the definition out; an installed type of the md5 is as good.
+        with suppress(DefinitionError):
+            installed = installedDefinition(connection.type)
+            if installed.md5sum == md5sum:
+                return installed
+    return parseDefinition(connection.type, text, md5sum)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any, Callable, Optional
 
 from cassandra_ros.errors import DefinitionError
@@ -14,6 +15,8 @@ from cassandra_ros.messages.definition import parseDefinition
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.store.row_table import TableRow
 from cassandra_ros.topics.topic_table import TopicTable
+
+_log = logging.getLogger(__name__)
 
 
 class StoredRow:
@@ -118,18 +121,18 @@ class StoredRow:
 
     def messageClass(self) -> Any:
         """Return the class of the message: installed, generated, or RawMessage."""
-        table = self.table
-        if table.definition is None:
-            return rawClass(self.type, self.md5sum)
-        if self.type == table.definition.type:
-            return messageClass(table.definition)
-        connection = self.connection
+        table, type_ = self.table, self.type
+        definition = table.definition
+        if definition is None:
+            return rawClass(type_, self.md5sum)
         try:
-            # The same md5 under another name, as tf/tfMessage and tf2_msgs/TFMessage.
-            other = parseDefinition(connection.type, connection.definition_text, self.md5sum)
-        except DefinitionError:
-            return messageClass(table.definition)
-        return messageClass(other)
+            if type_ != definition.type:
+                # The same md5 under another name, as tf/tfMessage and tf2_msgs/TFMessage.
+                definition = parseDefinition(type_, self.connection.definition_text, self.md5sum)
+            return messageClass(definition)
+        except DefinitionError as exc:
+            _log.debug("messages of topic %s are given back as bytes: %s", self.topic, exc)
+            return rawClass(type_, self.md5sum)
 
     def message(self) -> Any:
         """Deserialise the message.
