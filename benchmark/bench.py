@@ -12,7 +12,6 @@ Absolute figures of a shared machine mean little; the ratios of one run are what
 from __future__ import annotations
 
 import argparse
-import os
 import random
 import statistics
 import sys
@@ -29,6 +28,7 @@ from sensor_msgs.msg import Imu
 from cassandra_ros import RosCassandra
 from cassandra_ros.bag.importer import importBag
 from cassandra_ros.errors import CassandraRosError
+from cassandra_ros.local_server import LocalCluster, free_port
 
 START_SEC = 1_600_000_000
 STEP_NS = 1_000_000
@@ -39,7 +39,6 @@ def makeMessages(count: int) -> list[tuple[Imu, Time]]:
     rand = random.Random(1)
     made = []
     for i in range(count):
-        stamp = Time(START_SEC, 0)
         stamp = Time(START_SEC + i * STEP_NS // 10**9, i * STEP_NS % 10**9)
         msg = Imu()
         msg.header.seq, msg.header.stamp, msg.header.frame_id = i, stamp, "imu_link"
@@ -84,29 +83,26 @@ def readBag(path: Path) -> None:
             pass
 
 
-def lookups(rosCas: RosCassandra, keys: list[int]) -> tuple[list[float], list[float]]:
-    """Time getData by key and a bare prepared SELECT of the same rows, in turn."""
+def lookups(rosCas: RosCassandra, keys: list[int]) -> dict[str, list[float]]:
+    """Time getData by row key, by bare time, and a bare prepared SELECT of the same row, in turn."""
     topic = rosCas.getTopic("/imu")
     table = topic.tables[0]
-    session = rosCas.cassandra
+    session = rosCas.cassandra._session
     names = ", ".join(f'"{c}"' for c in ("_t", "_seq", *table.columns))
-    bare = session.prepare(
+    bare = rosCas.cassandra.prepare(
         f'SELECT {names} FROM "{rosCas.keyspace}"."{table.name}" '
         'WHERE "_node" = ? AND "_bucket" = ? AND "_t" = ?'
     )
-    ours, theirs = [], []
+    times: dict[str, list[float]] = {"row key": [], "bare time": [], "bare SELECT": []}
     for key in keys:
         stamp = topic.getRow(key).key
-        ours.append(timed(lambda stamp=stamp: topic.getData(stamp)))
         values = ("", key // table.metadata.bucket_ns, key)
-        theirs.append(timed(lambda values=values: session._session.execute(bare, values).one()))
-    return ours, theirs
-
-
-def bareTime(rosCas: RosCassandra, keys: list[int]) -> list[float]:
-    """Time getData by a bare time, which asks the directory for the nodes."""
-    topic = rosCas.getTopic("/imu")
-    return [timed(lambda key=key: topic.getData(key)) for key in keys]
+        times["row key"].append(timed(lambda stamp=stamp: topic.getData(stamp)))
+        times["bare time"].append(timed(lambda key=key: topic.getData(key)))
+        times["bare SELECT"].append(
+            timed(lambda values=values: session.execute(bare, values).one())
+        )
+    return times
 
 
 def run(args: argparse.Namespace) -> None:
@@ -156,32 +152,42 @@ def run(args: argparse.Namespace) -> None:
 def _printLookups(rosCas: RosCassandra, name: str, count: int, total: int) -> None:
     rand = random.Random(2)
     keys = [START_SEC * 10**9 + rand.randrange(total) * STEP_NS for _ in range(count)]
-    ours, theirs = lookups(rosCas, keys)
-    plain = bareTime(rosCas, keys)
-    mine, bare, by_time = (statistics.median(v) * 1e3 for v in (ours, theirs, plain))
-    print(
-        f"lookup, {name}: median {mine:.2f} ms by row key, {by_time:.2f} ms by bare time, "
-        f"{bare:.2f} ms a bare prepared SELECT ({mine / bare:.2f} x, {by_time / bare:.2f} x)"
-    )
+    medians = {what: statistics.median(v) * 1e3 for what, v in lookups(rosCas, keys).items()}
+    bare = medians.pop("bare SELECT")
+    parts = [f"{ms:.2f} ms by {what} ({ms / bare:.2f} x)" for what, ms in medians.items()]
+    print(f"lookup, {name}: median {', '.join(parts)}; {bare:.2f} ms a bare prepared SELECT")
 
 
 def main() -> int:
     """Parse the command line and run."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--host", default=os.environ.get("CASSANDRA_ROS_HOST", "127.0.0.1"))
-    parser.add_argument(
-        "--port", type=int, default=int(os.environ.get("CASSANDRA_ROS_PORT", "9042"))
-    )
+    parser.add_argument("--host", help="a running Cassandra (default: one of our own)")
+    parser.add_argument("--port", type=int, default=9042, help="its port (%(default)s)")
     parser.add_argument("--messages", type=int, default=100_000, help="a round (%(default)s)")
     parser.add_argument("--rounds", type=int, default=3, help="(%(default)s)")
     parser.add_argument("--lookups", type=int, default=1000, help="(%(default)s)")
     args = parser.parse_args()
     try:
-        run(args)
+        if args.host:
+            run(args)
+        else:
+            runOnOwnServer(args)
     except CassandraRosError as exc:
         print(f"bench: {exc}", file=sys.stderr)
         return 1
     return 0
+
+
+def runOnOwnServer(args: argparse.Namespace) -> None:
+    """Start a Cassandra in a folder of its own, measure, stop it."""
+    with tempfile.TemporaryDirectory(prefix="cassandra_ros_bench_") as folder:
+        cluster = LocalCluster(folder, port=free_port(), heap="1G")
+        cluster.start(die_with_us=True)
+        try:
+            args.host, args.port = cluster.settings.host, cluster.settings.port
+            run(args)
+        finally:
+            cluster.stop()
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import struct
-import threading
 from typing import Any, NamedTuple, Sequence
 
 from cassandra.query import UNSET_VALUE, BoundStatement, PreparedStatement
@@ -70,7 +69,8 @@ class RowTable:
         self.name = name
         self.metadata = metadata
         self.columns = tuple(columns)
-        self.chunk_lock = threading.Lock()
+        self.known_nodes: set[str] = set()
+        """nodeIDs that have been seen to write the table; more may."""
         self.has_chunks = False
         """Whether the chunk table is known to exist."""
 

@@ -170,7 +170,7 @@ class CassandraTopic:
                 table = self._keyspace.tables.byName(key.table)
                 if table is not None and table.metadata.topic == self.name:
                     return self._keyspace.rows.exact(table, t, key.node or "", key.seq)
-            return next(self.rows(t, t, nodeID=nodeID, limit=1), None)
+            return self._keyspace.rows.at(self._stored(), t, _nodes(nodeID))
         before = after = None
         if nearest != "after":
             before = next(self.rows(0, t, nodeID=nodeID, limit=1, reverse=True), None)

@@ -13,9 +13,9 @@ from cassandra_ros.store.chunks import readChunks
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.counting import scanKeys, settle
 from cassandra_ros.store.directory import BucketRow, Directory
-from cassandra_ros.store.driver_errors import translated
+from cassandra_ros.store.lookup import firstAt, rowAt
 from cassandra_ros.store.reader import Scan, readRows
-from cassandra_ros.store.row_table import RowTable, TableRow, bind, encodeLong
+from cassandra_ros.store.row_table import RowTable, TableRow
 from cassandra_ros.topics.connections import Connections
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -83,15 +83,20 @@ class Rows:
 
     def exact(self, table: TopicTable, t: int, node: str, seq: int) -> Optional[StoredRow]:
         """Read one row by its whole key: one SELECT."""
-        ends = (encodeLong(t), encodeLong(seq))
-        key = (node.encode(), encodeLong(table.bucketOf(t)), *ends, *ends)
-        statement = bind(table.selectRange(table.columns), key)
-        with translated(f"reading topic {table.metadata.topic}"):
-            rows = self._cassandra.sendRaw(statement).result().current_rows
-        for values in rows:
-            row = table.rowFromValues(node, values)
-            return StoredRow(row, table, self._wire, self._connections.get)
-        return None
+        row = rowAt(self._cassandra, table, t, node, seq)
+        return None if row is None else self._stored(row, table)
+
+    def at(
+        self, tables: Sequence[TopicTable], t: int, nodes: Optional[Sequence[str]]
+    ) -> Optional[StoredRow]:
+        """Read the first row with exactly this time."""
+        row = firstAt(self._cassandra, self._directory, tables, t, nodes)
+        if row is None:
+            return None
+        return self._stored(row, next(table for table in tables if table.name == row.table))
+
+    def _stored(self, row: TableRow, table: TopicTable) -> StoredRow:
+        return StoredRow(row, table, self._wire, self._connections.get)
 
     def _wire(self, table: TopicTable, row: TableRow) -> bytes:
         if row.nchunks:
