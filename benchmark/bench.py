@@ -84,7 +84,7 @@ def readBag(path: Path) -> None:
 
 
 def lookups(rosCas: RosCassandra, keys: list[int]) -> dict[str, list[float]]:
-    """Time getData by row key, by bare time, and a bare prepared SELECT of the same row, in turn."""
+    """Time getData by row key and by bare time, and a bare prepared SELECT, in turn."""
     topic = rosCas.getTopic("/imu")
     table = topic.tables[0]
     session = rosCas.cassandra._session

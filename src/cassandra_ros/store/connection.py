@@ -206,10 +206,6 @@ class Cassandra:
             collect()
         return results
 
-    def send(self, cql: str, params: Sequence[Any]) -> ResponseFuture:
-        """Send one statement without waiting; the first page of its answer is decoded."""
-        return self._session.execute_async(self.prepare(cql).bind(tuple(params)))
-
     def schemaChange(self, cql: str, *, what: str) -> None:
         """Run one DDL statement and wait until all nodes agree on the schema.
 

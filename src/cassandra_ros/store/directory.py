@@ -9,16 +9,12 @@ they are estimates. Heartbeats are the server's time: robots' clocks are wrong.
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Sequence
 
 from cassandra_ros.store.buckets import slotOf
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.driver_errors import DRIVER_ERRORS
 from cassandra_ros.store.names import quoteName
-
-_log = logging.getLogger(__name__)
 
 STALE_SEC = 60.0
 """An open bucket whose heartbeat is older than this has no living writer."""
@@ -96,18 +92,6 @@ class Directory:
             self._nodes, (table, first_slot, last_slot), what="reading the directory of nodes"
         )
         return [(row[0], row[1]) for row in rows]
-
-    def askNodes(self, table: str, slot: int) -> Any:
-        """Ask which nodes have buckets in a slot; toldNodes takes the answer."""
-        return self._cassandra.send(self._nodes, (table, slot, slot))
-
-    def toldNodes(self, table: str, slot: int, future: Any) -> list[str]:
-        """Return the nodes of a slot from the answer, asking again where that failed."""
-        try:
-            return [row[1] for row in future.result().current_rows]
-        except DRIVER_ERRORS as exc:
-            _log.debug("asking the directory again: %s", exc)
-            return [node for _, node in self.nodes(table, slot, slot)]
 
     def buckets(
         self, table: str, first: int, last: int, nodes: Sequence[str] | None = None

@@ -31,32 +31,38 @@ def firstAt(
 ) -> TableRow | None:
     """Read the first row with exactly this time, in the order (node, seq, table).
 
-    The nodes that are known to write a table are asked at once, together with the directory;
-    those that the directory adds are asked then.
+    The nodes that are known to write a table are asked first: one round trip. Only where they
+    have nothing the directory is asked for others, so no row is missed; of two nodes with the
+    very same time one that this process has not met yet comes behind.
 
     Args:
+        cassandra: The connection.
+        directory: Lists the nodes.
+        tables: Those of a topic.
+        t: Key time, ns.
         nodes: Only these nodeIDs; None = all.
     """
-    every = (MIN_SEQ, MAX_SEQ)
-    listings = []
-    asked: dict[tuple[str, str], Any] = {}
+    known = [(t_, n) for t_ in tables for n in sorted(t_.known_nodes if nodes is None else nodes)]
+    row = _best(cassandra, known, t)
+    if row is not None or nodes is not None:
+        return row
+    others = []
     for table in tables:
-        if nodes is None:
-            slot = slotOf(table.bucketOf(t))
-            listings.append((table, slot, directory.askNodes(table.name, slot)))
-        for node in sorted(table.known_nodes) if nodes is None else nodes:
-            asked[(table.name, node)] = _ask(cassandra, table, t, node, every)
-    for table, slot, future in listings:
-        for node in directory.toldNodes(table.name, slot, future):
-            table.known_nodes.add(node)
-            if (table.name, node) not in asked:
-                asked[(table.name, node)] = _ask(cassandra, table, t, node, every)
-    by_name = {table.name: table for table in tables}
-    found = [
-        _first(cassandra, future, by_name[name], t, node, every)
-        for (name, node), future in asked.items()
+        slot = slotOf(table.bucketOf(t))
+        found = {node for _, node in directory.nodes(table.name, slot, slot)}
+        others.extend((table, node) for node in sorted(found - table.known_nodes))
+        table.known_nodes |= found
+    return _best(cassandra, others, t)
+
+
+def _best(cassandra: Cassandra, asked: list[tuple[RowTable, str]], t: int) -> TableRow | None:
+    every = (MIN_SEQ, MAX_SEQ)
+    futures = [_ask(cassandra, table, t, node, every) for table, node in asked]
+    rows = [
+        _first(cassandra, future, table, t, node, every)
+        for (table, node), future in zip(asked, futures)
     ]
-    return min((row for row in found if row is not None), key=lambda row: row[:4], default=None)
+    return min((row for row in rows if row is not None), key=lambda row: row[:4], default=None)
 
 
 def _ask(cassandra: Cassandra, table: RowTable, t: int, node: str, seqs: tuple[int, int]) -> Any:
