@@ -46,7 +46,7 @@ def firstAt(
     row = _best(cassandra, known, t)
     if row is not None or nodes is not None:
         return row
-    others = []
+    others: list[tuple[RowTable, str]] = []
     for table in tables:
         slot = slotOf(table.bucketOf(t))
         found = {node for _, node in directory.nodes(table.name, slot, slot)}

@@ -4,55 +4,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Iterator, Optional, Sequence
 
 from cassandra_ros.errors import InvalidKey, MessageNotFound, TopicNotFound, TypeMismatch
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.definition import Definition, definitionOf
-from cassandra_ros.messages.stamps import Stamp, isoTime, toNs
-from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.messages.stamps import Stamp, toNs
+from cassandra_ros.topics.absence import absentText
 from cassandra_ros.topics.adder import Adder
-from cassandra_ros.topics.keyspace import Keyspace, defaultBucket
+from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.meta_view import MetaView
 from cassandra_ros.topics.reading import LAST_NS
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.wish import Wish
 
 _REQUIRED: Any = object()
 _NEAREST = ("before", "after", "either")
-_SECONDS_BELOW = 10**12
-_NEAR_NS = 256
 
 Time = Any
 """genpy.Time or Stamp, int (ns), float (s) or ISO 8601 text."""
-
-
-@dataclass(frozen=True)
-class Wish:
-    """What addTopic asked for; kept until the first message tells the type."""
-
-    format: str
-    nodeID: str = ""
-    ttl: int = 0
-    comment: str = ""
-    pending: bool = True
-    """Added in this process, perhaps without a table yet."""
-
-    def metadata(self, topic: str, definition: Optional[Definition]) -> TopicMetadata:
-        """Return what the comment of the topic's table is to say."""
-        return TopicMetadata(
-            topic=topic,
-            msg_type=definition.type if definition else "",
-            md5sum=definition.md5sum if definition else "",
-            definition=definition.text if definition else "",
-            format=self.format,
-            bucket_ns=defaultBucket(definition),
-            ttl=self.ttl,
-            nodeID=self.nodeID,
-            comment=self.comment,
-        )
 
 
 class CassandraTopic:
@@ -181,21 +153,8 @@ class CassandraTopic:
         return before if t - before.t <= after.t - t else after
 
     def _absent(self, key: Time, nearest: Optional[str], nodeID: Optional[str]) -> str:
-        t = toNs(key)
-        whose = f" of node {nodeID}" if nodeID is not None else ""
-        text = f"topic {self.name} has no message{whose} {nearest or 'at'} {isoTime(t)} ({t} ns)"
-        if isinstance(key, int) and 0 < t < _SECONDS_BELOW:
-            return text + "; integers are nanoseconds; did you mean seconds (a float)?"
-        near = self.getRow(t, nearest="either", nodeID=nodeID) if nearest is None else None
-        if near is not None and abs(near.t - t) <= _NEAR_NS:
-            secs, nsecs = divmod(near.t, 10**9)
-            return text + (
-                f"; one lies {abs(near.t - t)} ns away: write the time as "
-                f"{{secs: {secs}, nsecs: {nsecs}}}, for a number goes through a float"
-            )
-        if near is not None:
-            return text + f"; the nearest lies at {isoTime(near.t)} ({near.t} ns)"
-        return text
+        near = self.getRow(toNs(key), nearest="either", nodeID=nodeID) if nearest is None else None
+        return absentText(self.name, key, nearest, nodeID, None if near is None else near.t)
 
     def items(
         self,

@@ -18,8 +18,9 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.graph import topicType
 from cassandra_ros.metadata import TopicMetadata, checkTopicName
 from cassandra_ros.topics.adder import Adder
-from cassandra_ros.topics.cassandra_topic import CassandraTopic, Wish
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.wish import Wish
 
 _log = logging.getLogger(__name__)
 

@@ -15,7 +15,7 @@ from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.writer import LossCallback, RowWriter
 from cassandra_ros.topics.adder import Adder
-from cassandra_ros.topics.cassandra_topic import CassandraTopic, Time, Wish
+from cassandra_ros.topics.cassandra_topic import CassandraTopic, Time
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.clock import Clock
 from cassandra_ros.topics.keyspace import Keyspace
@@ -23,6 +23,7 @@ from cassandra_ros.topics.message_writer import MessageWriter
 from cassandra_ros.topics.reading import LAST_NS, TopicInfo
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.wish import Wish
 
 _Part = TypeVar("_Part")
 
@@ -190,19 +191,11 @@ class RosCassandra:
         """
         parts = self.parts
         number = newWriterId() if writer_id is None else writer_id
-        rows = RowWriter(
-            *(parts.cassandra, parts.schema, parts.directory, number),
-            linger_sec=linger_sec,
-            give_up_after_sec=give_up_after_sec,
-            on_loss=on_loss,
-        )
+        timing: Any = {"linger_sec": linger_sec, "give_up_after_sec": give_up_after_sec}
+        place = (parts.cassandra, parts.schema, parts.directory)
+        rows = RowWriter(*place, number, on_loss=on_loss, **timing)
         return MessageWriter(
-            *(parts, rows, number),
-            format=format,
-            nodeID=nodeID,
-            ttl=ttl,
-            run=run,
-            on_loss=on_loss,
+            *(parts, rows, number), format=format, nodeID=nodeID, ttl=ttl, run=run, on_loss=on_loss
         )
 
     def readMessages(
