@@ -31,6 +31,7 @@ from cassandra_ros.store.driver_errors import (
     DRIVER_ERRORS,
     START_HINT,
     isPassing,
+    isTableGone,
     translate,
     translated,
 )
@@ -41,6 +42,7 @@ _Result = TypeVar("_Result")
 
 CONNECT_TIMEOUT_SEC = 10.0
 REQUEST_TIMEOUT_SEC = 20.0
+NEW_TABLE_SEC = 1.0
 RETRY_SEC = 30.0
 """How long a single read or write is tried again before it fails."""
 
@@ -133,11 +135,24 @@ class Cassandra:
             with self._prepare_lock:
                 statement = self._prepared.get(cql)
                 if statement is None:
-                    with translated("preparing a statement"):
-                        statement = self._session.prepare(cql)
-                    statement.is_idempotent = True
+                    statement = self._prepareNew(cql)
                     self._prepared[cql] = statement
         return statement
+
+    def _prepareNew(self, cql: str) -> PreparedStatement:
+        # A table that another client is making can be read in system_schema a moment before
+        # every coordinator knows it.
+        pause = 0.05
+        while True:
+            try:
+                statement = self._session.prepare(cql)
+                statement.is_idempotent = True
+                return statement
+            except DRIVER_ERRORS as exc:
+                if not isTableGone(exc) or pause > NEW_TABLE_SEC:
+                    raise translate(exc, "preparing a statement") from exc
+            time.sleep(pause)
+            pause *= 2
 
     def forget(self, table: str) -> None:
         """Drop the prepared statements of a table that is gone."""
