@@ -24,7 +24,7 @@ Outcome = Callable[["BaseException | None"], None]
 
 
 class _Request:
-    __slots__ = ("deadline", "nbytes", "outcome", "pause", "statement")
+    __slots__ = ("deadline", "nbytes", "outcome", "pause", "settled", "statement")
 
     def __init__(self, statement: Any, nbytes: int, outcome: Outcome, deadline: float) -> None:
         self.statement = statement
@@ -32,6 +32,7 @@ class _Request:
         self.outcome = outcome
         self.deadline = deadline
         self.pause = FIRST_PAUSE_SEC
+        self.settled = False
 
 
 class Flight:
@@ -70,7 +71,13 @@ class Flight:
                 self._changed.wait()
             self._requests += 1
             self._bytes += nbytes
-        self._launch(_Request(statement, nbytes, outcome, time.monotonic() + self._give_up))
+        request = _Request(statement, nbytes, outcome, time.monotonic() + self._give_up)
+        try:
+            self._launch(request)
+        except BaseException as exc:
+            # Ctrl-C between taking the place in the budget and handing the request over.
+            self._settle(request, exc)
+            raise
 
     def wait(self) -> None:
         """Return when every statement has its outcome."""
@@ -126,6 +133,10 @@ class Flight:
             self._late_changed.notify()
 
     def _settle(self, request: _Request, exc: BaseException | None) -> None:
+        with self._changed:
+            if request.settled:
+                return
+            request.settled = True
         try:
             request.outcome(exc)
         finally:

@@ -220,7 +220,9 @@ class RosCassandra:
 
     def _tables(self, topics: Optional[Iterable[str]]) -> list[TopicTable]:
         chosen = self.getAllTopics() if topics is None else [self.getTopic(t) for t in topics]
-        return [table for topic in chosen for table in topic.tables]
+        # A topic may be named twice: with and without its leading slash.
+        named = {topic.name: topic for topic in chosen}
+        return [table for topic in named.values() for table in topic.tables]
 
     def connection(self, table: str, conn: int) -> Connection:
         """Return the connection that a row of a table names."""

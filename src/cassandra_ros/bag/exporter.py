@@ -1,0 +1,137 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""From the store into a bag, so that rosbag reads the messages as they were recorded."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from typing import Any, Callable, Dict, Iterable, Tuple
+
+from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.errors import BagError
+from cassandra_ros.keys import splitSeq
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.stored_row import StoredRow
+
+Progress = Callable[[int, int], None]
+
+_REPORT_EACH = 500
+_RUN_NUMBERS = 1 << 16
+"""Connection numbers that are set aside for each recording or import."""
+
+
+@dataclass
+class ExportReport:
+    """What an export wrote."""
+
+    path: str
+    messages: Dict[str, int] = field(default_factory=dict)
+    """Number of messages by topic."""
+    bytes: int = 0
+    """Serialised bytes."""
+
+
+def exportBag(
+    rosCas: RosCassandra,
+    path: str | os.PathLike[str],
+    topics: Iterable[str] | None = None,
+    start: Any = None,
+    end: Any = None,
+    nodeID: str | None = None,
+    compression: str = "none",
+    force: bool = False,
+    progress: Progress | None = None,
+) -> ExportReport:
+    """Write stored messages into a bag of format 2.0.
+
+    The messages are written in the order of their keys. Connections keep topic, header and
+    number, so rosbag gives back the messages of an imported bag in their order: by time,
+    connection, position.
+
+    Args:
+        rosCas: Connected to a keyspace.
+        path: The bag to make; it has the name PATH.active until it is complete.
+        topics: Only these; None = all.
+        start: First time (any kind of design: genpy.Time, int ns, float s, text); None = open.
+        end: Last time, included; None = open.
+        nodeID: Only what this node recorded; None = all nodes.
+        compression: 'none', 'bz2' or 'lz4'.
+        force: Replace a file that exists.
+        progress: Called with the messages and bytes written since the last call.
+
+    Raises:
+        BagError: The file exists, or cannot be written.
+        TopicNotFound: One of the topics is not stored.
+        StoreUnavailable: The store stopped answering; no bag is left behind.
+    """
+    if os.path.exists(path) and not force:
+        raise BagError(f"{os.fspath(path)} exists; choose another name, or replace it with --force")
+    # One topic may have been asked for in two spellings.
+    names = None if topics is None else sorted({rosCas.getTopic(name).name for name in topics})
+    rows = rosCas.readMessages(topics=names, key=start, to_key=end, nodeID=nodeID)
+    report = ExportReport(os.fspath(path))
+    with BagWriter(path, compression) as writer:
+        numbers = ConnectionNumbers(writer)
+        messages = size = 0
+        for row in rows:
+            number = numbers.of(row)
+            wire = row.wire
+            writer.write(number, row.t, wire)
+            report.messages[row.topic] = report.messages.get(row.topic, 0) + 1
+            report.bytes += len(wire)
+            messages += 1
+            size += len(wire)
+            if progress is not None and messages == _REPORT_EACH:
+                progress(messages, size)
+                messages = size = 0
+        if progress is not None:
+            progress(messages, size)
+    return report
+
+
+class ConnectionNumbers:
+    """Gives the connections of stored rows their numbers in a bag that is written.
+
+    Between equal times rosbag reads the connection of the lower number first, so those of an
+    imported bag keep their numbers among each other: the first import its own, each further one
+    shifted as a whole. What was never in a bag is numbered as it appears.
+
+    Args:
+        writer: Gets each connection when it appears.
+    """
+
+    def __init__(self, writer: BagWriter) -> None:
+        self._writer = writer
+        self._numbers: Dict[Tuple[int, str, int], int] = {}
+        self._bases: Dict[int, int] = {}
+        self._free = 0
+
+    def of(self, row: StoredRow) -> int:
+        """Return the number of a row's connection."""
+        run = splitSeq(row.seq)[0]
+        key = (run, row.table.name, row.conn)
+        number = self._numbers.get(key)
+        if number is None:
+            number = self._numbers[key] = self._add(row, run)
+        return number
+
+    def _add(self, row: StoredRow, run: int) -> int:
+        connection = row.connection
+        if connection.number < 0:
+            shared = (0, row.table.name, row.conn)  # 0 is nobody's writer id
+            if shared not in self._numbers:
+                self._numbers[shared] = self._next(connection)
+            return self._numbers[shared]
+        if run not in self._bases:
+            self._bases[run] = -(-self._free // _RUN_NUMBERS) * _RUN_NUMBERS
+        return self._next(connection, self._bases[run] + connection.number)
+
+    def _next(self, connection: Any, wanted: int | None = None) -> int:
+        try:
+            number = self._writer.connection(connection, wanted)
+        except BagError:
+            # A connection kept in two formats, or a bag with over 65,535 of them beside another.
+            number = self._writer.connection(connection)
+        self._free = max(self._free, number + 1)
+        return number

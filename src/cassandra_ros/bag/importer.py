@@ -1,0 +1,178 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""From a bag into the store. Repeating an import, or a part of it, changes nothing."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from typing import Callable, Dict, Iterable, List, Set
+
+from cassandra_ros.bag.identity import bagWriterId
+from cassandra_ros.bag.rates import SizeSample, bucketLengths
+from cassandra_ros.bag.reader import BagReader
+from cassandra_ros.bag.topics import chosenConnections
+from cassandra_ros.errors import BagError, TopicExists
+from cassandra_ros.formats.table import DEFAULT_FORMAT
+from cassandra_ros.store.registry import Run
+from cassandra_ros.topics.message_writer import Handle, MessageWriter
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+Progress = Callable[[int, int], None]
+"""Called with the messages and bytes that were handled since the last call."""
+
+_REPORT_EACH = 500
+"""Messages between two calls of Progress."""
+
+
+@dataclass
+class ImportedTopic:
+    """What became of one topic."""
+
+    format: str
+    """Format of its table, 'binary' where the definition cannot be used."""
+    messages: int = 0
+    bytes: int = 0
+    """Serialised bytes."""
+
+
+@dataclass
+class ImportReport:
+    """What an import stored; everything in it is acknowledged by the store."""
+
+    path: str
+    writer_id: int
+    """Upper half of the _seq of every row."""
+    nodeID: str
+    topics: Dict[str, ImportedTopic] = field(default_factory=dict)
+    warnings: List[str] = field(default_factory=list)
+
+    @property
+    def messages(self) -> int:
+        """Messages of all topics."""
+        return sum(topic.messages for topic in self.topics.values())
+
+    @property
+    def bytes(self) -> int:
+        """Serialised bytes of all topics."""
+        return sum(topic.bytes for topic in self.topics.values())
+
+
+def importBag(
+    rosCas: RosCassandra,
+    path: str | os.PathLike[str],
+    format: str = DEFAULT_FORMAT,
+    topics: Iterable[str] | None = None,
+    nodeID: str = "",
+    progress: Progress | None = None,
+) -> ImportReport:
+    """Store the messages of a bag.
+
+    Each row's key follows from the bag's content, so an import that is repeated, or was
+    interrupted and is started again, ends in the same rows. Memory does not depend on the size
+    of the bag (see BagReader for its share).
+
+    Args:
+        rosCas: Connected to a keyspace.
+        path: The bag.
+        format: Format of topics that are not stored yet.
+        topics: Only these, with or without leading slash; None = all.
+        nodeID: The robot that recorded the bag; '' = nobody says.
+        progress: Told how far it is.
+
+    Returns:
+        What was stored. A topic whose definition is empty, broken or hostile is kept as binary,
+        with a warning; the others go on.
+
+    Raises:
+        BagError: The bag cannot be read to its end. What stands before the damage is stored then;
+            the error says how much that is, and where the damage is.
+        TopicExists: This bag is stored already in another format.
+        TopicNotFound: The bag has no such topic.
+        WriteFailed, StoreUnavailable: The store did not take all of it.
+    """
+    with BagReader(path) as reader:
+        numbers = chosenConnections(reader, topics)
+        sample = SizeSample()
+        writer_id = bagWriterId(reader, nodeID, sample.add)
+        report = ImportReport(reader.path, writer_id, nodeID)
+        run = Run(
+            node=nodeID,
+            writer=writer_id,
+            kind="import",
+            name=os.path.basename(reader.path),
+            source=os.path.abspath(reader.path),
+            format=format,
+        )
+        _refuseSecondCopy(rosCas, reader, numbers, run)
+        lengths = bucketLengths(reader, sample.means())
+        with rosCas.messageWriter(
+            writer_id=writer_id, format=format, nodeID=nodeID, run=run
+        ) as writer:
+            handles = {
+                number: writer.connect(connection, bucket_ns=lengths[number])
+                for number, connection in reader.connections.items()
+                if number in numbers
+            }
+            _noteTopics(report, handles)
+            _writeMessages(reader, writer, handles, report, progress)
+    return report
+
+
+def _refuseSecondCopy(rosCas: RosCassandra, reader: BagReader, numbers: Set[int], run: Run) -> None:
+    """Raise where rows of this import lie in tables of another format: all would be double."""
+    parts = rosCas.parts
+    for number in sorted(numbers):
+        connection = reader.connections[number]
+        for table in parts.tables.ofTopic(connection.topic):
+            metadata = table.metadata
+            if metadata.format == run.format or metadata.md5sum != connection.md5sum:
+                continue
+            if table.definition is None:
+                continue  # kept as binary whatever is asked for
+            first, last = table.bucketOf(reader.start_ns), table.bucketOf(reader.end_ns)
+            rows = parts.directory.buckets(table.name, first, last, (run.node,))
+            if any(row.writer == run.writer for row in rows):
+                raise TopicExists(
+                    f"{reader.path} is stored in keyspace {rosCas.keyspace} already, topic "
+                    f"{connection.topic} in format {metadata.format}; in format {run.format} "
+                    "every message would be there twice: remove the topics first, or import it "
+                    "into another keyspace"
+                )
+
+
+def _noteTopics(report: ImportReport, handles: Dict[int, Handle]) -> None:
+    for handle in handles.values():
+        report.topics.setdefault(handle.topic, ImportedTopic(handle.format))
+        if handle.warning and handle.warning not in report.warnings:
+            report.warnings.append(handle.warning)
+
+
+def _writeMessages(
+    reader: BagReader,
+    writer: MessageWriter,
+    handles: Dict[int, Handle],
+    report: ImportReport,
+    progress: Progress | None,
+) -> None:
+    counted = {number: report.topics[handle.topic] for number, handle in handles.items()}
+    messages = size = 0
+    try:
+        for position, number, t_ns, data in reader.messages(handles.keys()):
+            writer.write(handles[number], t_ns, position, data)
+            topic = counted[number]
+            topic.messages += 1
+            topic.bytes += len(data)
+            messages += 1
+            size += len(data)
+            if progress is not None and messages == _REPORT_EACH:
+                progress(messages, size)
+                messages = size = 0
+    except BagError as exc:
+        raise type(exc)(
+            f"{exc}; the {report.messages} messages before it are stored. A repaired copy counts "
+            "as another bag: import it into another keyspace, or remove these topics first"
+        ) from exc
+    writer.flush()
+    if progress is not None:
+        progress(messages, size)

@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Lengths of time buckets that fit the topics of a bag."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Dict, Mapping, Tuple
+
+from cassandra_ros.bag.reader import BagReader, RawMessage
+from cassandra_ros.store.buckets import SECOND_NS, bucketFor
+
+_WINDOW_NS = 10 * SECOND_NS
+_UNSEEN_BYTES = 64 * 1024
+"""Size that is assumed for messages of connections without a sample."""
+
+TableKey = Tuple[str, str]
+"""Topic and md5sum: what shares one table."""
+
+
+class SizeSample:
+    """Mean size of the messages that were shown to it, by connection."""
+
+    def __init__(self) -> None:
+        self._sums: Dict[int, Tuple[int, int]] = {}
+
+    def add(self, message: RawMessage) -> None:
+        """Count a message."""
+        count, size = self._sums.get(message.number, (0, 0))
+        self._sums[message.number] = (count + 1, size + len(message.data))
+
+    def means(self) -> Dict[int, float]:
+        """Return bytes a message, by number of the connection."""
+        return {number: size / count for number, (count, size) in self._sums.items()}
+
+
+@dataclass
+class _Rate:
+    start_ns: int
+    end_ns: int
+    count: int = 0
+    bytes: float = 0.0
+    peak_hz: float = 0.0
+    peak_bytes: float = 0.0
+
+    def finish(self, start_ns: int, last: bool = False) -> None:
+        """End a window; a short one at the end counts only where it is the only one."""
+        if not last or not self.peak_hz:
+            seconds = max(1.0, (self.end_ns - self.start_ns) / SECOND_NS)
+            self.peak_hz = max(self.peak_hz, self.count / seconds)
+            self.peak_bytes = max(self.peak_bytes, self.bytes / seconds)
+        self.start_ns, self.count, self.bytes = start_ns, 0, 0.0
+
+
+def bucketLengths(reader: BagReader, means: Mapping[int, float]) -> Dict[int, int]:
+    """Choose the bucket length of each connection's table.
+
+    The highest rate over stretches of at least 10 s decides, as the counts of the chunks show
+    it: a single stray stamp stretches the whole bag, but not all of its parts.
+
+    Args:
+        reader: The bag.
+        means: Bytes a message by number of the connection, where known.
+
+    Returns:
+        Nanoseconds by number of the connection, equal for those that share a table.
+    """
+    rates: Dict[TableKey, _Rate] = {}
+    keys = {number: (c.topic, c.md5sum) for number, c in reader.connections.items()}
+    for chunk in range(reader.chunk_count):
+        info = reader.chunkInfo(chunk)
+        seen = set()
+        for number, count in info.counts.items():
+            rate = rates.setdefault(keys[number], _Rate(info.start_ns, info.end_ns))
+            if keys[number] not in seen and rate.end_ns - rate.start_ns >= _WINDOW_NS:
+                rate.finish(info.start_ns)
+            seen.add(keys[number])
+            rate.end_ns = max(rate.start_ns, info.end_ns)
+            rate.count += count
+            rate.bytes += count * means.get(number, _UNSEEN_BYTES)
+    for rate in rates.values():
+        rate.finish(rate.end_ns, last=True)
+    return {n: bucketFor(rates[key].peak_hz, rates[key].peak_bytes) for n, key in keys.items()}

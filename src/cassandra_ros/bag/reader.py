@@ -1,0 +1,210 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Read bags of format 2.0, chunk by chunk, without message classes."""
+
+from __future__ import annotations
+
+import os
+from bisect import bisect_right
+from collections import Counter
+from types import TracebackType
+from typing import AbstractSet, BinaryIO, Dict, Iterator, List, NamedTuple
+
+from cassandra_ros.bag import format as bagformat
+from cassandra_ros.bag.chunk import ChunkMessage, findMessages
+from cassandra_ros.bag.compression import decompressChunk
+from cassandra_ros.bag.index import BagIndex, ChunkInfo, ConnectionTotals, readChunkInfo, readIndex
+from cassandra_ros.errors import BagError
+from cassandra_ros.messages.connection import Connection
+
+
+class RawMessage(NamedTuple):
+    """A message as it lies in the bag."""
+
+    position: int
+    """Place among all messages of the bag, in the order of the file, from 0."""
+    number: int
+    """Key of BagReader.connections."""
+    t_ns: int
+    data: bytes
+
+
+class BagReader:
+    """A bag that is open for reading; also a context manager.
+
+    Memory: 40 bytes for each chunk of the bag, and while reading the largest chunk, packed and
+    unpacked, with about 150 bytes for each of its messages.
+
+    Args:
+        path: The file.
+
+    Raises:
+        BagUnindexed: The bag was not closed properly, or is cut short.
+        BagError: The file cannot be opened, is no bag of format 2.0, is encrypted, or its index
+            is damaged.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = os.fspath(path)
+        try:
+            self._file: BinaryIO = open(self.path, "rb")
+            self.file_bytes = os.fstat(self._file.fileno()).st_size
+        except OSError as exc:
+            raise BagError(f"{self.path} cannot be read: {exc.strerror}") from exc
+        try:
+            self._index: BagIndex = readIndex(self._file, self.file_bytes, self.path)
+        except OSError as exc:
+            self._file.close()
+            raise BagError(f"{self.path} cannot be read: {exc.strerror}") from exc
+        except BagError:
+            self._file.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file; twice is harmless."""
+        self._file.close()
+
+    def __enter__(self) -> BagReader:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def connections(self) -> Dict[int, Connection]:
+        """Connections that have messages, by number, in the order of the index.
+
+        Like rosbag, we leave out connections that no message refers to.
+        """
+        totals = self._index.totals
+        return {n: c for n, c in self._index.connections.items() if n in totals}
+
+    @property
+    def totals(self) -> Dict[int, ConnectionTotals]:
+        """Messages and times of each connection, by number."""
+        return self._index.totals
+
+    @property
+    def message_count(self) -> int:
+        """Messages in the bag."""
+        return self._index.message_count
+
+    @property
+    def chunk_count(self) -> int:
+        """Chunks in the bag."""
+        return len(self._index)
+
+    @property
+    def start_ns(self) -> int:
+        """Time of the first message, ns; 0 in an empty bag."""
+        return min(self._index.chunks[1 :: BagIndex.PER_CHUNK], default=0)
+
+    @property
+    def end_ns(self) -> int:
+        """Time of the last message, ns; 0 in an empty bag."""
+        return max(self._index.chunks[2 :: BagIndex.PER_CHUNK], default=0)
+
+    def compressions(self) -> Dict[str, int]:
+        """Count the chunks of each compression (reads the header of every chunk)."""
+        return dict(Counter(self._chunkHeader(i)[0] for i in range(self.chunk_count)))
+
+    def chunkInfo(self, chunk: int) -> ChunkInfo:
+        """Read what the index says about a chunk.
+
+        Args:
+            chunk: In [0, chunk_count), in the order of the file.
+        """
+        first = chunk * BagIndex.PER_CHUNK
+        info_pos, before = self._index.chunks[first + 3 : first + 5]
+        where = f"{self.path}: the chunk info of chunk {chunk + 1}"
+        self._file.seek(info_pos)
+        info = readChunkInfo(self._file, self.file_bytes, self._index.numbers, where)
+        return info._replace(first=before)
+
+    def chunkTimes(self, chunk: int) -> tuple[int, int]:
+        """Return the first and last time in a chunk as the index has them, ns."""
+        first = chunk * BagIndex.PER_CHUNK
+        start_ns, end_ns = self._index.chunks[first + 1 : first + 3]
+        return start_ns, end_ns
+
+    def chunkOf(self, position: int) -> int:
+        """Find the chunk in which a message lies.
+
+        Args:
+            position: Place among all messages of the bag, in [0, message_count).
+        """
+        return bisect_right(self._index.chunks[4 :: BagIndex.PER_CHUNK], position) - 1
+
+    def messages(
+        self, numbers: AbstractSet[int] | None = None, start: int = 0
+    ) -> Iterator[RawMessage]:
+        """Read the messages in the order of the file.
+
+        Args:
+            numbers: Only these connections; None = all.
+            start: Skip the messages whose position is lower.
+
+        Yields:
+            Messages, with their position among all of the bag.
+
+        Raises:
+            BagError: A chunk is damaged or contradicts the index; the text names it.
+        """
+        if start >= self.message_count:
+            return
+        for chunk in range(self.chunkOf(start), self.chunk_count):
+            for message in self.chunkMessages(chunk, numbers):
+                if message.position >= start:
+                    yield message
+
+    def chunkMessages(
+        self, chunk: int, numbers: AbstractSet[int] | None = None
+    ) -> Iterator[RawMessage]:
+        """Read the messages of one chunk; see messages."""
+        info = self.chunkInfo(chunk)
+        if numbers is not None and numbers.isdisjoint(info.counts):
+            return
+        content, found = self._load(chunk, info)
+        mapping = self._index.numbers
+        for position, (file_id, t_ns, start, stop) in enumerate(found, info.first):
+            number = mapping[file_id]
+            if numbers is None or number in numbers:
+                yield RawMessage(position, number, t_ns, content[start:stop])
+
+    def _load(self, chunk: int, info: ChunkInfo) -> tuple[bytes, List[ChunkMessage]]:
+        compression, size, data_bytes = self._chunkHeader(chunk)
+        where = self._where(chunk)
+        if compression == "none" and size != data_bytes:
+            raise BagError(f"{where} is damaged: it states both {size} and {data_bytes} bytes")
+        try:
+            data = self._file.read(data_bytes)
+        except OSError as exc:
+            raise BagError(f"{where} cannot be read: {exc.strerror}") from exc
+        if len(data) != data_bytes:
+            raise bagformat.cutShort(where, self.file_bytes)
+        content = decompressChunk(compression, data, size, where)
+        found = findMessages(content, where)
+        counted = Counter(message.file_id for message in found)
+        mapping = self._index.numbers
+        if {mapping.get(file_id, -1): n for file_id, n in counted.items()} != info.counts:
+            raise BagError(
+                f"{where} is damaged: its {len(found)} messages are not those that the index "
+                f"lists; repair it with: rosbag reindex {self.path}"
+            )
+        return content, found
+
+    def _chunkHeader(self, chunk: int) -> tuple[str, int, int]:
+        where = self._where(chunk)
+        self._file.seek(self._index.chunks[chunk * BagIndex.PER_CHUNK])
+        record = bagformat.readRecord(self._file, self.file_bytes, bagformat.OP_CHUNK, where)
+        compression = record.fields.get(b"compression", b"").decode("utf-8", "replace")
+        size = bagformat.number(record.fields, b"size", bagformat.U32, where)
+        return compression, size, record.data_bytes
+
+    def _where(self, chunk: int) -> str:
+        return f"{self.path}: chunk {chunk + 1} of {self.chunk_count}"

@@ -1,0 +1,241 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Write bags of format 2.0, any number of connections on a topic, each byte for byte."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from array import array
+from contextlib import suppress
+from types import TracebackType
+from typing import IO, Dict, Set
+
+from cassandra_ros.bag import format as bagformat
+from cassandra_ros.bag.chunk import messageHead
+from cassandra_ros.bag.compression import COMPRESSIONS, compressChunk
+from cassandra_ros.errors import BagError
+from cassandra_ros.messages.connection import Connection
+
+CHUNK_BYTES = 768 * 1024
+"""A chunk is closed when its content has grown over this, as in rosbag."""
+_SPOOL_BYTES = 1 << 20
+_BUFFER_BYTES = 1 << 16
+"""More than the header, so that its writing cannot fail before there is something to clean up."""
+
+
+class BagWriter:
+    """A bag that is being written; also a context manager.
+
+    The file is OUT.active until close() renames it, as with ``rosbag record``; leaving the
+    context by an exception removes it. Memory: one chunk and the connections.
+
+    Args:
+        path: The bag to make; an existing one is replaced at the end.
+        compression: 'none', 'bz2' or 'lz4'.
+        chunk_bytes: Content of a chunk at which it is closed, uncompressed bytes.
+
+    Raises:
+        BagError: The compression is unknown, or the file cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        compression: str = "none",
+        chunk_bytes: int = CHUNK_BYTES,
+    ) -> None:
+        if compression not in COMPRESSIONS:
+            known = ", ".join(COMPRESSIONS)
+            raise BagError(f"{compression!r} is not a compression of bags; known are {known}")
+        self.path = os.fspath(path)
+        self._active = self.path + ".active"
+        self._compression = compression
+        self._chunk_bytes = chunk_bytes
+        self._connections: Dict[int, Connection] = {}
+        self._used: Set[int] = set()
+        self._chunk = bytearray()
+        # Per connection of the open chunk: times and offsets, for its index record.
+        self._times: Dict[int, array[int]] = {}
+        self._offsets: Dict[int, array[int]] = {}
+        self._chunk_count = 0
+        self._infos: IO[bytes] = tempfile.SpooledTemporaryFile(_SPOOL_BYTES)
+        self._closed = False
+        try:
+            self._file: IO[bytes] = open(self._active, "wb", _BUFFER_BYTES)
+        except OSError as exc:
+            raise BagError(f"{self._active} cannot be written: {exc.strerror}") from exc
+        self._file.write(bagformat.MAGIC + self._fileHeader(0))
+
+    def connection(self, connection: Connection, number: int | None = None) -> int:
+        """Add a connection; its record is written before its first message.
+
+        Args:
+            connection: Topic and header are written as they are.
+            number: Its number in this bag, unique, in [0, 2**32 - 1]; None = the next free one.
+                Between equal times the lower number is read first.
+
+        Returns:
+            The number, for write().
+
+        Raises:
+            BagError: The number is taken.
+        """
+        if number is None:
+            number = max(self._connections, default=-1) + 1
+        if number in self._connections or not 0 <= number < 2**32:
+            raise BagError(f"{self.path}: connection number {number} is taken or out of range")
+        self._connections[number] = connection
+        return number
+
+    def write(self, number: int, t_ns: int, data: bytes) -> None:
+        """Append a message.
+
+        Args:
+            number: As connection() returned it.
+            t_ns: Receive time, ns since 1970.
+            data: The serialised message.
+
+        Raises:
+            BagError: The disk is full or fails.
+        """
+        if number not in self._used:
+            self._chunk += self._connectionRecord(number)
+            self._used.add(number)
+        if number not in self._times:
+            self._times[number] = array("Q")
+            self._offsets[number] = array("I")
+        self._times[number].append(t_ns)
+        self._offsets[number].append(len(self._chunk))
+        self._chunk += messageHead(number, t_ns, len(data))
+        self._chunk += data
+        if len(self._chunk) > self._chunk_bytes:
+            self._flushChunk()
+
+    def close(self) -> None:
+        """Write the index and give the file its name; twice is harmless.
+
+        Raises:
+            BagError: The disk is full or fails; the unfinished file is removed.
+        """
+        if self._closed:
+            return
+        if self._times:
+            self._flushChunk()
+        try:
+            index_pos = self._file.tell()
+            for number in sorted(self._used):
+                self._file.write(self._connectionRecord(number))
+            self._infos.seek(0)
+            for part in iter(lambda: self._infos.read(_SPOOL_BYTES), b""):
+                self._file.write(part)
+            self._file.seek(len(bagformat.MAGIC))
+            self._file.write(self._fileHeader(index_pos))
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
+            os.replace(self._active, self.path)
+        except OSError as exc:
+            self.discard()
+            raise BagError(f"{self.path} cannot be written: {exc.strerror}") from exc
+        self._closed = True
+        self._infos.close()
+
+    def discard(self) -> None:
+        """Close and remove the unfinished file; a file that was there before stays."""
+        if self._closed:
+            return
+        self._closed = True
+        self._infos.close()
+        # Closing writes what is buffered, which fails once more where the disk is full.
+        with suppress(OSError):
+            self._file.close()
+        with suppress(OSError):
+            os.unlink(self._active)
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.discard()
+
+    def _fileHeader(self, index_pos: int) -> bytes:
+        header = bagformat.packFields(
+            (
+                (b"op", bagformat.U8.pack(bagformat.OP_FILE_HEADER)),
+                (b"index_pos", bagformat.U64.pack(index_pos)),
+                (b"conn_count", bagformat.U32.pack(len(self._used) if index_pos else 0)),
+                (b"chunk_count", bagformat.U32.pack(self._chunk_count if index_pos else 0)),
+            )
+        )
+        padding = b" " * (bagformat.FILE_HEADER_BYTES - len(header))
+        sizes = (bagformat.U32.pack(len(header)), bagformat.U32.pack(len(padding)))
+        return b"".join((sizes[0], header, sizes[1], padding))
+
+    def _connectionRecord(self, number: int) -> bytes:
+        connection = self._connections[number]
+        return bagformat.packRecord(
+            (
+                (b"op", bagformat.U8.pack(bagformat.OP_CONNECTION)),
+                (b"topic", connection.topic.encode("utf-8", "surrogateescape")),
+                (b"conn", bagformat.U32.pack(number)),
+            ),
+            connection.header,
+        )
+
+    def _flushChunk(self) -> None:
+        header = (
+            (b"op", bagformat.U8.pack(bagformat.OP_CHUNK)),
+            (b"compression", self._compression.encode("ascii")),
+            (b"size", bagformat.U32.pack(len(self._chunk))),
+        )
+        data = compressChunk(self._compression, bytes(self._chunk))
+        try:
+            position = self._file.tell()
+            self._file.write(bagformat.packRecord(header, data))
+            for number in sorted(self._times):
+                self._file.write(self._indexRecord(number))
+            self._infos.write(self._infoRecord(position))
+        except OSError as exc:
+            raise BagError(f"{self._active} cannot be written: {exc.strerror}") from exc
+        self._chunk_count += 1
+        self._chunk.clear()
+        self._times.clear()
+        self._offsets.clear()
+
+    def _indexRecord(self, number: int) -> bytes:
+        # rosbag merges these lists without sorting them. The sort is stable: equal times stay
+        # in the order in which they were written.
+        times, offsets = self._times[number], self._offsets[number]
+        entries = sorted(zip(times, offsets), key=lambda entry: entry[0])
+        fields = (
+            (b"op", bagformat.U8.pack(bagformat.OP_INDEX)),
+            (b"conn", bagformat.U32.pack(number)),
+            (b"ver", bagformat.U32.pack(bagformat.INDEX_VERSION)),
+            (b"count", bagformat.U32.pack(len(entries))),
+        )
+        data = b"".join(
+            bagformat.packTime(t_ns) + bagformat.U32.pack(offset) for t_ns, offset in entries
+        )
+        return bagformat.packRecord(fields, data)
+
+    def _infoRecord(self, position: int) -> bytes:
+        fields = (
+            (b"op", bagformat.U8.pack(bagformat.OP_CHUNK_INFO)),
+            (b"ver", bagformat.U32.pack(bagformat.INDEX_VERSION)),
+            (b"chunk_pos", bagformat.U64.pack(position)),
+            (b"start_time", bagformat.packTime(min(map(min, self._times.values())))),
+            (b"end_time", bagformat.packTime(max(map(max, self._times.values())))),
+            (b"count", bagformat.U32.pack(len(self._times))),
+        )
+        counts = sorted((number, len(times)) for number, times in self._times.items())
+        data = b"".join(bagformat.U32.pack(n) + bagformat.U32.pack(count) for n, count in counts)
+        return bagformat.packRecord(fields, data)

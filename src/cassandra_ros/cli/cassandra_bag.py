@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Bags in and out of the store: list, describe, import, export and verify topics."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import logging
+import sys
+from typing import Sequence
+
+from cassandra_ros.cli.options import strip_remappings
+from cassandra_ros.cli.verbs import VERBS
+from cassandra_ros.errors import CassandraRosError
+
+PROGRAM = "cassandra_bag"
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser with all verbs."""
+    parser = argparse.ArgumentParser(prog=PROGRAM, description=__doc__)
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    for name, module in VERBS.items():
+        text = inspect.getdoc(module) or ""
+        verb = verbs.add_parser(
+            name,
+            help=text.splitlines()[0],
+            description=text,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(verb)
+        verb.set_defaults(parser=verb)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the verb that the arguments name.
+
+    Args:
+        argv: Arguments without the program's name; None = those of the process.
+
+    Returns:
+        Exit status: 0 when all went well, 1 when it failed or verify found a difference. Wrong
+        usage ends the program with 2.
+    """
+    arguments = sys.argv[1:] if argv is None else argv
+    options = make_parser().parse_args(strip_remappings(arguments))
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter(f"{PROGRAM}: %(message)s"))
+    logger = logging.getLogger("cassandra_ros")
+    logger.addHandler(handler)
+    # The driver's own warnings speak of things that its caller chose.
+    logging.getLogger("cassandra").setLevel(logging.ERROR)
+    try:
+        return int(VERBS[options.verb].run(options))
+    except CassandraRosError as exc:
+        report_error(exc)
+        return 1
+    finally:
+        logger.removeHandler(handler)
+
+
+def report_error(error: CassandraRosError) -> None:
+    """Print an error as one line."""
+    print(f"{PROGRAM}: {' '.join(str(error).split())}", file=sys.stderr)

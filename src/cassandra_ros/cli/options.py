@@ -1,0 +1,93 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The options that say which store is meant, shared by all programs that open one."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from typing import TYPE_CHECKING, Sequence
+
+from cassandra_ros.errors import KeyspaceNotFound
+
+if TYPE_CHECKING:
+    from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+DEFAULT_HOST = "127.0.0.1"
+DEFAULT_PORT = 9042
+DEFAULT_KEYSPACE = "ros"
+
+
+def add_store_options(parser: argparse.ArgumentParser) -> None:
+    """Add --host, --port and --keyspace; the environment sets their defaults."""
+    group = parser.add_argument_group(
+        "store", "defaults also from CASSANDRA_ROS_HOST, CASSANDRA_ROS_PORT, CASSANDRA_ROS_KEYSPACE"
+    )
+    group.add_argument(
+        "--host",
+        metavar="HOST[,HOST]",
+        default=os.environ.get("CASSANDRA_ROS_HOST") or DEFAULT_HOST,
+        help="one or more nodes of the cluster (default: %(default)s)",
+    )
+    group.add_argument(
+        "--port",
+        type=port_number,
+        # A text, so that a wrong one in the environment is reported like a wrong option.
+        default=os.environ.get("CASSANDRA_ROS_PORT") or str(DEFAULT_PORT),
+        help="port for CQL (default: %(default)s)",
+    )
+    group.add_argument(
+        "--keyspace",
+        metavar="NAME",
+        default=os.environ.get("CASSANDRA_ROS_KEYSPACE") or DEFAULT_KEYSPACE,
+        help="the keyspace that holds the topics (default: %(default)s)",
+    )
+
+
+def port_number(text: str) -> int:
+    """Read a TCP port, for argparse."""
+    if not (text.isascii() and text.isdigit() and 0 < int(text) < 65536):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port: a number from 1 to 65535")
+    return int(text)
+
+
+def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
+    """Connect to the store that the options name; close it, it is a context manager.
+
+    Args:
+        options: Parsed with add_store_options.
+        make: Make the keyspace where it is missing.
+
+    Raises:
+        ConnectionFailed: Nobody answers there.
+        KeyspaceNotFound: There is no such keyspace, and make is false.
+    """
+    from cassandra_ros.store.side_tables import keyspaceExists
+    from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+    rosCas = RosCassandra(options.host, options.port)
+    try:
+        if not make and not keyspaceExists(rosCas.cassandra, options.keyspace):
+            raise KeyspaceNotFound(
+                f"there is no keyspace {options.keyspace!r} at {options.host}:{options.port}; "
+                "--keyspace chooses another, a recording or an import makes it"
+            )
+        rosCas.connectToKeyspace(options.keyspace)
+    except BaseException:
+        rosCas.close()
+        raise
+    return rosCas
+
+
+def strip_remappings(arguments: Sequence[str]) -> list[str]:
+    """Drop what rosrun and roslaunch add: ``__name:=x``, ``_param:=y``, ``from:=to``.
+
+    Like rospy.myargv without rospy. What follows --map stays: it means topics of a bag.
+    """
+    kept: list[str] = []
+    previous = ""
+    for word in arguments:
+        if ":=" not in word or word.startswith("-") or previous == "--map":
+            kept.append(word)
+        previous = word
+    return kept

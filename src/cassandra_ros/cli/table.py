@@ -1,0 +1,63 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Plain text for people: aligned columns, sizes, times."""
+
+from __future__ import annotations
+
+from typing import Collection, Sequence
+
+from cassandra_ros.messages.stamps import isoTime
+
+_UNITS = ("B", "KB", "MB", "GB", "TB")
+_LENGTHS = ((86_400, "d"), (3_600, "h"), (60, "min"), (1, "s"))
+
+
+def format_table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], right: Collection[str] = ()
+) -> str:
+    """Align rows under a header.
+
+    Args:
+        header: Names of the columns.
+        rows: Texts, as many in each row as in the header.
+        right: Names of the columns that are aligned on the right.
+    """
+    lines = [header, *rows]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
+    texts = []
+    for line in lines:
+        cells = [
+            text.rjust(width) if name in right else text.ljust(width)
+            for text, width, name in zip(line, widths, header)
+        ]
+        texts.append("  ".join(cells).rstrip())
+    return "\n".join(texts)
+
+
+def format_bytes(count: int) -> str:
+    """Write a size as rosbag does: 3.2 MB."""
+    size, unit = float(count), 0
+    while size >= 1024 and unit < len(_UNITS) - 1:
+        size, unit = size / 1024, unit + 1
+    return f"{count} B" if not unit else f"{size:.1f} {_UNITS[unit]}"
+
+
+def format_time(ns: int | None) -> str:
+    """Write a time in UTC, cut to seconds; '-' where there is none."""
+    return "-" if ns is None else isoTime(ns)[:19] + "Z"
+
+
+def format_length(ns: int) -> str:
+    """Write the length of a bucket: 10 min."""
+    for seconds, unit in _LENGTHS:
+        if ns and ns % (seconds * 1_000_000_000) == 0:
+            return f"{ns // (seconds * 1_000_000_000)} {unit}"
+    return f"{ns} ns"
+
+
+def shown(text: str) -> str:
+    """Make text from outside safe for a terminal: what is not printable is escaped."""
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii")
+        for c in text
+    )

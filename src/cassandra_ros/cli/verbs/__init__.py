@@ -1,0 +1,15 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verbs of `cassandra_bag`: a new one is a file beside this and a line in the table."""
+
+from __future__ import annotations
+
+from cassandra_ros.cli.verbs import export, import_, info, list_, verify
+
+VERBS = {
+    "list": list_,
+    "info": info,
+    "import": import_,
+    "export": export,
+    "verify": verify,
+}

@@ -1,0 +1,104 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Store the messages of bags.
+
+Every message keeps its topic, type, time, bytes and connection. Importing the same bag again, or
+first a part of it and then all, or once more after an interruption, ends in the same messages. A
+topic whose definition is empty or broken is kept as binary, with a warning.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from cassandra_ros.cli.interrupt import SafeInterrupt
+from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.cli.progress import MessageBar
+from cassandra_ros.cli.table import format_bytes, format_table, shown
+from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
+
+if TYPE_CHECKING:
+    from cassandra_ros.bag.importer import ImportReport
+    from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add bags, format, selection and the store."""
+    parser.add_argument("bags", nargs="+", metavar="FILE", help="bags of format 2.0")
+    parser.add_argument(
+        "--format",
+        default=DEFAULT_FORMAT,
+        metavar="F",
+        choices=list(FORMATS),
+        help="how messages are kept: ros (a typed column for each field) or binary (bytes) "
+        "(default: %(default)s)",
+    )
+    parser.add_argument(
+        "--topics", nargs="+", metavar="TOPIC", help="only these topics (after the FILEs)"
+    )
+    parser.add_argument(
+        "--node-id",
+        default="",
+        metavar="N",
+        help="the robot or entity that produced the messages (default: nobody says)",
+    )
+    parser.add_argument("-q", "--quiet", action="store_true", help="print errors and warnings only")
+    add_store_options(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Import one bag after the other; the first that fails ends it."""
+    with open_store(options, make=True) as rosCas:
+        for path in options.bags:
+            try:
+                _import(rosCas, path, options)
+            except (KeyboardInterrupt, SystemExit):
+                hint = "cassandra_bag: interrupted; the same command again completes the import"
+                print(hint, file=sys.stderr)
+                raise
+    return 0
+
+
+def _import(rosCas: RosCassandra, path: str, options: argparse.Namespace) -> None:
+    from cassandra_ros.bag.importer import importBag
+    from cassandra_ros.bag.reader import BagReader
+    from cassandra_ros.bag.topics import chosenConnections
+
+    with BagReader(path) as reader:
+        chosen = chosenConnections(reader, options.topics)
+        count = sum(reader.totals[number].count for number in chosen)
+    begun = time.monotonic()
+    with MessageBar(f"importing {os.path.basename(path)}", count) as bar, SafeInterrupt() as stop:
+
+        def progress(messages: int, size: int) -> None:
+            bar.add(messages, size)
+            stop.check()
+
+        report = importBag(
+            rosCas,
+            path,
+            format=options.format,
+            topics=options.topics,
+            nodeID=options.node_id,
+            progress=progress,
+        )
+    if not options.quiet:
+        _print_report(report, options.keyspace, time.monotonic() - begun)
+
+
+def _print_report(report: ImportReport, keyspace: str, seconds: float) -> None:
+    rows = [
+        (shown(name), str(topic.messages), format_bytes(topic.bytes), topic.format)
+        for name, topic in sorted(report.topics.items())
+    ]
+    if rows:
+        header = ("topic", "messages", "size", "format")
+        print(format_table(header, rows, right=("messages", "size")))
+    print(
+        f"{report.path}: {report.messages} messages of {len(rows)} topics are in keyspace "
+        f"{keyspace} ({seconds:.1f} s)"
+    )

@@ -1,0 +1,96 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Describe what is stored of each topic: messages, bytes, times, nodes, bucket lengths.
+
+A topic has a line for each type, format and node. Times are UTC and cut to seconds; --yaml
+prints them exactly, in nanoseconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.cli.table import format_bytes, format_length, format_table, format_time, shown
+
+if TYPE_CHECKING:
+    from cassandra_ros.store.registry import Run
+    from cassandra_ros.topics.reading import TopicInfo
+
+_RIGHT = ("messages", "size", "bucket")
+_RUNS_SHOWN = 20
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add topics, the form of the output and the store."""
+    parser.add_argument("topics", nargs="*", metavar="TOPIC", help="only these topics")
+    parser.add_argument("-y", "--yaml", action="store_true", help="print YAML")
+    add_store_options(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the description."""
+    with open_store(options) as rosCas:
+        infos = rosCas.info(options.topics or None)
+        runs = sorted(rosCas.runs(), key=lambda run: str(run.started))
+    if options.yaml:
+        _print_yaml(options, infos, runs)
+        return 0
+    total = sum(info.count for info in infos)
+    size = sum(info.bytes for info in infos)
+    topics = len({info.topic for info in infos})
+    print(f"keyspace:  {options.keyspace} at {options.host}:{options.port}")
+    print(f"messages:  {total} of {topics} topics, {format_bytes(size)}")
+    if infos:
+        print()
+        header = ("topic", "type", "format", "node", "messages", "size", "first", "last", "bucket")
+        print(format_table(header, [_topic_row(info) for info in infos], right=_RIGHT))
+    if runs and not options.topics:
+        print()
+        rows = [_run_row(run) for run in runs[-_RUNS_SHOWN:]]
+        columns = ("run", "kind", "node", "started", "messages", "lost")
+        print(format_table(columns, rows, right=("messages", "lost")))
+        if len(runs) > _RUNS_SHOWN:
+            print(f"… and {len(runs) - _RUNS_SHOWN} earlier ones")
+    return 0
+
+
+def _topic_row(info: TopicInfo) -> tuple[str, ...]:
+    return (
+        shown(info.topic),
+        info.type,
+        info.format,
+        shown(info.node) or "-",
+        str(info.count),
+        format_bytes(info.bytes),
+        format_time(info.first_ns),
+        format_time(info.last_ns),
+        format_length(info.bucket_ns),
+    )
+
+
+def _run_row(run: Run) -> tuple[str, ...]:
+    return (
+        shown(run.name) or "-",
+        run.kind,
+        shown(run.node) or "-",
+        f"{run.started:%Y-%m-%dT%H:%M:%SZ}" if run.started else "-",
+        str(sum(run.stored.values())) if run.ended else "not ended",
+        str(sum(run.lost.values())),
+    )
+
+
+def _print_yaml(options: argparse.Namespace, infos: list[TopicInfo], runs: list[Run]) -> None:
+    import yaml
+
+    found: dict[str, Any] = {
+        "keyspace": options.keyspace,
+        "topics": [asdict(info) for info in infos],
+        "runs": [
+            {**vars(run), **{k: dict(getattr(run, k)) for k in ("labels", "stored", "lost")}}
+            for run in runs
+        ],
+    }
+    print(yaml.safe_dump(found, sort_keys=False, allow_unicode=True), end="")

@@ -1,0 +1,104 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Compare a bag with what is stored, message by message; exit status 0 only when equal.
+
+Compared are topic, time, type, md5sum, bytes, connection header and order, as rosbag reads them.
+Where the store holds an import of this very bag, exactly its messages are compared, so other bags
+and recordings of the same topics do not matter; else all stored messages of the bag's topics are.
+
+With --content each topic's messages are compared in their order by type, md5sum and bytes alone:
+for a live recording of a bag that was played, where times and connections differ.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.cli.progress import MessageBar
+from cassandra_ros.cli.table import shown
+
+if TYPE_CHECKING:
+    from cassandra_ros.bag.differences import VerifyReport
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the bag, what is compared, and the store."""
+    parser.add_argument("bag", metavar="FILE.bag", help="a bag of format 2.0")
+    parser.add_argument(
+        "--topics", nargs="+", metavar="TOPIC", help="only these topics of the bag (after FILE.bag)"
+    )
+    parser.add_argument("--node-id", metavar="N", help="only what is stored for this node")
+    parser.add_argument("--content", action="store_true", help="compare the content alone")
+    parser.add_argument(
+        "--map",
+        metavar="FROM:=TO",
+        action="append",
+        type=_mapping,
+        default=[],
+        help="with --content: topic FROM of the bag was recorded as TO; may be repeated",
+    )
+    parser.add_argument("--start", metavar="T", help="with --content: first time in the store")
+    parser.add_argument("--end", metavar="T", help="with --content: last time in the store")
+    parser.add_argument("-q", "--quiet", action="store_true", help="print differences only")
+    add_store_options(parser)
+
+
+def _mapping(text: str) -> tuple[str, str]:
+    source, sign, target = text.partition(":=")
+    if not (source and sign and target):
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form FROM:=TO")
+    return source, target
+
+
+def run(options: argparse.Namespace) -> int:
+    """Compare, and print the first differences."""
+    if not options.content and (options.map or options.start or options.end):
+        options.parser.error("--map, --start and --end go with --content")
+    report = _compare(options)
+    if not report.equal:
+        _print_differences(report)
+        return 1
+    if not options.quiet:
+        what = "type, md5sum, bytes, order in each topic"
+        if not options.content:
+            what = "topic, time, type, md5sum, bytes, connection, order"
+        print(
+            f"equal: {report.path} and keyspace {options.keyspace}, "
+            f"{report.equal_messages} messages ({what})"
+        )
+    return 0
+
+
+def _compare(options: argparse.Namespace) -> VerifyReport:
+    from cassandra_ros.bag.reader import BagReader
+    from cassandra_ros.bag.verify import verifyBag
+    from cassandra_ros.bag.verify_content import verifyContent
+
+    with BagReader(options.bag) as reader:
+        count = reader.message_count
+    with open_store(options) as rosCas, MessageBar(f"verifying {options.bag}", count) as bar:
+        if not options.content:
+            return verifyBag(rosCas, options.bag, options.topics, options.node_id, bar.add)
+        return verifyContent(
+            rosCas,
+            options.bag,
+            topics=options.topics,
+            nodeID=options.node_id,
+            mapping=dict(options.map),
+            start=options.start,
+            end=options.end,
+            progress=bar.add,
+        )
+
+
+def _print_differences(report: VerifyReport) -> None:
+    print(
+        f"different: {report.path}: {report.differences} messages differ from the store, "
+        f"{report.equal_messages} are equal (compared: {report.scope})"
+    )
+    for text in report.first:
+        print(f"  {shown(text)}")
+    if report.differences > len(report.first):
+        print("  …")

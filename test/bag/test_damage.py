@@ -1,0 +1,199 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Damaged and hostile bags: an error that says so, in little memory, whatever was changed."""
+
+from __future__ import annotations
+
+import bz2
+import tracemalloc
+
+import pytest
+from bag.truth import string_connection, string_wire
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from cassandra_ros.bag import format as bagformat
+from cassandra_ros.bag.reader import BagReader
+from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.errors import BagError
+
+MANY = settings(
+    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+
+@pytest.fixture(scope="module", params=["none", "bz2", "lz4"])
+def whole(request, tmp_path_factory):
+    """Bytes of a bag of five chunks and two connections."""
+    path = tmp_path_factory.mktemp("bags") / "a.bag"
+    with BagWriter(path, request.param, chunk_bytes=1500) as writer:
+        numbers = [writer.connection(string_connection(topic)) for topic in ("/a", "/b")]
+        for i in range(100):
+            writer.write(numbers[i % 2], 1_000_000 * i, string_wire(f"text {i}"))
+    return path.read_bytes()
+
+
+def read_all(path):
+    with BagReader(path) as reader:
+        return [(m.number, m.t_ns, m.data) for m in reader.messages()]
+
+
+@MANY
+@given(data=st.data())
+def test_a_bag_that_is_cut_anywhere_is_refused(whole, tmp_path, data):
+    path = tmp_path / "cut.bag"
+    path.write_bytes(whole[: data.draw(st.integers(0, len(whole) - 1))])
+    with pytest.raises(BagError):
+        read_all(path)
+
+
+@MANY
+@given(data=st.data())
+def test_changed_bytes_give_an_error_or_a_bag(whole, tmp_path, data):
+    changed = bytearray(whole)
+    # The padding behind the header holds nothing.
+    places = st.one_of(st.integers(0, 100), st.integers(4096, len(whole) - 1))
+    for _ in range(data.draw(st.integers(1, 4))):
+        changed[data.draw(places)] = data.draw(st.integers(0, 255))
+    path = tmp_path / "changed.bag"
+    path.write_bytes(changed)
+    try:
+        read_all(path)
+    except BagError as exc:
+        assert str(path) in str(exc)
+
+
+@MANY
+@given(content=st.binary(max_size=500))
+def test_noise_behind_the_magic_line_is_refused(tmp_path, content):
+    path = tmp_path / "noise.bag"
+    path.write_bytes(bagformat.MAGIC + content)
+    with pytest.raises(BagError):
+        read_all(path)
+
+
+def test_a_corrupt_chunk_is_named(tmp_path):
+    path = tmp_path / "a.bag"
+    with BagWriter(path, "bz2", chunk_bytes=1000) as writer:
+        number = writer.connection(string_connection())
+        for i in range(100):
+            writer.write(number, i, string_wire(f"text {i}"))
+    with BagReader(path) as reader:
+        position = reader.chunkInfo(2).position
+    changed = bytearray(path.read_bytes())
+    changed[position + 120] ^= 0xFF
+    path.write_bytes(changed)
+    with BagReader(path) as reader:
+        messages = reader.messages()
+        with pytest.raises(BagError, match=f"{path}: chunk 3 of {reader.chunk_count} is damaged"):
+            list(messages)
+        assert len(list(reader.chunkMessages(1))) > 0
+
+
+def make_bag(path, chunk_header, chunk_data, counts=((0, 1),), times=(5, 5)):
+    """Write a bag of one chunk with exactly these bytes."""
+    connection = (
+        (b"op", b"\x07"),
+        (b"topic", b"/chatter"),
+        (b"conn", bagformat.U32.pack(0)),
+    )
+    info = (
+        (b"op", b"\x06"),
+        (b"ver", bagformat.U32.pack(1)),
+        (b"chunk_pos", bagformat.U64.pack(13 + 4104)),
+        (b"start_time", bagformat.packTime(times[0])),
+        (b"end_time", bagformat.packTime(times[1])),
+        (b"count", bagformat.U32.pack(len(counts))),
+    )
+    chunk = bagformat.packRecord(chunk_header, chunk_data)
+    header = bagformat.packFields(
+        (
+            (b"op", b"\x03"),
+            (b"index_pos", bagformat.U64.pack(13 + 4104 + len(chunk))),
+            (b"conn_count", bagformat.U32.pack(1)),
+            (b"chunk_count", bagformat.U32.pack(1)),
+        )
+    )
+    padding = b" " * (4096 - len(header))
+    path.write_bytes(
+        bagformat.MAGIC
+        + bagformat.U32.pack(len(header))
+        + header
+        + bagformat.U32.pack(len(padding))
+        + padding
+        + chunk
+        + bagformat.packRecord(connection, string_connection().header)
+        + bagformat.packRecord(
+            info, b"".join(bagformat.U32.pack(a) + bagformat.U32.pack(b) for a, b in counts)
+        )
+    )
+
+
+def message_record(t=5, conn=0, data=b"\x01\0\0\0x", order=(b"op", b"conn", b"time")):
+    fields = {b"op": b"\x02", b"conn": bagformat.U32.pack(conn), b"time": bagformat.packTime(t)}
+    return bagformat.packRecord([(name, fields[name]) for name in order], data)
+
+
+def chunk_header(compression, size):
+    return (
+        (b"op", b"\x05"),
+        (b"compression", compression),
+        (b"size", bagformat.U32.pack(size)),
+    )
+
+
+@pytest.mark.parametrize(
+    "order", [(b"op", b"conn", b"time"), (b"conn", b"op", b"time"), (b"time", b"conn", b"op")]
+)
+def test_header_fields_stand_in_any_order(tmp_path, order):
+    record = message_record(order=order)
+    make_bag(tmp_path / "a.bag", chunk_header(b"none", len(record)), record)
+    assert read_all(tmp_path / "a.bag") == [(0, 5, b"\x01\0\0\0x")]
+
+
+@pytest.mark.parametrize("compression", [b"bz2", b"lz4"])
+def test_a_bomb_is_not_unpacked(tmp_path, compression):
+    import roslz4
+
+    pack = bz2.compress if compression == b"bz2" else roslz4.compress
+    make_bag(tmp_path / "a.bag", chunk_header(compression, 1000), pack(bytes(300_000_000)))
+    tracemalloc.start()
+    with pytest.raises(BagError, match="chunk 1 of 1 is damaged: it unpacks to more than 1000"):
+        read_all(tmp_path / "a.bag")
+    assert tracemalloc.get_traced_memory()[1] < 50_000_000
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("compression", [b"none", b"bz2", b"lz4"])
+def test_sizes_that_are_not_true_take_no_memory(tmp_path, compression):
+    import roslz4
+
+    record = message_record()
+    pack = {b"none": bytes, b"bz2": bz2.compress, b"lz4": roslz4.compress}[compression]
+    make_bag(tmp_path / "a.bag", chunk_header(compression, 0xFFFFFFFF), pack(record))
+    tracemalloc.start()
+    with pytest.raises(BagError, match="damaged"):
+        read_all(tmp_path / "a.bag")
+    assert tracemalloc.get_traced_memory()[1] < 50_000_000
+    tracemalloc.stop()
+
+
+def test_what_contradicts_itself_is_refused(tmp_path):
+    path = tmp_path / "a.bag"
+    record = message_record()
+    cases = [
+        (chunk_header(b"zstd", len(record)), record, {}, "compressed with 'zstd'"),
+        (chunk_header(b"none", len(record)), record, {"counts": ((0, 2),)}, "index lists"),
+        (chunk_header(b"none", len(record)), record, {"counts": ((7, 1),)}, "connection 7"),
+        (chunk_header(b"none", len(record) - 1), record[:-1], {}, "damaged"),
+        (chunk_header(b"none", len(record) + 3), record + b"abc", {}, "damaged"),
+    ]
+    foreign = message_record(conn=9)
+    cases.append((chunk_header(b"none", len(foreign)), foreign, {}, "index lists"))
+    late = message_record()
+    late = late.replace(bagformat.packTime(5), b"\xff\xff\xff\xff\xff\xff\xff\xff")
+    cases.append((chunk_header(b"none", len(late)), late, {}, "damaged"))
+    for header, data, more, text in cases:
+        make_bag(path, header, data, **more)
+        with pytest.raises(BagError, match=text):
+            read_all(path)

@@ -1,0 +1,293 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""bag → store → bag, through a real Cassandra, judged by the rosbag module."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections import Counter
+
+import pytest
+from bag.test_reader import READABLE
+from bag.truth import STRING_MD5, read_with_rosbag, string_connection, string_wire
+
+from cassandra_ros.bag.exporter import exportBag
+from cassandra_ros.bag.identity import bagWriterId
+from cassandra_ros.bag.importer import importBag
+from cassandra_ros.bag.reader import BagReader
+from cassandra_ros.bag.verify import verifyBag
+from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.errors import BagError, BagUnindexed, InvalidKey, TopicExists, TopicNotFound
+from cassandra_ros.keys import splitSeq
+
+
+def stored_rows(rosCas):
+    """Everything that is stored, comparable between keyspaces."""
+    return [
+        (row.t, row.node, row.seq, row.topic, row.table.name, row.conn, row.size, row.wire)
+        for row in rosCas.readMessages()
+    ]
+
+
+def counts_agree(rosCas, cql):
+    """Compare the counts of info with SELECT count(*); return them by topic."""
+    counted, told = {}, {}
+    for topic in rosCas.getAllTopics():
+        for table in topic.tables:
+            rows = cql.execute(f'SELECT count(*) FROM {rosCas.keyspace}."{table.name}"')
+            counted[topic.name] = counted.get(topic.name, 0) + rows.one()[0]
+    for info in rosCas.info():
+        told[info.topic] = told.get(info.topic, 0) + info.count
+    assert told == counted
+    return counted
+
+
+@pytest.mark.parametrize("form", ["binary", "ros"])
+@pytest.mark.parametrize("name", READABLE)
+def test_every_bag_comes_back_as_it_was(rosCas, bags, tmp_path, name, form):
+    path = bags / f"{name}.bag"
+    report = importBag(rosCas, path, format=form)
+    expected = read_with_rosbag(path)
+    assert report.messages == len(expected[1])
+    told = {topic: info.messages for topic, info in report.topics.items()}
+    assert told == Counter(message.topic for message in expected[1])
+    verified = verifyBag(rosCas, path)
+    assert verified.equal, verified.first
+    assert verified.equal_messages == len(expected[1])
+    exportBag(rosCas, tmp_path / "out.bag")
+    assert read_with_rosbag(tmp_path / "out.bag") == expected
+    with BagReader(path) as original, BagReader(tmp_path / "out.bag") as copy:
+        assert copy.connections == original.connections
+
+
+def test_a_definition_that_is_none_is_kept_as_binary_with_a_warning(rosCas, bags, tmp_path):
+    report = importBag(rosCas, bags / "empty_message_definition.bag", format="ros")
+    assert report.topics["/led_array_status"].format == "binary"
+    assert len(report.warnings) == 1
+    assert "/led_array_status is kept as binary" in report.warnings[0]
+
+
+def test_a_broken_definition_does_not_stop_the_others(rosCas, tmp_path):
+    path = tmp_path / "a.bag"
+    hostile = "int8 _md5sum;open('/tmp/cassandra_ros_was_here','w');B=1\n"
+    with BagWriter(path) as writer:
+        good = writer.connection(string_connection("/good"))
+        bad = writer.connection(string_connection("/bad", message_definition=hostile))
+        for i in range(10):
+            writer.write(good, i, string_wire(f"good {i}"))
+            writer.write(bad, i, string_wire(f"bad {i}"))
+    report = importBag(rosCas, path, format="ros")
+    assert {t: (i.format, i.messages) for t, i in report.topics.items()} == {
+        "/good": ("ros", 10),
+        "/bad": ("binary", 10),
+    }
+    assert len(report.warnings) == 1
+    assert verifyBag(rosCas, path).equal
+    with BagReader(path) as reader:
+        expected = [(m.number, m.t_ns, m.data) for m in reader.messages()]
+    exportBag(rosCas, tmp_path / "out.bag")
+    with BagReader(tmp_path / "out.bag") as reader:
+        assert [(m.number, m.t_ns, m.data) for m in reader.messages()] == expected
+
+
+@pytest.mark.parametrize("form", ["binary", "ros"])
+def test_one_topic_of_two_types_and_two_names_of_one_type(rosCas, tmp_path, form):
+    path = tmp_path / "a.bag"
+    kinds = [
+        ("std_msgs/String", STRING_MD5, "string data\n"),
+        ("std_msgs/Int32", "da5909fbe378aeaf85e547e830cc1bb7", "int32 data\n"),
+        ("other_msgs/Text", STRING_MD5, "string data\n"),
+    ]
+    with BagWriter(path) as writer:
+        for i in range(60):
+            msg_type, md5sum, definition = kinds[i % 3]
+            if i < 3:
+                fields = {"type": msg_type, "md5sum": md5sum, "message_definition": definition}
+                writer.connection(string_connection("/mixed", **fields), i)
+            wire = i.to_bytes(4, "little") if i % 3 == 1 else string_wire(f"text {i}")
+            writer.write(i % 3, 10**18 + i // 4, wire)
+    importBag(rosCas, path, format=form)
+    assert verifyBag(rosCas, path).equal
+    exportBag(rosCas, tmp_path / "out.bag")
+    assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)
+
+
+def test_an_empty_bag_is_an_import_of_nothing(rosCas, tmp_path):
+    BagWriter(tmp_path / "a.bag").close()
+    assert importBag(rosCas, tmp_path / "a.bag").messages == 0
+    assert verifyBag(rosCas, tmp_path / "a.bag").equal
+    exportBag(rosCas, tmp_path / "out.bag")
+    assert read_with_rosbag(tmp_path / "out.bag") == ([], [])
+
+
+def test_bags_that_cannot_be_read_store_nothing(rosCas, bags, tmp_path):
+    with pytest.raises(BagUnindexed, match="rosbag reindex"):
+        importBag(rosCas, bags / "truncated_header_only.bag")
+    whole = (bags / "husky_gps_data.bag").read_bytes()
+    (tmp_path / "cut.bag").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(BagUnindexed, match="rosbag reindex"):
+        importBag(rosCas, tmp_path / "cut.bag")
+    assert rosCas.getAllTopics() == []
+    assert rosCas.runs() == []
+
+
+def test_damage_in_the_middle_says_how_much_was_stored(rosCas, cql, tmp_path):
+    path = tmp_path / "a.bag"
+    with BagWriter(path, "bz2", chunk_bytes=50_000) as writer:
+        number = writer.connection(string_connection())
+        for i in range(10_000):
+            writer.write(number, i, string_wire(f"text {i}"))
+    with BagReader(path) as reader:
+        info = reader.chunkInfo(5)
+    changed = bytearray(path.read_bytes())
+    changed[info.position + 200] ^= 0xFF
+    path.write_bytes(changed)
+    with pytest.raises(BagError, match=f"chunk 6 of .* the {info.first} messages before it are"):
+        importBag(rosCas, path)
+    assert counts_agree(rosCas, cql) == {"/chatter": info.first}
+
+
+# ------------------------------------------------------------------ repetition
+
+
+def test_importing_twice_changes_nothing(rosCas, cql, bags, tmp_path):
+    path = bags / "turtlesim_tf.bag"
+    importBag(rosCas, path)
+    rows, counts = stored_rows(rosCas), counts_agree(rosCas, cql)
+    shutil.copy(path, tmp_path / "another name.bag")
+    importBag(rosCas, tmp_path / "another name.bag")
+    assert stored_rows(rosCas) == rows
+    assert counts_agree(rosCas, cql) == counts
+    assert sum(counts.values()) == 8647
+    assert len(rosCas.runs()) == 1
+
+
+def test_a_part_and_then_the_whole_is_the_whole(rosCas, cql, bags):
+    path = bags / "turtlesim_tf.bag"
+    part = importBag(rosCas, path, topics=["tf", "/rosout"])
+    assert {t: i.messages for t, i in part.topics.items()} == {"/tf": 2688, "/rosout": 10}
+    assert verifyBag(rosCas, path, topics=["/tf", "/rosout"]).equal
+    difference = verifyBag(rosCas, path)
+    assert difference.differences == 8647 - 2698
+    assert "/turtle1/pose is not stored: its 1344 messages are missing" in difference.first
+    importBag(rosCas, path)
+    rows = stored_rows(rosCas)
+    assert verifyBag(rosCas, path).equal
+    assert sum(counts_agree(rosCas, cql).values()) == 8647
+    importBag(rosCas, path, topics=["/rosout"])
+    assert stored_rows(rosCas) == rows
+    with BagReader(path) as reader:
+        expected = {(m.t_ns, m.position) for m in reader.messages()}
+        assert {splitSeq(row[2])[0] for row in rows} == {bagWriterId(reader)}
+    assert {(row[0], splitSeq(row[2])[1]) for row in rows} == expected
+
+
+def test_a_second_format_of_the_same_bag_is_refused(rosCas, bags):
+    importBag(rosCas, bags / "primitive_arrays.bag", format="binary")
+    with pytest.raises(TopicExists, match="in format binary.*twice"):
+        importBag(rosCas, bags / "primitive_arrays.bag", format="ros")
+    rosCas.removeTopic("/array_test")
+    importBag(rosCas, bags / "primitive_arrays.bag", format="ros")
+    assert verifyBag(rosCas, bags / "primitive_arrays.bag").equal
+
+
+def test_two_nodes_keep_two_copies(rosCas, bags, tmp_path):
+    path = bags / "primitive_arrays.bag"
+    importBag(rosCas, path, nodeID="r1")
+    importBag(rosCas, path, nodeID="r2")
+    assert len(stored_rows(rosCas)) == 40
+    with pytest.raises(InvalidKey, match="'r1', 'r2'; choose one"):
+        verifyBag(rosCas, path)
+    assert verifyBag(rosCas, path, nodeID="r2").equal
+    exportBag(rosCas, tmp_path / "out.bag", nodeID="r1")
+    assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)
+
+
+def test_unknown_topics_are_named(rosCas, bags):
+    with pytest.raises(TopicNotFound, match="no topic /turtle1/poze in .*; it has /turtle1/pose"):
+        importBag(rosCas, bags / "turtlesim_tf.bag", topics=["/turtle1/poze"])
+    assert rosCas.getAllTopics() == []
+
+
+# ------------------------------------------------------------------ export
+
+
+def test_two_bags_of_the_same_topics_verify_each_and_export_together(rosCas, tmp_path):
+    def write(name, start):
+        with BagWriter(tmp_path / name) as writer:
+            numbers = [
+                writer.connection(string_connection(topic, callerid=f"/{name}/{i}"))
+                for i, topic in enumerate(("/a", "/a", "/b"))
+            ]
+            for i in range(300):
+                # Three messages share each stamp, in an order that is not that of the numbers.
+                writer.write(numbers[-i % 3], start + i // 3, string_wire(f"{name} {i}"))
+        return tmp_path / name
+
+    first, second = write("one", 1000), write("two", 1050)
+    for path in (first, second):
+        importBag(rosCas, path)
+    for path in (first, second):
+        assert verifyBag(rosCas, path).equal
+    exportBag(rosCas, tmp_path / "both.bag")
+    messages = read_with_rosbag(tmp_path / "both.bag")[1]
+    assert [m.t_ns for m in messages] == sorted(m.t_ns for m in messages)
+    for name, path in (("one", first), ("two", second)):
+        mine = [m for m in messages if m.header["callerid"].startswith(b"/" + name.encode())]
+        assert mine == read_with_rosbag(path)[1]
+
+
+def test_a_stretch_of_some_topics(rosCas, bags, tmp_path):
+    path = bags / "turtlesim_tf.bag"
+    importBag(rosCas, path)
+    everything = read_with_rosbag(path)[1]
+    start, end = everything[2000].t_ns, everything[5000].t_ns
+    report = exportBag(
+        rosCas, tmp_path / "out.bag", topics=["/tf", "tf", "turtle1/pose"], start=start, end=end
+    )
+    wanted = ("/tf", "/turtle1/pose")
+    expected = [m for m in everything if m.topic in wanted and start <= m.t_ns <= end]
+    assert read_with_rosbag(tmp_path / "out.bag")[1] == expected
+    assert sum(report.messages.values()) == len(expected)
+
+
+@pytest.mark.parametrize("compression", ["bz2", "lz4"])
+def test_compressed_export(rosCas, bags, tmp_path, compression):
+    path = bags / "luminar_stage_lz4.bag"
+    importBag(rosCas, path)
+    exportBag(rosCas, tmp_path / "out.bag", compression=compression)
+    assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)
+    info = subprocess.run(
+        ["rosbag", "info", "-y", "-k", "compression", str(tmp_path / "out.bag")],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    assert info.strip() == compression
+
+
+def test_a_file_is_not_replaced_unasked(rosCas, bags, tmp_path):
+    importBag(rosCas, bags / "primitive_arrays.bag")
+    path = tmp_path / "out.bag"
+    path.write_bytes(b"precious")
+    with pytest.raises(BagError, match="exists"):
+        exportBag(rosCas, path)
+    assert path.read_bytes() == b"precious"
+    exportBag(rosCas, path, force=True)
+    assert read_with_rosbag(path) == read_with_rosbag(bags / "primitive_arrays.bag")
+
+
+def test_messages_that_were_added_by_hand_are_exported(rosCas, tmp_path):
+    from std_msgs.msg import String
+
+    rosCas.addTopic("/by_hand", msg_type="std_msgs/String")
+    topic = rosCas.getTopic("/by_hand")
+    for i in range(5):
+        topic.addData(String(f"text {i}"), key=10**18 + i)
+    exportBag(rosCas, tmp_path / "out.bag")
+    messages = read_with_rosbag(tmp_path / "out.bag")[1]
+    assert [(m.topic, m.t_ns, m.type) for m in messages] == [
+        ("/by_hand", 10**18 + i, "std_msgs/String") for i in range(5)
+    ]
+    assert [m.data for m in messages] == [string_wire(f"text {i}") for i in range(5)]

@@ -1,0 +1,148 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Imports as processes of their own: killed half-way, and measured for memory."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from bag.test_import_export import counts_agree, stored_rows
+from bag.truth import string_connection, string_wire
+
+from cassandra_ros.bag.importer import importBag
+from cassandra_ros.bag.verify import verifyBag
+from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.errors import TopicNotFound
+
+ROOT = Path(__file__).resolve().parents[2]
+START = 1_700_000_000 * 10**9
+
+IMPORT = """
+import resource, sys
+from cassandra_ros import RosCassandra
+from cassandra_ros.bag.importer import importBag
+host, port, keyspace, path = sys.argv[1:]
+with RosCassandra(host, int(port), keyspace=keyspace) as rosCas:
+    report = importBag(rosCas, path)
+print(report.messages, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+def spawn_import(cassandra, keyspace, path):
+    return subprocess.Popen(
+        [sys.executable, "-c", IMPORT, cassandra.host, str(cassandra.port), keyspace, str(path)],
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def write_bag(path, count, size, topics=4):
+    """Write a bag of so many messages of a size, 1000 a second on each topic."""
+    with BagWriter(path) as writer:
+        numbers = [writer.connection(string_connection(f"/topic{i}")) for i in range(topics)]
+        wires = [string_wire(bytes([65 + i]) * (size - 4)) for i in range(26)]
+        for i in range(count):
+            writer.write(
+                numbers[i % topics], START + i * 1_000_000 // topics, wires[i % len(wires)]
+            )
+    return path
+
+
+def test_an_import_that_was_killed_is_completed_by_the_next(
+    rosCas, cassandra, keyspace, cql, tmp_path
+):
+    count = 120_000
+    path = write_bag(tmp_path / "a.bag", count, 100)
+    for killed_at in (0.15, 0.5):
+        child = spawn_import(cassandra, keyspace, path)
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline and child.poll() is None:
+            if stored(rosCas) > killed_at * count:
+                break
+            time.sleep(0.05)
+        child.send_signal(signal.SIGKILL)
+        child.communicate(timeout=30)
+        assert child.returncode == -signal.SIGKILL, "it was too quick to be killed"
+        part = sum(counts_agree(rosCas, cql).values())
+        assert 0 < part < count
+        assert not verifyBag(rosCas, path).equal
+    importBag(rosCas, path)
+    assert verifyBag(rosCas, path).equal
+    assert sum(counts_agree(rosCas, cql).values()) == count
+    rows = stored_rows(rosCas)
+    importBag(rosCas, path)
+    assert stored_rows(rosCas) == rows
+
+
+def stored(rosCas):
+    try:
+        return rosCas.getTopic("/topic0").countTopicData() * 4
+    except TopicNotFound:
+        return 0
+
+
+def test_memory_does_not_grow_with_the_bag(cassandra, keyspace, cql, rosCas, tmp_path):
+    peaks = []
+    for name, megabytes in (("small", 50), ("large", 1000)):
+        count = megabytes * 1_000_000 // 1000
+        path = write_bag(tmp_path / f"{name}.bag", count, 1000)
+        assert path.stat().st_size > megabytes * 1_000_000
+        child = spawn_import(cassandra, keyspace, path)
+        output, _ = child.communicate(timeout=300)
+        path.unlink()
+        assert child.returncode == 0
+        messages, peak_kb = map(int, output.split())
+        assert messages == count
+        peaks.append(peak_kb / 1000)
+    assert peaks[1] <= peaks[0] + 50, f"peak RSS {peaks[0]:.0f} MB and {peaks[1]:.0f} MB"
+
+
+def test_opening_a_bag_of_many_chunks_takes_little_memory(tmp_path):
+    import tracemalloc
+
+    from cassandra_ros.bag.reader import BagReader
+
+    path = tmp_path / "a.bag"
+    with BagWriter(path, chunk_bytes=1) as writer:
+        number = writer.connection(string_connection())
+        for i in range(20_000):
+            writer.write(number, START + i, b"")
+    tracemalloc.start()
+    with BagReader(path) as reader:
+        assert reader.chunk_count == 20_000
+        assert tracemalloc.get_traced_memory()[0] < 20_000 * 60 + 200_000
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_an_import_and_the_next_completes_it(
+    rosCas, cassandra, keyspace, cql, tmp_path, signal_number
+):
+    path = write_bag(tmp_path / "a.bag", 60_000, 100)
+    child = subprocess.Popen(
+        [
+            *(sys.executable, str(ROOT / "scripts/cassandra_bag"), "import", str(path)),
+            *("--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", keyspace),
+        ],
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and child.poll() is None and not stored(rosCas):
+        time.sleep(0.05)
+    child.send_signal(signal_number)
+    _, errors = child.communicate(timeout=60)
+    assert child.returncode == 128 + signal_number
+    assert errors == "cassandra_bag: interrupted; the same command again completes the import\n"
+    importBag(rosCas, path)
+    assert verifyBag(rosCas, path).equal
+    assert sum(counts_agree(rosCas, cql).values()) == 60_000

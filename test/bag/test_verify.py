@@ -1,0 +1,227 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""verify: finds every kind of difference, and says which message it is."""
+
+from __future__ import annotations
+
+import pytest
+from bag.truth import string_connection, string_wire
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cassandra_ros.bag.alignment import Alignment, Content
+from cassandra_ros.bag.differences import VerifyReport
+from cassandra_ros.bag.exporter import exportBag
+from cassandra_ros.bag.importer import importBag
+from cassandra_ros.bag.order import readInOrder
+from cassandra_ros.bag.reader import BagReader
+from cassandra_ros.bag.verify import verifyBag
+from cassandra_ros.bag.verify_content import verifyContent
+from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.errors import BagError
+from cassandra_ros.messages.stamps import isoTime
+
+START = 1_700_000_000 * 10**9
+MESSAGES = [("/a", START + i * 1000, f"text {i}") for i in range(50)]
+
+
+def write(path, messages, **header):
+    with BagWriter(path) as writer:
+        numbers = {
+            topic: writer.connection(string_connection(topic, **header))
+            for topic in sorted({topic for topic, _, _ in messages})
+        }
+        for topic, t_ns, text in messages:
+            writer.write(numbers[topic], t_ns, string_wire(text))
+    return path
+
+
+@pytest.fixture
+def original(rosCas, tmp_path):
+    path = write(tmp_path / "original.bag", MESSAGES)
+    importBag(rosCas, path)
+    return path
+
+
+def differences(rosCas, path, **options):
+    report = verifyBag(rosCas, path, **options)
+    assert report.equal == (not report.first)
+    return report.differences, report.first
+
+
+def test_equal(rosCas, original):
+    assert differences(rosCas, original) == (0, [])
+
+
+def test_a_missing_message(rosCas, original):
+    rosCas.getTopic("/a").removeData(MESSAGES[7][1])
+    place = isoTime(MESSAGES[7][1])
+    assert differences(rosCas, original) == (
+        1,
+        [f"/a at {place}: message 7 of the bag is not in the store"],
+    )
+
+
+def test_other_bytes_time_and_connection(rosCas, original, tmp_path):
+    # Not this very bag, so all that is stored on its topics is compared.
+    other = [*MESSAGES[:7], ("/a", MESSAGES[7][1], "TEXT 7"), *MESSAGES[8:]]
+    found = differences(rosCas, write(tmp_path / "b.bag", other))
+    assert found[0] == 1
+    assert "message 7 of the bag: its 10 bytes differ" in found[1][0]
+    other = [*MESSAGES[:7], ("/a", MESSAGES[7][1], "longer text"), *MESSAGES[8:]]
+    found = differences(rosCas, write(tmp_path / "c.bag", other))
+    assert "15 bytes in the bag, 10 in the store" in found[1][0]
+    other = [*MESSAGES[:7], ("/a", MESSAGES[7][1] + 1, "text 7"), *MESSAGES[8:]]
+    found = differences(rosCas, write(tmp_path / "d.bag", other))
+    assert found[0] == 2
+    assert "the bag has no such message" in found[1][0]
+    assert "message 7 of the bag is not in the store" in found[1][1]
+    found = differences(rosCas, write(tmp_path / "e.bag", MESSAGES, callerid="/other"))
+    assert found[0] == 2 * len(MESSAGES)
+    assert len(found[1]) == 10
+    assert "over this connection" in found[1][1]
+
+
+def test_order_of_equal_stamps_counts(rosCas, tmp_path):
+    equal = [("/a", START, "one"), ("/a", START, "two"), ("/a", START, "one more")]
+    importBag(rosCas, write(tmp_path / "a.bag", equal))
+    assert verifyBag(rosCas, tmp_path / "a.bag").equal
+    swapped = write(tmp_path / "b.bag", [equal[1], equal[0], equal[2]])
+    assert verifyBag(rosCas, swapped).differences == 2
+
+
+def test_messages_that_the_bag_has_not(rosCas, original, tmp_path):
+    report = verifyBag(rosCas, write(tmp_path / "b.bag", MESSAGES[:-2]))
+    assert report.differences == 2
+    assert report.scope == "all stored messages on its topics"
+    assert all("the bag has no such message" in text for text in report.first)
+
+
+def test_other_rows_of_the_topic_do_not_matter_for_an_import(rosCas, original, tmp_path):
+    importBag(rosCas, write(tmp_path / "b.bag", MESSAGES[10:20], callerid="/other"))
+    report = verifyBag(rosCas, original)
+    assert report.equal
+    assert report.scope == "the import of this bag"
+
+
+def test_an_import_of_the_exported_bag_is_equal_to_the_original(rosCas, bags, keyspace, tmp_path):
+    path = bags / "turtlesim_tf.bag"
+    importBag(rosCas, path)
+    exportBag(rosCas, tmp_path / "out.bag")
+    for topic in rosCas.getAllTopics():
+        rosCas.removeTopic(topic.name)
+    importBag(rosCas, tmp_path / "out.bag")
+    report = verifyBag(rosCas, path)
+    assert report.equal, report.first
+    assert report.scope == "all stored messages on its topics"
+
+
+# ------------------------------------------------------------------ content
+
+
+def record(rosCas, messages, names=None, later=5_000):
+    """Store messages as a live recording does: other times and callers."""
+    with rosCas.messageWriter() as writer:
+        for i, (topic, t_ns, text) in enumerate(messages):
+            name = (names or {}).get(topic, topic)
+            handle = writer.connect(string_connection(name, callerid="/play", latching="1"))
+            writer.write(handle, t_ns + later, i, string_wire(text))
+
+
+def test_content_of_a_recording(rosCas, tmp_path):
+    messages = [("/ab"[:2] if i % 3 else "/b", START + i, f"text {i}") for i in range(60)]
+    path = write(tmp_path / "a.bag", messages)
+    record(rosCas, messages, {"/b": "/renamed"})
+    assert not verifyBag(rosCas, path).equal
+    report = verifyContent(rosCas, path, mapping={"/b": "/renamed"})
+    assert report.equal, report.first
+    assert report.equal_messages == 60
+    missing = verifyContent(rosCas, path)
+    assert missing.differences == 20
+    assert "has no counterpart" in missing.first[0]
+
+
+def test_content_differs(rosCas, tmp_path):
+    path = write(tmp_path / "a.bag", MESSAGES)
+    record(rosCas, [*MESSAGES[:5], ("/a", MESSAGES[5][1], "lost it"), *MESSAGES[6:49]])
+    report = verifyContent(rosCas, path)
+    assert (report.differences, report.equal_messages) == (2, 48)
+    assert "message 5 of the bag: 10 bytes in the bag, 11 in the store" in report.first[0]
+    assert "message 49 of the bag has no counterpart" in report.first[1]
+    record(rosCas, MESSAGES[:3], later=10**12)
+    report = verifyContent(rosCas, path)
+    assert not report.equal
+    assert report.equal_messages == 48
+    only = verifyContent(rosCas, path, start=START, end=START + 10**9)
+    assert (only.differences, only.equal_messages) == (2, 48)
+
+
+# ------------------------------------------------------------------ alignment
+
+
+def align(bag, store):
+    def contents(texts):
+        return [Content("t", "m", text.encode(), f"{i}") for i, text in enumerate(texts)]
+
+    report = VerifyReport("a.bag", "")
+    alignment = Alignment(iter(contents(store)), report)
+    for message in contents(bag):
+        alignment.add(message)
+    alignment.finish()
+    return report.equal_messages, report.differences, report.first
+
+
+NUMBERS = [str(i) for i in range(200)]
+
+
+def test_one_difference_does_not_spread():
+    assert align(NUMBERS, NUMBERS) == (200, 0, [])
+    assert align([], []) == (0, 0, [])
+    lost = align(NUMBERS, [n for n in NUMBERS if n not in ("7", "8", "150")])
+    assert lost[:2] == (197, 3)
+    assert lost[2] == [f"{i} is not in the store" for i in (7, 8, 150)]
+    doubled = align(NUMBERS, [*NUMBERS[:10], "x", "y", *NUMBERS[10:]])
+    assert doubled[:2] == (200, 2)
+    assert align(NUMBERS, [*NUMBERS[:5], "x", *NUMBERS[6:]])[:2] == (199, 1)
+    assert align(NUMBERS, NUMBERS[:190])[:2] == (190, 10)
+    assert align(NUMBERS[:100], NUMBERS)[:2] == (100, 100)
+    assert align(NUMBERS, [])[:2] == (0, 200)
+    assert align([], NUMBERS)[:2] == (0, 200)
+    assert align(["a"] * 100, ["a"] * 99)[:2] == (99, 1)
+    swapped = [*NUMBERS[:3], "4", "3", *NUMBERS[5:]]
+    assert align(NUMBERS, swapped)[1] == 2
+
+
+@given(st.lists(st.sampled_from("abc"), max_size=80), st.lists(st.sampled_from("abc"), max_size=80))
+def test_only_equal_sequences_are_equal(bag, store):
+    equal, differences, _ = align(bag, store)
+    assert (differences == 0) == (bag == store)
+    assert equal <= min(len(bag), len(store))
+
+
+# ------------------------------------------------------------------ the order of reading
+
+
+def test_overlapping_chunks_are_put_in_order(tmp_path):
+    path = tmp_path / "a.bag"
+    with BagWriter(path, chunk_bytes=200) as writer:
+        numbers = [writer.connection(string_connection(t)) for t in ("/a", "/b", "/c")]
+        for i in range(300):
+            writer.write(numbers[i % 3], (i * 37) % 100, string_wire("x"))
+    with BagReader(path) as reader:
+        assert reader.chunk_count > 20
+        expected = sorted((m.t_ns, m.number, m.position) for m in reader.messages())
+        assert [e[:3] for e in readInOrder(reader, lambda message: b"")] == expected
+        some = [e[:3] for e in readInOrder(reader, lambda message: b"", {1})]
+        assert some == [entry for entry in expected if entry[1] == 1]
+
+
+def test_an_index_that_denies_the_times_is_an_error(tmp_path):
+    from bag.test_damage import chunk_header, make_bag, message_record
+
+    data = message_record(t=5)
+    make_bag(tmp_path / "a.bag", chunk_header(b"none", len(data)), data, times=(6, 7))
+    with BagReader(tmp_path / "a.bag") as reader:
+        assert len(list(reader.messages())) == 1
+        with pytest.raises(BagError, match="outside the times that the index states"):
+            list(readInOrder(reader, lambda message: b""))

@@ -1,0 +1,256 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""cassandra_bag as it is typed: output, errors, exit status."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from bag.truth import read_with_rosbag, string_connection, string_wire
+
+from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.cli import cassandra_bag
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def env(cassandra, keyspace):
+    return {
+        **os.environ,
+        "PYTHONPATH": str(ROOT / "src"),
+        "CASSANDRA_ROS_HOST": cassandra.host,
+        "CASSANDRA_ROS_PORT": str(cassandra.port),
+        "CASSANDRA_ROS_KEYSPACE": keyspace,
+    }
+
+
+@pytest.fixture
+def type_in(env):
+    """Run cassandra_bag as a process; return its exit status, output and errors."""
+
+    def run(*arguments, **changed):
+        done = subprocess.run(
+            [sys.executable, str(ROOT / "scripts/cassandra_bag"), *map(str, arguments)],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            env={**env, **changed},
+            timeout=120,
+        )
+        return done.returncode, done.stdout, done.stderr
+
+    return run
+
+
+@pytest.fixture
+def call(cassandra, keyspace, capsys):
+    """Run cassandra_bag in this process; return its exit status, output and errors."""
+
+    def run(*arguments):
+        store = ("--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", keyspace)
+        try:
+            status = cassandra_bag.main([*map(str, arguments), *store])
+        except SystemExit as exc:
+            status = exc.code
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
+
+
+@pytest.mark.parametrize("verb", cassandra_bag.VERBS)
+def test_every_verb_explains_itself(verb, capsys):
+    with pytest.raises(SystemExit) as ended:
+        cassandra_bag.main([verb, "--help"])
+    assert ended.value.code == 0
+    text = capsys.readouterr().out
+    assert cassandra_bag.VERBS[verb].__doc__.strip().splitlines()[0] in text
+    for option in ("--host", "--port", "--keyspace", "CASSANDRA_ROS_HOST"):
+        assert option in text
+
+
+def test_the_main_job(type_in, keyspace, bags, tmp_path):
+    path = bags / "turtlesim_tf.bag"
+    status, out, err = type_in("import", path, "--format", "ros", "__name:=x", "__log:=/tmp/y")
+    assert (status, err) == (0, "")
+    assert out.splitlines()[0].split() == ["topic", "messages", "size", "format"]
+    assert ["/tf", "2688", "241.5", "KB", "ros"] in [line.split() for line in out.splitlines()]
+    assert f"{path}: 8647 messages of 9 topics are in keyspace {keyspace}" in out
+
+    status, out, err = type_in("list")
+    assert (status, err) == (0, "")
+    assert ["/tf_static", "tf2_msgs/TFMessage", "ros"] in [s.split() for s in out.splitlines()]
+    assert type_in("list", ".*turtle1.*")[1].count("\n") == 4
+
+    status, out, err = type_in("info")
+    assert (status, err) == (0, "")
+    assert "messages:  8647 of 9 topics" in out
+    line = next(line for line in out.splitlines() if line.startswith("/turtle1/pose"))
+    assert line.split()[1:5] == ["turtlesim/Pose", "ros", "-", "1344"]
+    assert "2014-03-31T19:24:48Z" in line
+    assert "turtlesim_tf.bag" in out
+
+    out = tmp_path / "out.bag"
+    status, text, err = type_in("export", out)
+    assert (status, err) == (0, "")
+    assert "8647 messages of 9 topics" in text
+    assert read_with_rosbag(out) == read_with_rosbag(path)
+
+    for bag in (path, out):
+        status, text, err = type_in("verify", bag)
+        assert (status, err) == (0, "")
+        assert text.startswith(f"equal: {bag} and keyspace {keyspace}, 8647 messages")
+
+
+def test_info_as_yaml(call, bags):
+    call("import", bags / "primitive_arrays.bag", "--node-id", "r1")
+    status, out, _ = call("info", "/array_test", "--yaml")
+    found = yaml.safe_load(out)
+    assert status == 0
+    assert len(found["topics"]) == 1
+    topic = found["topics"][0]
+    assert (topic["topic"], topic["node"], topic["count"]) == ("/array_test", "r1", 20)
+    assert (topic["first_ns"], topic["last_ns"]) == (0, 19 * 10**9)
+    assert found["runs"][0]["stored"] == {"/array_test": 20}
+
+
+def test_verify_prints_the_first_differences(call, rosCas, bags):
+    path = bags / "primitive_arrays.bag"
+    call("import", path)
+    rosCas.getTopic("/array_test").removeData(3 * 10**9, 5 * 10**9)
+    status, out, _ = call("verify", path)
+    assert status == 1
+    assert "3 messages differ from the store, 17 are equal" in out
+    assert "/array_test at 1970-01-01T00:00:03.000000000Z: message 3 of the bag is not" in out
+    assert call("verify", path, "--quiet")[0] == 1
+
+
+def test_verify_content_with_mapped_topics(call, rosCas, tmp_path):
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as writer:
+        number = writer.connection(string_connection("/rosout"))
+        for i in range(5):
+            writer.write(number, i, string_wire(f"text {i}"))
+    with rosCas.messageWriter() as writer:
+        handle = writer.connect(string_connection("/husky/rosout", callerid="/play"))
+        for i in range(5):
+            writer.write(handle, 10**18 + i, i, string_wire(f"text {i}"))
+    mapped = ("--map", "/rosout:=/husky/rosout")
+    status, out, err = call("verify", "--content", path, *mapped, "__name:=x")
+    assert (status, err) == (0, "")
+    assert "5 messages (type, md5sum, bytes, order in each topic)" in out
+    assert call("verify", "--content", path)[0] == 1
+    assert call("verify", path)[0] == 1
+    status, _, err = call("verify", path, *mapped)
+    assert status == 2
+    assert "--map, --start and --end go with --content" in err
+    assert call("verify", "--content", path, "--map", "nothing")[0] == 2
+
+
+def test_parts_of_a_bag(call, bags, tmp_path):
+    path = bags / "husky_gps_data.bag"
+    status, out, _ = call("import", path, "--topics", "/fix", "gps", "--node-id", "husky")
+    assert status == 0
+    assert "190 messages of 2 topics" in out
+    assert call("verify", path, "--topics", "/fix", "/gps")[0] == 0
+    assert call("verify", path)[0] == 1
+    target = tmp_path / "out.bag"
+    assert (
+        call("export", target, "--topics", "fix", "--start", "2013-05-08T14:06:30Z", "-j")[0] == 0
+    )
+    expected = [
+        m for m in read_with_rosbag(path)[1] if m.topic == "/fix" and m.t_ns >= 1368021990 * 10**9
+    ]
+    assert read_with_rosbag(target)[1] == expected
+    assert call("export", target)[0] == 1
+    assert call("export", target, "--force", "--quiet", "--node-id", "husky")[:2] == (0, "")
+    assert len(read_with_rosbag(target)[1]) == 190
+
+
+# ------------------------------------------------------------------ errors
+
+
+def test_errors_are_one_line_and_status_1(type_in, bags, tmp_path):
+    cases = [
+        (("import", bags / "truncated_header_only.bag"), "rosbag reindex"),
+        (("import", tmp_path / "missing.bag"), "No such file"),
+        (("import", bags / "primitive_arrays.bag", "--format", "xml"), "no format 'xml'"),
+        (("import", bags / "primitive_arrays.bag", "--topics", "/x"), "no topic /x in"),
+        (("export", tmp_path / "out.bag", "--topics", "/nothing"), "/nothing"),
+        (("export", tmp_path / "out.bag", "--start", "yesterday"), "yesterday"),
+        (("info", "/nothing"), "/nothing"),
+        (("list", "["), "not a regular expression"),
+    ]
+    for arguments, text in cases:
+        status, _, err = type_in(*arguments)
+        assert status == 1, (arguments, err)
+        assert err.startswith("cassandra_bag: "), err
+        assert err.count("\n") == 1, err
+        assert text in err
+        assert not (tmp_path / "out.bag").exists()
+
+
+def test_reading_makes_no_keyspace(type_in, cql, keyspace, tmp_path):
+    for arguments in (("list",), ("info",), ("export", tmp_path / "out.bag")):
+        status, _, err = type_in(*arguments)
+        assert status == 1
+        assert f"there is no keyspace '{keyspace}'" in err
+    rows = cql.execute("SELECT keyspace_name FROM system_schema.keyspaces")
+    assert keyspace not in {row[0] for row in rows}
+
+
+def test_no_server(type_in, bags):
+    from cassandra_ros.local_server import free_port
+
+    port = str(free_port())
+    status, _, err = type_in("import", bags / "primitive_arrays.bag", CASSANDRA_ROS_PORT=port)
+    assert status == 1
+    assert f"127.0.0.1 port {port}" in err
+    assert "local_cassandra start" in err
+
+
+def test_wrong_usage_is_status_2(type_in, tmp_path):
+    for arguments in ((), ("fly",), ("import",), ("import", "a.bag", "--port", "many")):
+        status, _, err = type_in(*arguments)
+        assert status == 2
+        assert "usage: cassandra_bag" in err
+    assert type_in("list", CASSANDRA_ROS_PORT="many")[0] == 2
+    assert type_in("export", tmp_path / "a.bag", "-j", "--lz4")[0] == 2
+
+
+def test_a_reader_that_leaves_is_no_error(env, call, bags):
+    call("import", bags / "primitive_arrays.bag")
+    done = subprocess.run(
+        ["bash", "-c", f"{sys.executable} {ROOT}/scripts/cassandra_bag list | true"],
+        env=env,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert "Traceback" not in done.stderr
+
+
+def test_warnings_of_the_import_are_shown_once(type_in, bags):
+    status, out, err = type_in("import", bags / "empty_message_definition.bag", "--format", "ros")
+    assert status == 0
+    assert err.count("cassandra_bag: topic /led_array_status is kept as binary") == 1
+    assert err.count("\n") == 1
+    assert out.splitlines()[1].split() == ["/led_array_status", "14", "0", "B", "binary"]
+
+
+def test_names_with_odd_characters_are_printed_safely(call, tmp_path):
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as writer:
+        number = writer.connection(string_connection("/e\x1b[31m\nvil ünï"))
+        writer.write(number, 1, string_wire("x"))
+    status, out, _ = call("import", path)
+    assert status == 0
+    assert "/e\\x1b[31m\\nvil ünï" in out
+    assert "\x1b" not in call("list")[1] + call("info")[1]
+    assert call("verify", path)[0] == 0

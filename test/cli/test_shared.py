@@ -1,0 +1,90 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Options and text output that the verbs share; no store needed."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+
+import pytest
+
+from cassandra_ros.cli.interrupt import SafeInterrupt
+from cassandra_ros.cli.options import add_store_options, strip_remappings
+from cassandra_ros.cli.progress import MessageBar
+from cassandra_ros.cli.table import format_bytes, format_length, format_table, format_time, shown
+
+
+@pytest.fixture
+def parse(monkeypatch):
+    for name in ("HOST", "PORT", "KEYSPACE"):
+        monkeypatch.delenv(f"CASSANDRA_ROS_{name}", raising=False)
+
+    def run(*words, **environment):
+        for name, value in environment.items():
+            monkeypatch.setenv(f"CASSANDRA_ROS_{name}", value)
+        parser = argparse.ArgumentParser()
+        add_store_options(parser)
+        options = parser.parse_args(words)
+        return options.host, options.port, options.keyspace
+
+    return run
+
+
+def test_defaults_environment_and_options(parse):
+    assert parse() == ("127.0.0.1", 9042, "ros")
+    assert parse(HOST="a,b", PORT="1234", KEYSPACE="fleet") == ("a,b", 1234, "fleet")
+    assert parse("--host", "c", "--port", "5", "--keyspace", "x") == ("c", 5, "x")
+    assert parse(HOST="", PORT="", KEYSPACE="") == ("127.0.0.1", 9042, "ros")
+
+
+@pytest.mark.parametrize("port", ["0", "65536", "-1", "x", "", "1.5", "٣"])
+def test_ports_that_are_none(parse, port):
+    with pytest.raises(SystemExit):
+        parse("--port", port)
+
+
+def test_what_roslaunch_adds_is_dropped():
+    words = ["verify", "a.bag", "__name:=x", "/a:=/b", "_rate:=3", "--map", "/a:=/c", "--x=1:=2"]
+    assert strip_remappings(words) == ["verify", "a.bag", "--map", "/a:=/c", "--x=1:=2"]
+
+
+def test_table():
+    text = format_table(("topic", "n"), [("/a", "1"), ("/long/name", "1000")], right=("n",))
+    assert text == "topic          n\n/a             1\n/long/name  1000"
+
+
+def test_sizes_times_and_lengths():
+    assert [format_bytes(n) for n in (0, 1023, 1024, 3_400_000, 5 * 1024**4, 1024**6)] == [
+        "0 B", "1023 B", "1.0 KB", "3.2 MB", "5.0 TB", "1048576.0 TB",
+    ]  # fmt: skip
+    assert format_time(None) == "-"
+    assert format_time(1368021980_999999999) == "2013-05-08T14:06:20Z"
+    assert format_time(4117995776 * 10**9) == "2100-06-29T23:42:56Z"
+    lengths = [format_length(s * 10**9) for s in (1, 10, 60, 600, 3600, 21600, 86400)]
+    assert lengths == ["1 s", "10 s", "1 min", "10 min", "1 h", "6 h", "1 d"]
+    assert format_length(5) == "5 ns"
+
+
+def test_text_from_outside_is_escaped():
+    assert shown("/a\x1b[2J\n\udcff ü") == "/a\\x1b[2J\\n\\udcff ü"
+
+
+def test_no_bar_where_there_is_no_terminal(capsys):
+    with MessageBar("working", 100) as bar:
+        bar.add(50)
+        bar.add(50, 1000)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_signal_waits_for_a_safe_moment():
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), SafeInterrupt() as stop:
+        stop.check()
+        signal.raise_signal(signal.SIGINT)
+        assert signal.getsignal(signal.SIGINT) is before
+        stop.check()
+    with pytest.raises(SystemExit) as ended, SafeInterrupt():
+        signal.raise_signal(signal.SIGTERM)
+    assert ended.value.code == 143
+    assert signal.getsignal(signal.SIGINT) is before
