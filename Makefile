@@ -1,0 +1,51 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+# make demo and make test are all that a fresh machine needs; each sets up what is missing.
+
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+
+# The same messages and file names whatever the caller's locale is.
+export LC_ALL := C.UTF-8
+# Nodes of demo and tests find each other without a resolvable host name.
+unexport ROS_HOSTNAME
+export ROS_IP := 127.0.0.1
+
+PYTHON := .venv/bin/python
+IN_WORKSPACE := source .ws/devel/setup.bash &&
+
+.PHONY: help setup demo test lint bench clean distclean
+
+help:
+	@echo "make setup      install what is missing: packages, .venv, Cassandra's jars, workspace .ws"
+	@echo "make demo       record, ask and export a real robot's topics, end to end"
+	@echo "make test       all tests, on a real Cassandra and a real roscore (ARGS='-k name')"
+	@echo "make lint       ruff, mypy, catkin_lint"
+	@echo "make bench      measure beside rosbag and the bare driver"
+	@echo "make clean      remove what was built; make distclean: also .venv"
+
+setup:
+	@bash server/setup.sh
+
+demo: setup
+	@$(IN_WORKSPACE) $(PYTHON) examples/demo.py $(ARGS)
+
+test: setup
+	@$(IN_WORKSPACE) $(PYTHON) -m pytest $(ARGS)
+
+lint: setup
+	$(PYTHON) -m ruff check .
+	$(PYTHON) -m ruff format --check .
+	$(PYTHON) -m mypy
+	@$(IN_WORKSPACE) .venv/bin/catkin_lint --strict -W2 $(LINT_OPTIONS) .ws/src/cassandra_ros
+
+bench: setup
+	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench.py $(ARGS)
+
+clean:
+	rm -rf .ws build .mypy_cache .pytest_cache .ruff_cache .hypothesis demo-output
+	find src scripts test benchmark examples -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The jars and the data under the ROS home stay: local_cassandra clear deletes the data.
+distclean: clean
+	rm -rf .venv

@@ -1,0 +1,190 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+#
+# make setup: install what is missing, say each step, skip what is there. Run from the checkout's
+# root. Steps: Debian packages, .venv, Cassandra's jars, catkin workspace .ws.
+set -euo pipefail
+
+root=$(pwd -P)
+venv=$root/.venv
+workspace=$root/.ws
+
+say() { printf 'setup: %s\n' "$*"; }
+die() { printf 'setup: %s\n' "$*" >&2; exit 1; }
+
+# Run a command again when it fails: downloads do.
+retry() {
+  local attempt
+  for attempt in 1 2 3 4; do
+    "$@" </dev/null && return 0
+    [ "$attempt" -lt 4 ] && say "attempt $attempt of 4 failed, again in $((attempt * 5)) s: $*" && sleep $((attempt * 5))
+  done
+  return 1
+}
+
+digest() { sha256sum | cut -d' ' -f1; }
+
+# --- 0: not in somebody's catkin workspace ---------------------------------------------------
+
+enclosing_workspace() {
+  local folder
+  folder=$(dirname "$root")
+  while [ "$folder" != / ]; do
+    if [ -e "$folder/.catkin_workspace" ] || [ -d "$folder/.catkin_tools" ]; then
+      printf '%s' "$folder"
+      return
+    fi
+    if [ -e "$folder/CMakeLists.txt" ] && grep -q 'catkin_workspace()' "$folder/CMakeLists.txt"; then
+      dirname "$folder"
+      return
+    fi
+    folder=$(dirname "$folder")
+  done
+}
+
+stop_in_workspace() {
+  local theirs
+  theirs=$(enclosing_workspace)
+  [ -n "$theirs" ] || return 0
+  cat >&2 <<TEXT
+setup: this checkout lies in the catkin workspace $theirs;
+setup: a workspace of its own inside would give every program twice. Build it there, with the
+setup: Python of a venv that has what requirements.txt names:
+  /usr/bin/python3 -m venv --system-site-packages ~/cassandra_ros_venv
+  ~/cassandra_ros_venv/bin/pip install -r $root/requirements.txt
+  cd $theirs && catkin_make -DPYTHON_EXECUTABLE=\$HOME/cassandra_ros_venv/bin/python
+TEXT
+  exit 1
+}
+
+# --- 1: packages of the distribution ---------------------------------------------------------
+
+package_list() {
+  # Java without a display, Maven for the jars, a compiler because catkin's CMake asks for one.
+  echo openjdk-17-jre-headless maven gcc g++ cmake python3-venv
+  if [ -d /opt/ros/noetic ]; then
+    echo ros-noetic-ros-base ros-noetic-rostest ros-noetic-tf ros-noetic-tf2-msgs ros-noetic-tf2-py
+  else
+    # ROS base; rosrun, rostest and tf beside it, for the metapackages leave them out.
+    echo ros-core-python-dev rosbash python3-rostest python3-tf python3-tf2 python3-tf2-msgs ros-tf2-msgs
+  fi
+}
+
+install_packages() {
+  local packages missing=() package as_root=()
+  command -v dpkg-query >/dev/null || die "this is no Debian or Ubuntu: install ROS 1, Java 17 and Maven by hand"
+  read -r -a packages <<<"$(package_list | tr '\n' ' ')"
+  for package in "${packages[@]}"; do
+    [ "$(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || missing+=("$package")
+  done
+  if [ ${#missing[@]} = 0 ]; then
+    say "packages: all ${#packages[@]} are installed, skipped"
+    return
+  fi
+  if [ "$(id -u)" != 0 ]; then
+    # Without a terminal sudo can ask nobody for a password.
+    if command -v sudo >/dev/null && { sudo -n true 2>/dev/null || { [ -t 0 ] && [ -t 2 ]; }; }; then
+      as_root=(sudo)
+    else
+      say "packages are missing and only root may install them; run this, then make setup again:" >&2
+      printf "  sudo sh -c 'apt-get update && apt-get install --no-install-recommends %s'\n" "${missing[*]}" >&2
+      exit 1
+    fi
+  fi
+  say "packages: installing ${#missing[@]} of ${#packages[@]}: ${missing[*]}"
+  local apt=("${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -qq -y -o Dpkg::Use-Pty=0)
+  say "packages: this takes a few minutes; its output goes to .ws/packages.log"
+  mkdir -p "$workspace"
+  {
+    retry "${apt[@]}" update && retry "${apt[@]}" install --no-install-recommends "${missing[@]}"
+  } >"$workspace/packages.log" 2>&1 || {
+    tail -n 30 "$workspace/packages.log" >&2
+    die "apt-get failed; its last lines are above"
+  }
+}
+
+# --- 2: the venv -----------------------------------------------------------------------------
+
+make_venv() {
+  local stamp=$venv/.setup wanted
+  # Its path belongs to it: the programs of a venv that was moved still name the old place.
+  wanted=$( { echo "$venv"; /usr/bin/python3 --version; cat requirements.txt requirements-dev.txt; } | digest)
+  if [ "$(cat "$stamp" 2>/dev/null)" = "$wanted" ] && "$venv/bin/python" -c '' 2>/dev/null; then
+    say "python: .venv has what requirements-dev.txt names, skipped"
+    return
+  fi
+  if ! usable_venv; then
+    say "python: making .venv from /usr/bin/python3"
+    rm -rf "$venv"
+    /usr/bin/python3 -m venv --system-site-packages "$venv"
+  fi
+  say "python: installing requirements-dev.txt into .venv"
+  retry env PYTHONPATH= "$venv/bin/python" -m pip install -q --disable-pip-version-check -r requirements-dev.txt ||
+    die "pip could not install requirements-dev.txt; see above"
+  echo "$wanted" >"$stamp"
+}
+
+# Whether .venv is one of the system's Python 3 and of this place.
+usable_venv() {
+  grep -q 'include-system-site-packages = true' "$venv/pyvenv.cfg" 2>/dev/null &&
+    [ "$("$venv/bin/python" -c 'import sys; print(sys.prefix, sys.base_prefix, "%d.%d" % sys.version_info[:2])' 2>/dev/null)" = \
+      "$venv /usr $(/usr/bin/python3 -c 'import sys; print("%d.%d" % sys.version_info[:2])')" ] &&
+    grep -q "^VIRTUAL_ENV=.*$venv" "$venv/bin/activate" 2>/dev/null
+}
+
+# --- 3: Cassandra's jars ---------------------------------------------------------------------
+
+install_jars() {
+  PYTHONPATH=src "$venv/bin/python" scripts/local_cassandra install </dev/null | sed -u 's/^/setup: cassandra: /'
+}
+
+# --- 4: the catkin workspace -----------------------------------------------------------------
+
+make_workspace() {
+  local package=$workspace/src/cassandra_ros stamp=$workspace/.setup wanted item
+  local items=(CMakeLists.txt package.xml setup.py requirements.txt src scripts msg srv launch config server examples test)
+  mkdir -p "$package"
+  for item in "${items[@]}"; do
+    # One link per item: rosrun searches the package's folder, and .ws must not be in it.
+    [ -e "$root/$item" ] && ln -sfn "../../../$item" "$package/$item"
+  done
+  wanted=$( {
+    echo "$root"
+    "$venv/bin/python" --version
+    # What lies below this workspace; a shell that has sourced it names itself as well.
+    tr : '\n' <<<"${CMAKE_PREFIX_PATH:-}" | grep -vxF -e "$workspace/devel" -e "" || true
+    ls scripts
+    ls "$package"
+    cat CMakeLists.txt package.xml setup.py
+    find msg srv -type f | LC_ALL=C sort | while read -r item; do echo "$item"; cat "$item"; done
+    find -L "$package/test" -name '*.test' | LC_ALL=C sort
+  } | digest)
+  if [ "$(cat "$stamp" 2>/dev/null)" = "$wanted" ] && [ -e "$workspace/devel/setup.bash" ]; then
+    say "workspace: .ws is built, skipped"
+    return
+  fi
+  say "workspace: building .ws with catkin_make"
+  rm -rf "$workspace/build" "$workspace/devel"
+  if ! catkin_make -C "$workspace" -DPYTHON_EXECUTABLE="$venv/bin/python" >"$workspace/build.log" 2>&1 </dev/null; then
+    tail -n 40 "$workspace/build.log" >&2
+    die "catkin_make failed; everything it said is in .ws/build.log"
+  fi
+  echo "$wanted" >"$stamp"
+}
+
+stop_in_workspace
+# One set-up at a time; the lock ends with this script.
+exec 9<Makefile
+flock 9
+install_packages
+if [ -f /opt/ros/noetic/setup.bash ]; then
+  set +u
+  # shellcheck disable=SC1091
+  source /opt/ros/noetic/setup.bash
+  set -u
+  say "ros: using /opt/ros/noetic"
+fi
+make_venv
+install_jars
+make_workspace
+say "done; in a shell: source .ws/devel/setup.bash"

@@ -1,0 +1,12 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+from catkin_pkg.python_setup import generate_distutils_setup
+from setuptools import find_packages, setup
+
+setup(
+    **generate_distutils_setup(
+        packages=find_packages("src"),
+        package_dir={"": "src"},
+        package_data={"cassandra_ros": ["py.typed"]},
+    )
+)

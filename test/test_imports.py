@@ -1,0 +1,176 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The layers: imports point one way, and what is foreign has one door."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "src" / "cassandra_ros"
+
+# Known to all; they know only each other.
+GROUND = {"errors", "keys", "metadata"}
+
+# Layer -> the layers below it that it may use.
+BELOW = {
+    "errors": set(),
+    "keys": {"errors", "messages"},  # a row key is a Stamp
+    "metadata": {"errors"},
+    "messages": set(),
+    "formats": {"messages"},
+    "store": set(),
+    "topics": {"store", "formats", "messages"},
+    "query": {"topics", "formats", "messages"},
+    "bag": {"query", "topics", "formats", "messages", "store"},
+    "local_server": set(),
+    "nodes": {"bag", "query", "topics", "formats", "messages", "store"},
+    "cli": {
+        *("nodes", "bag", "query", "topics", "formats", "messages"),
+        *("store", "local_server"),
+    },
+}
+
+# Foreign module -> the layers, or files, that may import it. Longest name first.
+DOORS = {
+    "cassandra_ros.msg": {"nodes", "cli"},
+    "cassandra_ros.srv": {"nodes", "cli"},
+    "rospy": {"nodes"},
+    "rostopic": {"nodes"},
+    "rosgraph": {"messages/graph.py"},
+    "cassandra": {"store"},
+    "genpy": {"messages", "formats"},
+    "genmsg": {"messages", "formats"},
+    "roslib": {"messages", "formats"},
+    "rosbag": {"bag"},
+    "roslz4": {"bag"},
+    "tf2_py": {"query"},
+    "lark": {"query"},
+    "argparse": {"cli"},
+}
+
+# What points up all the same, and why.
+EXCEPTIONS = {
+    ("topics/ros_cassandra.py", "query"): "executeCQL is the paper's method of RosCassandra; it "
+    "loads the query language when it is called",
+}
+
+
+def modules():
+    return sorted(PACKAGE.rglob("*.py"))
+
+
+def name_of(path):
+    return path.relative_to(PACKAGE).as_posix()
+
+
+def layer_of(path):
+    return name_of(path).split("/")[0].replace(".py", "")
+
+
+def imports(path):
+    """Full names of all that a file imports, inside functions too."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{name_of(path)}: relative import"
+            if node.module == "cassandra_ros":
+                yield from (f"cassandra_ros.{alias.name}" for alias in node.names)
+            else:
+                yield node.module
+
+
+@pytest.mark.parametrize(("path", "used"), EXCEPTIONS)
+def test_an_exception_is_needed_and_loads_late(path, used):
+    tree = ast.parse((PACKAGE / path).read_text(encoding="utf-8"))
+    assert f"cassandra_ros.{used}" in imports(PACKAGE / path)
+    assert not [n for n in tree.body if getattr(n, "module", "") == f"cassandra_ros.{used}"]
+
+
+def test_every_folder_has_its_place_among_the_layers():
+    layers = {layer_of(path) for path in modules()} - {"__init__"}
+    assert layers == set(BELOW)
+
+
+@pytest.mark.parametrize("path", modules(), ids=name_of)
+def test_imports_point_downwards(path):
+    layer = layer_of(path)
+    if layer == "__init__":
+        pytest.skip("the package's own file only names what is public")
+    allowed = BELOW[layer] | GROUND | {layer} if layer not in GROUND else BELOW[layer] | {layer}
+    for imported in imports(path):
+        if not imported.startswith("cassandra_ros."):
+            continue
+        used = imported.split(".")[1]
+        if used in ("msg", "srv") or (name_of(path), used) in EXCEPTIONS:
+            continue
+        assert used in allowed, f"{name_of(path)} imports {imported}, which lies above {layer}"
+
+
+@pytest.mark.parametrize("path", modules(), ids=name_of)
+def test_foreign_modules_come_in_by_their_door(path):
+    for imported in imports(path):
+        for module, doors in DOORS.items():
+            if imported == module or imported.startswith(module + "."):
+                places = {layer_of(path), name_of(path)}
+                assert places & doors, f"{name_of(path)} imports {imported}: only in {doors}"
+
+
+@pytest.mark.parametrize("path", modules(), ids=name_of)
+def test_only_command_lines_print(path):
+    if layer_of(path) == "cli":
+        return
+    calls = [
+        node.lineno
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "print"
+    ]
+    assert not calls, f"{name_of(path)} prints in lines {calls}"
+
+
+@pytest.mark.parametrize("path", modules(), ids=name_of)
+def test_text_from_outside_is_never_code(path):
+    for imported in imports(path):
+        assert imported.split(".")[0] not in ("pickle", "marshal", "shelve", "dill")
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call):
+            assert getattr(node.func, "id", "") not in ("eval", "exec", "compile", "__import__")
+            dotted = ast.unparse(node.func)
+            assert dotted not in ("yaml.load", "os.system"), f"{name_of(path)}: {dotted}"
+
+
+def lengths(tree):
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            doc = ast.get_docstring(node, clean=False)
+            yield (
+                node.name,
+                node.end_lineno - node.lineno + 1 - (len(doc.splitlines()) if doc else 0),
+            )
+
+
+@pytest.mark.parametrize("path", modules(), ids=name_of)
+def test_modules_and_functions_are_short(path):
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 300, f"{name_of(path)} is longer than 300 lines"
+    long = [name for name, lines in lengths(ast.parse(text)) if lines > 40]
+    assert not long, f"{name_of(path)}: longer than 40 lines: {long}"
+
+
+@pytest.mark.parametrize("path", modules(), ids=name_of)
+def test_every_module_says_what_it_is(path):
+    text = path.read_text(encoding="utf-8")
+    first, second = text.splitlines()[:2]
+    assert first == "# SPDX-FileCopyrightText: 2026 cassandra_ros authors"
+    assert second == "# SPDX-License-Identifier: BSD-3-Clause"
+    assert ast.get_docstring(ast.parse(text)), f"{name_of(path)} has no docstring"
+
+
+def test_no_module_is_called_after_nothing():
+    vague = {"utils", "util", "common", "helpers", "helper", "misc", "msg", "srv"}
+    for path in PACKAGE.rglob("*"):
+        assert path.stem not in vague, name_of(path)
