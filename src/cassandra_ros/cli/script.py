@@ -1,0 +1,69 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Run a program of the package: what every file in scripts/ does.
+
+The one place that turns errors into a line of text and an exit status, and that knows what to say
+when Python packages are missing.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import sys
+from pathlib import Path
+
+from cassandra_ros.errors import CassandraRosError
+
+# What a Python without our venv lacks, by import name: the packages of requirements.txt, and those
+# of ROS, which another Python than the system's does not see.
+_NEEDED = {"cassandra", "lark", "numpy", "tqdm", "genmsg", "genpy", "roslib", "rospy", "yaml"}
+
+EXIT_INTERRUPTED = 128 + signal.SIGINT
+
+
+def run_script(module: str) -> None:
+    """Import a module, call its `main()` and end the process with what that returns.
+
+    Args:
+        module: Full name of a module with a function `main() -> int | None`.
+    """
+    try:
+        status = importlib.import_module(module).main()
+        sys.stdout.flush()
+    except CassandraRosError as exc:
+        status = f"error: {exc}"
+    except ModuleNotFoundError as exc:
+        if (exc.name or "").split(".")[0] not in _NEEDED:
+            raise
+        status = explain_missing(exc)
+    except KeyboardInterrupt:
+        status = EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read our output has had enough (| head); let nothing more be flushed to it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = 128 + signal.SIGPIPE
+    sys.exit(status)
+
+
+def explain_missing(error: ImportError) -> str:
+    """Return what to do when a Python package that we need is not there."""
+    requirements = _requirements()
+    return (
+        f"error: {error}; this Python ({sys.executable}) lacks what cassandra_ros needs.\n"
+        "In a checkout of cassandra_ros: make setup\n"
+        "In a catkin workspace of your own (the scripts then run with the Python of the venv):\n"
+        "  /usr/bin/python3 -m venv --system-site-packages ~/cassandra_ros_venv\n"
+        f"  ~/cassandra_ros_venv/bin/pip install -r {requirements}\n"
+        "  catkin_make -DPYTHON_EXECUTABLE=$HOME/cassandra_ros_venv/bin/python"
+    )
+
+
+def _requirements() -> Path:
+    here = Path(__file__)
+    for parent in here.parents:
+        for place in (parent, parent / "share" / "cassandra_ros"):
+            if (place / "requirements.txt").is_file():
+                return place / "requirements.txt"
+    return Path("requirements.txt")

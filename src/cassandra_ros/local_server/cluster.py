@@ -1,0 +1,298 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Start, stop and look at the local Cassandra of a directory."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Callable
+
+from cassandra_ros.errors import ServerError
+from cassandra_ros.local_server import preflight, processes
+from cassandra_ros.local_server.chroots import with_visible_root
+from cassandra_ros.local_server.cql import answers_cql, schema_versions
+from cassandra_ros.local_server.diagnosis import explain_failure, log_since, log_size
+from cassandra_ros.local_server.jars import install_jars
+from cassandra_ros.local_server.java import find_java
+from cassandra_ros.local_server.locks import locked
+from cassandra_ros.local_server.nodes import Node, NodeStatus
+from cassandra_ros.local_server.paths import default_directory, jars_directory
+from cassandra_ros.local_server.settings import (
+    SETTINGS_FILE,
+    change_settings,
+    load_settings,
+    new_settings,
+    save_settings,
+)
+
+START_TIMEOUT_SEC = 180.0
+STOP_TIMEOUT_SEC = 90.0
+_NEIGHBOUR_TIMEOUT_SEC = 30.0
+_STAGGER_SEC = 2.0  # kinder to few cores than all nodes at once
+_POLL_SEC = 0.1
+
+
+def _silent(text: str) -> None:
+    pass
+
+
+def _still(text: str, seconds: float) -> None:
+    pass
+
+
+class LocalCluster:
+    """The one to three Cassandra nodes of a directory, on loopback addresses.
+
+    Args:
+        directory: Where settings, data and logs lie; default: $ROS_HOME/cassandra_ros.
+        nodes: How many nodes; default: as before, 1 for a new cluster.
+        host: Loopback address of the first node; default: as before, 127.0.0.1.
+        port: CQL port; default: as before, 9042.
+        heap: Java heap of each node, such as 512M; default: as before, 512M.
+        say: Gets one line of text for each step.
+        progress: Gets, often, what is being waited for and since how many seconds.
+
+    Raises:
+        ServerError: An option cannot be, or the directory holds something else.
+    """
+
+    def __init__(
+        self,
+        directory: str | os.PathLike[str] | None = None,
+        *,
+        nodes: int | None = None,
+        host: str | None = None,
+        port: int | None = None,
+        heap: str | None = None,
+        say: Callable[[str], None] = _silent,
+        progress: Callable[[str, float], None] = _still,
+    ) -> None:
+        self.directory = Path(os.path.realpath(directory or default_directory()))
+        self._nodes, self._host, self._port, self._heap = nodes, host, port, heap
+        self._say = say
+        self._progress = progress
+        self._children: dict[int, subprocess.Popen[bytes]] = {}
+        self._load()
+
+    @property
+    def nodes(self) -> list[Node]:
+        """The nodes of the cluster, whether they run or not."""
+        return [self._node(number) for number in range(1, self.settings.nodes + 1)]
+
+    @property
+    def exists(self) -> bool:
+        """Whether the directory holds a cluster."""
+        return self._stored is not None
+
+    def status(self) -> list[NodeStatus]:
+        """Return what each node does now."""
+        found = []
+        for node in self.nodes:
+            pid = self._pid(node)
+            answers = bool(pid) and answers_cql(node.address, self.settings.port)
+            found.append(NodeStatus(node, pid, answers))
+        return found
+
+    def start(self, *, die_with_us: bool = False) -> bool:
+        """Start the nodes that do not run and return when all of them answer CQL requests.
+
+        Args:
+            die_with_us: The nodes are stopped when this process ends, however that ends.
+
+        Returns:
+            False when all of them were running before.
+
+        Raises:
+            ServerError: They cannot be started; the text has the cause and what to do.
+        """
+        preflight.make_directory(self.directory, self.settings.nodes)
+        with locked(self.directory / "lock"):
+            self._load()  # somebody else may just have made the cluster
+            asleep = [node.number for node in self.nodes if not self._pid(node)]
+            if self._stored is not None:
+                running = len(asleep) < self.settings.nodes
+                preflight.check_change(self.directory, self._stored, self.settings, running)
+            if asleep:
+                java = find_java()
+                install_jars(self._say)
+                self._prepare([self._node(number) for number in asleep])
+            offsets = {node.number: log_size(node) for node in self.nodes}
+            for number in asleep:
+                self._start_node(self._node(number), java, die_with_us)
+                if number != asleep[-1]:
+                    time.sleep(_STAGGER_SEC)
+            for node in self.nodes:
+                self._await_answer(node, offsets[node.number])
+            self._await_neighbours(asleep, offsets)
+        return bool(asleep)
+
+    def stop(self) -> bool:
+        """Drain and end all nodes; return False when none was running.
+
+        Raises:
+            ServerError: A node does not end.
+        """
+        if not self.directory.is_dir():
+            return False
+        with locked(self.directory / "lock"):
+            running = [(node, self._pid(node)) for node in self.nodes]
+            running = [(node, pid) for node, pid in running if pid]
+            for _, pid in running:
+                processes.terminate(pid)
+            for node, pid in running:
+                self._await_end(node, pid)
+                node.pid_file.unlink(missing_ok=True)
+        return bool(running)
+
+    def clear(self) -> bool:
+        """Delete data, logs and settings of the stopped cluster, not the jars.
+
+        Returns:
+            False when there was nothing.
+
+        Raises:
+            ServerError: A node still runs.
+        """
+        if self._stored is None:
+            return False
+        with locked(self.directory / "lock"):
+            pids = [pid for pid in map(self._pid, self.nodes) if pid]
+            if pids:
+                raise ServerError(
+                    f"the Cassandra in {self.directory} runs (pid {pids[0]}); stop it first: "
+                    "rosrun cassandra_ros local_cassandra stop"
+                )
+            try:
+                for path in self.directory.glob("node[1-9]"):
+                    shutil.rmtree(path)
+                (self.directory / SETTINGS_FILE).unlink()
+            except OSError as exc:
+                raise ServerError(f"the data cannot be deleted: {exc}") from exc
+            self._load()
+        return True
+
+    def wait(self) -> None:
+        """Watch over the nodes until one of them ends.
+
+        Raises:
+            ServerError: Always, then: nobody asked it to end.
+        """
+        while True:
+            for node in self.nodes:
+                if not self._pid(node):
+                    raise ServerError(
+                        f"Cassandra node {node.number} ended by itself.\n"
+                        + explain_failure(node, 0)
+                    )
+            time.sleep(1.0)
+
+    def _load(self) -> None:
+        self._stored = load_settings(self.directory)
+        self.settings = change_settings(
+            self._stored or new_settings(),
+            nodes=self._nodes,
+            host=self._host,
+            port=self._port,
+            heap=self._heap,
+        )
+
+    def _node(self, number: int) -> Node:
+        return Node(number, self.directory / f"node{number}", self.settings)
+
+    def _pid(self, node: Node) -> int:
+        """Return the pid of the node's server, 0 if it does not run."""
+        child = self._children.get(node.number)
+        if child is not None:
+            child.poll()  # or it stays a zombie
+        try:
+            remembered = int(node.pid_file.read_text(encoding="ascii"))
+        except (OSError, ValueError):
+            return processes.find_server(node.config)
+        if processes.is_server(remembered, node.config):
+            return remembered
+        return processes.find_server(node.config)
+
+    def _prepare(self, asleep: list[Node]) -> None:
+        """Check what a start needs, choose the storage port, remember the settings."""
+        for node in asleep:
+            note = preflight.remove_stale_pid_file(node)
+            if note:
+                self._say(note)
+            preflight.check_port(node)
+        addresses = [node.address for node in asleep]
+        storage_port = preflight.choose_storage_port(self.settings, addresses)
+        self.settings = replace(self.settings, storage_port=storage_port)
+        try:
+            save_settings(self.directory, self.settings)
+        except OSError as exc:
+            raise ServerError(f"{self.directory} cannot be written: {exc}") from exc
+        self._stored = self.settings
+
+    def _start_node(self, node: Node, java: str, die_with_us: bool) -> None:
+        # C.UTF-8: Java opens files by names in the locale's encoding.
+        environment = {**os.environ, "MALLOC_ARENA_MAX": "4", "LC_ALL": "C.UTF-8"}
+        try:
+            node.write_config()
+            command = with_visible_root(node.command(java, jars_directory()), node.directory)
+            child = processes.spawn(command, node.console, environment, die_with_us=die_with_us)
+            self._children[node.number] = child
+            node.pid_file.write_text(f"{child.pid}\n", encoding="ascii")
+        except OSError as exc:
+            raise ServerError(f"Cassandra node {node.number} cannot be started: {exc}") from exc
+
+    def _await_answer(self, node: Node, offset: int) -> None:
+        begun = time.monotonic()
+        while not answers_cql(node.address, self.settings.port):
+            waited = time.monotonic() - begun
+            self._progress(f"starting Cassandra node {node.number}", waited)
+            if not self._pid(node):
+                raise ServerError(
+                    f"Cassandra node {node.number} ended while it was starting.\n"
+                    + explain_failure(node, offset)
+                )
+            if waited > START_TIMEOUT_SEC:
+                raise ServerError(
+                    f"Cassandra node {node.number} does not answer on {node.address}:"
+                    f"{self.settings.port} after {waited:.0f} s; it is left running.\n"
+                    + explain_failure(node, offset)
+                )
+            time.sleep(_POLL_SEC)
+
+    def _await_neighbours(self, started: list[int], offsets: dict[int, int]) -> None:
+        """Wait until the nodes that were just started and the others know each other.
+
+        Before that a quorum is out of reach. It takes a second or two; a node that never hears of
+        another is a matter for whoever needs both.
+        """
+        deadline = time.monotonic() + _NEIGHBOUR_TIMEOUT_SEC
+        for node in self.nodes:
+            others = [other for other in self.nodes if other != node]
+            fresh = [o for o in others if o.number in started or node.number in started]
+            while fresh and time.monotonic() < deadline:
+                # The log tells who lives, the tables which data lie where.
+                lines = log_since(node, offsets[node.number]).splitlines()
+                alive = [line for line in lines if "now UP" in line]
+                seen = all(any(f"/{o.address}:" in line for line in alive) for o in fresh)
+                versions = schema_versions(node.address, self.settings.port)
+                if seen and len(versions) > len(others) and len(set(versions.values())) == 1:
+                    break
+                self._progress("waiting for the nodes to know each other", 0.0)
+                time.sleep(_POLL_SEC)
+
+    def _await_end(self, node: Node, pid: int) -> None:
+        begun = time.monotonic()
+        while processes.is_server(pid, node.config):
+            self._pid(node)
+            waited = time.monotonic() - begun
+            self._progress(f"stopping Cassandra node {node.number}", waited)
+            if waited > STOP_TIMEOUT_SEC:
+                raise ServerError(
+                    f"Cassandra node {node.number} (pid {pid}) does not end {waited:.0f} s after "
+                    f"it was asked to; its log is {node.log}"
+                )
+            time.sleep(_POLL_SEC)

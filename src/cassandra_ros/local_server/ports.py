@@ -1,0 +1,84 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the machine knows of its ports: which are free, who holds one, who is connected."""
+
+from __future__ import annotations
+
+import os
+import socket
+from pathlib import Path
+
+from cassandra_ros.local_server.processes import describe_process
+
+_LISTEN = "0A"
+_ESTABLISHED = "01"
+
+
+def is_free(host: str, port: int) -> bool:
+    """Tell whether a server could listen on the port now."""
+    with socket.socket() as probe:
+        # As Java does it: the closing connections of a server that just stopped do not count.
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+            probe.listen(1)
+        except OSError:
+            return False
+    return True
+
+
+def free_port(host: str = "127.0.0.1") -> int:
+    """Return a port of the host that is free now."""
+    with socket.socket() as probe:
+        probe.bind((host, 0))
+        return int(probe.getsockname()[1])
+
+
+def port_owner(port: int) -> str:
+    """Describe who listens on a TCP port of this machine, as far as we may know it."""
+    for words in _sockets(port, _LISTEN):
+        pid = _pid_of_socket(words[9])
+        return describe_process(pid) if pid else f"a process of user id {words[7]}"
+    return "an unknown process"
+
+
+def count_clients(port: int) -> int:
+    """Return how many connections to a port of this machine are open."""
+    return len(_sockets(port, _ESTABLISHED))
+
+
+def _sockets(port: int, state: str) -> list[list[str]]:
+    """Return the lines of the kernel's tables for a local port, as words."""
+    lines = []
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        try:
+            lines += [line.split() for line in Path(table).read_text().splitlines()[1:]]
+        except OSError:
+            continue
+    return [
+        words
+        for words in lines
+        if words[3] == state and int(words[1].rsplit(":", 1)[1], 16) == port
+    ]
+
+
+def _pid_of_socket(inode: str) -> int:
+    wanted = f"socket:[{inode}]"
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit() and any(_target(link) == wanted for link in _open_files(entry)):
+            return int(entry.name)
+    return 0
+
+
+def _open_files(process: Path) -> list[Path]:
+    try:
+        return list((process / "fd").iterdir())
+    except OSError:  # it ended, or belongs to another user
+        return []
+
+
+def _target(link: Path) -> str:
+    try:
+        return os.readlink(link)
+    except OSError:  # closed meanwhile
+        return ""

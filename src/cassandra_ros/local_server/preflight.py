@@ -1,0 +1,119 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is checked before a start, so that its failures have names."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from cassandra_ros.errors import ServerError
+from cassandra_ros.local_server import ports, processes
+from cassandra_ros.local_server.cql import answers_cql
+from cassandra_ros.local_server.nodes import Node
+from cassandra_ros.local_server.settings import Settings
+
+_NEEDED_BYTES = 768 << 20  # per node: the commit log alone may take 512 MiB
+
+
+def make_directory(directory: Path, nodes: int) -> None:
+    """Make the cluster's directory and see that its disk has room.
+
+    Raises:
+        ServerError: It cannot be made, or the disk is nearly full.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        free = shutil.disk_usage(directory).free
+    except OSError as exc:
+        raise ServerError(
+            f"{directory} cannot be made: {exc}; choose another directory with --dir"
+        ) from exc
+    needed = _NEEDED_BYTES * nodes
+    if free < needed:
+        raise ServerError(
+            f"no space: {directory} has {free >> 20} MiB free, Cassandra needs "
+            f"{needed >> 20} MiB; make room, or choose another directory with --dir"
+        )
+
+
+def check_change(directory: Path, old: Settings, new: Settings, running: bool) -> None:
+    """Refuse options that contradict what runs, or what the data were written with.
+
+    Raises:
+        ServerError: They do.
+    """
+    if new.nodes != old.nodes:
+        raise ServerError(
+            f"{directory} holds a cluster of {old.nodes} node(s), not {new.nodes}; leave --nodes "
+            "away, choose another --dir, or delete the data with: "
+            "rosrun cassandra_ros local_cassandra clear --yes"
+        )
+    if running and new != old:
+        raise ServerError(
+            f"the Cassandra in {directory} runs already with other options (at "
+            f"{old.host}:{old.port}, heap {old.heap_mb}M); stop it first, or choose another --dir"
+        )
+    if new.nodes > 1 and new.host != old.host:
+        raise ServerError(
+            f"the nodes in {directory} know each other as {old.host} and following; leave --host "
+            "away, or choose another --dir"
+        )
+
+
+def remove_stale_pid_file(node: Node) -> str:
+    """Remove the pid file of a node that does not run; return what to say of it, or ''."""
+    try:
+        text = node.pid_file.read_text(encoding="ascii", errors="replace").strip()
+    except FileNotFoundError:
+        return ""
+    owner = processes.describe_process(int(text)) if text.isdigit() else "no process"
+    node.pid_file.unlink()
+    return f"removed the stale {node.pid_file}: it names {owner}, not this Cassandra"
+
+
+def check_port(node: Node) -> None:
+    """See that the node's CQL port is free.
+
+    Raises:
+        ServerError: It is not; the text says who has it, as far as that can be known.
+    """
+    port = node.settings.port
+    if ports.is_free(node.address, port):
+        return
+    text = (
+        f"port {port} of {node.address} is taken by {ports.port_owner(port)}; end that, or "
+        "choose another port with --port"
+    )
+    if answers_cql(node.address, port):
+        text += (
+            "\nIt speaks CQL: if it is the Cassandra that you want, nothing needs to be started; "
+            f"the tools find it with --host {node.address} --port {port}"
+        )
+    raise ServerError(text)
+
+
+def choose_storage_port(settings: Settings, addresses: list[str]) -> int:
+    """Return a port, free on all addresses, for the traffic between the nodes.
+
+    Raises:
+        ServerError: None is free, or the one that a cluster of several nodes must keep.
+    """
+
+    def free(port: int) -> bool:
+        return all(ports.is_free(address, port) for address in addresses)
+
+    known = settings.storage_port
+    if known and free(known):
+        return known
+    if known and settings.nodes > 1:
+        # Several nodes know each other by this port.
+        raise ServerError(
+            f"port {known}, by which the nodes speak to each other, is taken by "
+            f"{ports.port_owner(known)}; end that first"
+        )
+    candidates: list[int] = [7000, *range(17000, 17100)]
+    for port in candidates:
+        if free(port):
+            return port
+    raise ServerError("no port from 17000 to 17099 is free for the traffic between the nodes")

@@ -1,0 +1,104 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Processes of the local Cassandra: found by what they run, never by a number alone.
+
+A pid that a file remembers may belong to somebody else by now. So a process counts as a node's
+server only while its command line names that node's configuration file.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+from typing import Callable
+
+_PR_SET_PDEATHSIG = 1
+
+
+def config_argument(config: Path) -> str:
+    """Return the argument by which a server's command line names its configuration."""
+    return f"-Dcassandra.config={config.as_uri()}"
+
+
+def command_line(pid: int) -> list[str]:
+    """Return the arguments of a process; empty when it has ended (also as a zombie)."""
+    try:
+        raw = Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return []
+    return [os.fsdecode(part) for part in raw.split(b"\0") if part]
+
+
+def is_server(pid: int, config: Path) -> bool:
+    """Tell whether the process is the server of this configuration file."""
+    return config_argument(config) in command_line(pid)
+
+
+def find_server(config: Path) -> int:
+    """Return the pid of the running server of this configuration file, 0 if there is none."""
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit() and is_server(int(entry.name), config):
+            return int(entry.name)
+    return 0
+
+
+def describe_process(pid: int) -> str:
+    """Return a name for a process that a person recognises."""
+    words = command_line(pid)
+    if not words:
+        return f"process {pid}, which has ended"
+    for word in words:
+        if word.startswith("-Dcassandra.config="):
+            return f"another Cassandra ({word.split('=', 1)[1]}, pid {pid})"
+    return f"{os.path.basename(words[0])} (pid {pid})"
+
+
+def spawn(
+    command: list[str], output: Path, environment: dict[str, str], *, die_with_us: bool
+) -> subprocess.Popen[bytes]:
+    """Start a process in a session of its own, apart from our terminal and its Ctrl-C.
+
+    Args:
+        command: What to run.
+        output: File that takes what it prints; begun anew.
+        environment: Its environment variables.
+        die_with_us: It gets a SIGTERM when this process ends, however that ends.
+
+    Returns:
+        The running process.
+    """
+    with open(output, "wb") as log:
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env=environment,
+            start_new_session=True,
+            preexec_fn=_die_with_parent() if die_with_us else None,
+        )
+    # In its very first moments it has no command line to be known by.
+    while process.poll() is None and not command_line(process.pid):
+        time.sleep(0.001)
+    return process
+
+
+def terminate(pid: int) -> None:
+    """Ask a process to end; one that has ended already is fine."""
+    try:
+        os.kill(pid, signal.SIGTERM)
+    except ProcessLookupError:
+        pass
+
+
+def _die_with_parent() -> Callable[[], None]:
+    prctl = ctypes.CDLL(None).prctl  # found here: little may be done between fork and exec
+
+    def set_signal() -> None:
+        prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+
+    return set_signal

@@ -1,0 +1,154 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a local cluster is: its name, nodes, addresses, ports and heap."""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+import os
+import re
+import uuid
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+from cassandra_ros.errors import ServerError
+
+MAX_NODES = 3
+MIN_HEAP_MB = 256
+SETTINGS_FILE = "cluster.json"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The facts that a cluster's directory remembers from start to start."""
+
+    cluster_name: str
+    """Unique per directory, so that Cassandra itself refuses data of another cluster."""
+    nodes: int = 1
+    host: str = "127.0.0.1"
+    """Address of the first node; the others follow it."""
+    port: int = 9042
+    """Where CQL is spoken, on every node's address."""
+    storage_port: int = 0
+    """Where the nodes speak to each other; 0 until the first start chooses one."""
+    heap_mb: int = 512
+    """Java heap of each node, MiB."""
+
+    def address(self, number: int) -> str:
+        """Return the address of a node, counted from 1."""
+        return str(ipaddress.IPv4Address(self.host) + (number - 1))
+
+
+def new_settings() -> Settings:
+    """Return the settings of a cluster that does not exist yet."""
+    return Settings(cluster_name=f"cassandra_ros_{uuid.uuid4().hex[:8]}")
+
+
+def load_settings(directory: Path) -> Settings | None:
+    """Read the settings of the cluster in a directory; None where there is none.
+
+    Raises:
+        ServerError: The directory holds something else, or its settings cannot be read.
+    """
+    path = directory / SETTINGS_FILE
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        known = {field.name: field.type for field in fields(Settings)}
+        settings = Settings(**{name: values[name] for name in known if name in values})
+        for name, kind in known.items():
+            if type(getattr(settings, name)).__name__ != kind:
+                raise TypeError(f"{name} is no {kind}")
+    except FileNotFoundError:
+        _refuse_foreign(directory)
+        return None
+    except (OSError, ValueError, TypeError, AttributeError) as exc:
+        raise ServerError(
+            f"the settings of the local Cassandra in {path} cannot be read ({exc}); "
+            "mend the file, or choose another directory with --dir"
+        ) from exc
+    return check_settings(settings)
+
+
+def save_settings(directory: Path, settings: Settings) -> None:
+    """Write the settings so that a crash leaves either the old or the new ones."""
+    path = directory / SETTINGS_FILE
+    draft = path.with_suffix(".draft")
+    draft.write_text(json.dumps(asdict(settings), indent=2) + "\n", encoding="utf-8")
+    os.replace(draft, path)
+
+
+def change_settings(
+    settings: Settings,
+    *,
+    nodes: int | None = None,
+    host: str | None = None,
+    port: int | None = None,
+    heap: str | None = None,
+) -> Settings:
+    """Return the settings with the options that were given, checked.
+
+    Raises:
+        ServerError: A value cannot be.
+    """
+    return check_settings(
+        replace(
+            settings,
+            nodes=settings.nodes if nodes is None else nodes,
+            host=settings.host if host is None else host,
+            port=settings.port if port is None else port,
+            heap_mb=settings.heap_mb if heap is None else parse_heap(heap),
+        )
+    )
+
+
+def parse_heap(text: str) -> int:
+    """Return a heap size such as 512M or 2G in MiB; a bare number is MiB.
+
+    Raises:
+        ServerError: The text is no size.
+    """
+    found = re.fullmatch(r"(\d+)\s*([mMgG]?)(?:i?[bB])?", text.strip())
+    if not found:
+        raise ServerError(f"--heap {text}: write a size such as 512M or 2G")
+    return int(found.group(1)) * (1024 if found.group(2) in ("g", "G") else 1)
+
+
+def check_settings(settings: Settings) -> Settings:
+    """Return the settings if a cluster can be started with them.
+
+    Raises:
+        ServerError: They name what cannot be.
+    """
+    try:
+        last = ipaddress.IPv4Address(settings.host) + (settings.nodes - 1)
+        loopback = ipaddress.IPv4Address(settings.host).is_loopback and last.is_loopback
+    except ValueError:
+        loopback = False
+    if not loopback:
+        raise ServerError(
+            f"--host {settings.host}: the local Cassandra listens on loopback only; give an "
+            "address 127.x.y.z, or run a Cassandra of your own for other machines"
+        )
+    if not 1 <= settings.nodes <= MAX_NODES:
+        raise ServerError(f"--nodes {settings.nodes}: 1 to {MAX_NODES} nodes can be started")
+    if not 1 <= settings.port <= 65535:
+        raise ServerError(f"--port {settings.port}: a port is a number from 1 to 65535")
+    if settings.heap_mb < MIN_HEAP_MB:
+        raise ServerError(f"--heap {settings.heap_mb}M: Cassandra needs {MIN_HEAP_MB}M or more")
+    return settings
+
+
+def _refuse_foreign(directory: Path) -> None:
+    if not directory.exists():
+        return
+    if not directory.is_dir():
+        raise ServerError(f"{directory} is a file; choose a directory with --dir")
+    # The jars of the default directory may have been installed before the first start, and a
+    # start that was killed early leaves only its lock.
+    others = sorted({p.name for p in directory.iterdir()} - {"jars", "lock"})
+    if others:
+        raise ServerError(
+            f"{directory} holds other files ({', '.join(others[:4])}) and no {SETTINGS_FILE}: "
+            "it may be the data of another Cassandra; choose an empty directory with --dir"
+        )

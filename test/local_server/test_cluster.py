@@ -1,0 +1,247 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The life of a real server, in one directory, from the first start to the last clear."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+from cassandra import ConsistencyLevel
+from cassandra.cluster import EXEC_PROFILE_DEFAULT, Cluster, ExecutionProfile
+from cassandra.policies import WhiteListRoundRobinPolicy
+from cassandra.query import SimpleStatement
+
+from cassandra_ros.errors import ServerError
+from cassandra_ros.local_server import LocalCluster, free_port, processes
+
+
+def make(folder, **options):
+    said = []
+    cluster = LocalCluster(folder, say=said.append, **options)
+    cluster.said = said
+    return cluster
+
+
+def ask(cluster, statement):
+    """Answer of a statement, as a list of rows."""
+    host = cluster.settings.host
+    profile = ExecutionProfile(WhiteListRoundRobinPolicy([host]), request_timeout=30)
+    driver = Cluster(
+        [host],
+        port=cluster.settings.port,
+        protocol_version=5,
+        execution_profiles={EXEC_PROFILE_DEFAULT: profile},
+    )
+    try:
+        return list(driver.connect().execute(statement))
+    finally:
+        driver.shutdown()
+
+
+def kill(cluster):
+    pid = cluster.status()[0].pid
+    os.kill(pid, signal.SIGKILL)
+    while processes.command_line(pid):
+        time.sleep(0.01)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A directory whose server has run, holds one row, and is stopped after each test."""
+    folder = tmp_path_factory.mktemp("my servers") / "größe"  # names that need quoting
+    cluster = make(folder, port=free_port())
+    try:
+        assert cluster.start(die_with_us=True)
+        ask(
+            cluster,
+            "CREATE KEYSPACE k WITH replication = "
+            "{'class': 'NetworkTopologyStrategy', 'datacenter1': 1}",
+        )
+        ask(cluster, "CREATE TABLE k.t (i int PRIMARY KEY, s text)")
+        ask(cluster, "INSERT INTO k.t (i, s) VALUES (1, 'kept')")
+        yield folder
+    finally:
+        cluster.stop()
+
+
+def test_it_runs_and_a_second_start_does_nothing(folder):
+    cluster = make(folder)
+    [status] = cluster.status()
+    assert status.answers
+    assert make(folder).start() is False
+    assert cluster.status()[0].pid == status.pid
+    assert int(status.node.pid_file.read_text()) == status.pid
+
+
+def test_it_listens_on_loopback_only(folder):
+    pid = make(folder).status()[0].pid
+    inodes = {
+        os.readlink(f"/proc/{pid}/fd/{fd}")
+        for fd in os.listdir(f"/proc/{pid}/fd")
+        if os.path.lexists(f"/proc/{pid}/fd/{fd}")
+    }
+    with open("/proc/net/tcp") as table, open("/proc/net/tcp6") as table6:
+        lines = [line.split() for line in [*table, *table6]]
+    mine = [w[1] for w in lines if w[3] == "0A" and f"socket:[{w[9]}]" in inodes]
+    assert len(mine) == 2  # CQL, and the storage port; no JMX
+    assert all(address.startswith("0100007F:") for address in mine)
+
+
+def test_other_options_while_it_runs_are_refused(folder):
+    with pytest.raises(ServerError, match="runs already with other options.*stop it first"):
+        make(folder, port=free_port()).start()
+    with pytest.raises(ServerError, match=r"1 node\(s\), not 2.*clear --yes"):
+        make(folder, nodes=2).start()
+
+
+def test_it_is_not_cleared_while_it_runs(folder):
+    with pytest.raises(ServerError, match="stop it first"):
+        make(folder).clear()
+    assert ask(make(folder), "SELECT s FROM k.t")[0].s == "kept"
+
+
+def test_it_is_found_without_its_pid_file(folder):
+    cluster = make(folder)
+    [status] = cluster.status()
+    status.node.pid_file.unlink()
+    assert make(folder).status()[0].pid == status.pid
+    assert make(folder).start() is False
+    status.node.pid_file.write_text(f"{status.pid}\n")
+
+
+def test_data_survive_stop_and_start(folder):
+    cluster = make(folder)
+    assert cluster.stop() is True
+    assert cluster.stop() is False
+    assert not cluster.status()[0].pid
+    assert "Cassandra shutdown complete" in cluster.nodes[0].log.read_text()
+    assert cluster.start(die_with_us=True)
+    assert ask(cluster, "SELECT s FROM k.t")[0].s == "kept"
+
+
+def test_what_was_acknowledged_survives_kill_9(folder):
+    cluster = make(folder)
+    ask(cluster, "INSERT INTO k.t (i, s) VALUES (2, 'written last')")
+    kill(cluster)
+    assert not cluster.status()[0].pid
+    # The pid in the file may be somebody else's by now: ours, say.
+    cluster.nodes[0].pid_file.write_text(f"{os.getpid()}\n")
+    assert make(folder).status()[0].pid == 0
+    assert make(folder).stop() is False
+    assert cluster.start(die_with_us=True)
+    assert [text for text in cluster.said if "stale" in text and f"pid {os.getpid()}" in text]
+    assert ask(cluster, "SELECT s FROM k.t WHERE i = 2")[0].s == "written last"
+
+
+def test_a_taken_port_is_refused_with_its_owner(folder):
+    cluster = make(folder)
+    cluster.stop()
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", cluster.settings.port))
+        server.listen()
+        with pytest.raises(ServerError, match=rf"taken by .*\(pid {os.getpid()}\).*--port"):
+            make(folder).start()
+    assert not cluster.status()[0].pid
+
+
+def test_a_port_of_another_cassandra_is_refused_with_what_to_do(folder, cassandra):
+    make(folder).stop()
+    with pytest.raises(ServerError, match=r"speaks CQL(.|\n)*--host 127.0.0.1 --port"):
+        make(folder, port=cassandra.port).start()
+
+
+def test_no_space(folder, monkeypatch):
+    make(folder).stop()
+    usage = shutil.disk_usage("/")
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=100 << 20))
+    with pytest.raises(ServerError, match="no space: .* has 100 MiB free.*make room"):
+        make(folder).start()
+
+
+def test_data_of_another_cluster_are_refused(folder):
+    cluster = make(folder)
+    cluster.stop()
+    path = folder / "cluster.json"
+    before = path.read_text()
+    path.write_text(json.dumps({**json.loads(before), "cluster_name": "another"}))
+    try:
+        with pytest.raises(ServerError) as caught:
+            make(folder).start(die_with_us=True)
+    finally:
+        path.write_text(before)
+    text = str(caught.value)
+    assert "data of another cluster" in text
+    assert str(cluster.nodes[0].log) in text  # where the log is, and its last lines
+    assert "Saved cluster name" in text
+    assert not make(folder).status()[0].pid
+
+
+def test_a_failure_of_java_itself_is_shown(folder):
+    cluster = make(folder, heap="900G")
+    cluster.stop()
+    with pytest.raises(ServerError, match=r"heap(.|\n)*console.log"):
+        cluster.start(die_with_us=True)
+    with pytest.raises(ServerError, match="ended by itself"):
+        cluster.wait()
+
+
+def test_one_that_is_cleared_is_new(folder):
+    """Last: nothing is left of the data, and the jars stay."""
+    cluster = make(folder, heap="512M")
+    cluster.stop()
+    assert cluster.clear() is True
+    assert cluster.clear() is False
+    assert not list(folder.glob("node*"))
+    assert make(folder).exists is False
+    assert make(folder).stop() is False
+
+
+def test_three_nodes(tmp_path):
+    cluster = make(tmp_path, nodes=3, host="127.0.0.11", port=free_port(), heap="256M")
+    try:
+        assert cluster.start(die_with_us=True)
+        # Nothing less than all three will do, and at once.
+        ask(
+            cluster,
+            "CREATE KEYSPACE k WITH replication = "
+            "{'class': 'NetworkTopologyStrategy', 'datacenter1': 3}",
+        )
+        ask(cluster, "CREATE TABLE k.t (i int PRIMARY KEY)")
+        insert = SimpleStatement(
+            "INSERT INTO k.t (i) VALUES (1)", consistency_level=ConsistencyLevel.ALL
+        )
+        ask(cluster, insert)
+        # One that died is started alone.
+        kill(cluster)
+        assert [bool(s.pid) for s in cluster.status()] == [False, True, True]
+        assert make(tmp_path).start(die_with_us=True)
+        assert all(status.answers for status in make(tmp_path).status())
+        ask(cluster, insert)
+    finally:
+        make(tmp_path).stop()
+    assert not any(status.pid for status in make(tmp_path).status())
+
+
+def test_two_starts_at_once_make_one_server(tmp_path):
+    program = (
+        "import sys; from cassandra_ros.local_server import LocalCluster\n"
+        "print(LocalCluster(sys.argv[1], port=int(sys.argv[2])).start())"
+    )
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", program, str(tmp_path), str(free_port())]
+    try:
+        starts = [
+            subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=env) for _ in "12"
+        ]
+        assert sorted(start.communicate()[0] for start in starts) == ["False\n", "True\n"]
+        assert make(tmp_path).status()[0].answers
+    finally:
+        make(tmp_path).stop()

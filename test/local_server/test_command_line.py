@@ -1,0 +1,178 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""local_cassandra as it is typed: texts, exit status, signals."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from cassandra_ros.cli import local_cassandra
+from cassandra_ros.local_server import LocalCluster, free_port, processes
+from cassandra_ros.local_server.cql import answers_cql
+from cassandra_ros.local_server.paths import jars_directory
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def env(tmp_path):
+    return {
+        **os.environ,
+        "ROS_HOME": str(tmp_path),
+        "CASSANDRA_ROS_JARS": str(jars_directory()),
+        "PYTHONPATH": str(ROOT / "src"),
+    }
+
+
+@pytest.fixture
+def type_in(env):
+    def run(*arguments, timeout=120):
+        return subprocess.run(
+            [sys.executable, str(ROOT / "scripts/local_cassandra"), *arguments],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            env=env,
+            timeout=timeout,
+        )
+
+    return run
+
+
+@pytest.mark.parametrize("verb", local_cassandra.VERBS)
+def test_every_verb_explains_itself(verb, capsys):
+    with pytest.raises(SystemExit) as ended:
+        local_cassandra.main([verb, "--help"])
+    assert ended.value.code == 0
+    assert local_cassandra.VERBS[verb].__doc__.strip().splitlines()[0] in capsys.readouterr().out
+
+
+def test_what_roslaunch_adds_is_left_alone():
+    options = local_cassandra.make_parser().parse_args(["start", "--port", "9999"])
+    assert options.port == 9999
+    with pytest.raises(SystemExit):
+        local_cassandra.make_parser().parse_args(["start", "__name:=x"])
+
+
+def test_no_verb_is_an_error(type_in):
+    done = type_in()
+    assert done.returncode == 2
+    assert "VERB" in done.stderr
+
+
+def test_status_where_nothing_ever_ran(type_in, tmp_path):
+    done = type_in("status", "__name:=cassandra", "__log:=/dev/null")
+    assert done.returncode == 3
+    assert str(tmp_path / "cassandra_ros") in done.stdout
+    assert not (tmp_path / "cassandra_ros").exists()
+
+
+def test_stop_and_clear_where_nothing_ever_ran(type_in):
+    assert type_in("stop").returncode == 0
+    assert type_in("clear").returncode == 0
+
+
+def test_errors_are_one_line_on_stderr_and_status_1(type_in):
+    done = type_in("start", "--host", "10.0.0.1")
+    assert done.returncode == 1
+    assert done.stdout == ""
+    assert done.stderr.startswith("error: ")
+    assert "loopback" in done.stderr
+
+
+def test_a_python_without_the_driver_is_told_what_to_do(env, tmp_path):
+    """The plain system Python has no database driver."""
+    program = "from cassandra_ros.cli.script import run_script; run_script('needs_the_driver')"
+    (tmp_path / "needs_the_driver.py").write_text("import cassandra.cluster")
+    done = subprocess.run(
+        ["/usr/bin/python3", "-c", program],
+        capture_output=True,
+        text=True,
+        env={**env, "PYTHONPATH": f"{ROOT / 'src'}:{tmp_path}"},
+    )
+    assert done.returncode == 1
+    assert "make setup" in done.stderr
+    assert f"pip install -r {ROOT / 'requirements.txt'}" in done.stderr
+    assert "catkin_make -DPYTHON_EXECUTABLE=" in done.stderr
+
+
+def test_start_status_stop_clear(type_in, tmp_path):
+    try:
+        done = type_in("start", "--port", str(free_port()), "--heap", "256M")
+        assert done.returncode == 0, done.stderr
+        assert "answers at 127.0.0.1:" in done.stdout
+        assert "\r" not in done.stdout + done.stderr  # no progress line without a terminal
+        assert "runs already" in type_in("start").stdout
+        done = type_in("status")
+        assert done.returncode == 0
+        assert "heap 256M" in done.stdout
+        assert type_in("clear", "--yes").returncode == 1
+    finally:
+        done = type_in("stop")
+    assert "stopped" in done.stdout
+    done = type_in("clear")
+    assert done.returncode == 1
+    assert "--yes" in done.stderr
+    assert type_in("clear", "--yes").returncode == 0
+    assert not (tmp_path / "cassandra_ros" / "node1").exists()
+
+
+def test_run_lets_clients_go_before_it_stops(env, tmp_path):
+    port = free_port()
+    process = subprocess.Popen(
+        [sys.executable, str(ROOT / "scripts/local_cassandra"), "run", "--port", str(port)],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=env,
+    )
+    try:
+        assert "answers at" in process.stdout.readline()
+        with socket.create_connection(("127.0.0.1", port)):
+            process.send_signal(signal.SIGINT)
+            time.sleep(1.5)
+            assert answers_cql("127.0.0.1", port)
+        assert process.wait(30) == 0
+        assert not answers_cql("127.0.0.1", port)
+    finally:
+        process.kill()
+        process.stdout.close()
+        LocalCluster(tmp_path / "cassandra_ros").stop()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_run_in_the_foreground_takes_the_server_along(env, tmp_path, number):
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            str(ROOT / "scripts/local_cassandra"),
+            *("run", "--port", str(free_port()), "__name:=cassandra"),
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=env,
+    )
+    cluster_folder = tmp_path / "cassandra_ros"
+    try:
+        assert "answers at" in process.stdout.readline()
+        cluster = LocalCluster(cluster_folder)
+        [status] = cluster.status()
+        assert status.answers
+        process.send_signal(number)
+        assert process.wait(30) == (0 if number != signal.SIGKILL else -signal.SIGKILL)
+        deadline = time.monotonic() + 30
+        while processes.command_line(status.pid) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert not processes.command_line(status.pid)
+        assert "Cassandra shutdown complete" in status.node.log.read_text()
+    finally:
+        process.kill()
+        process.stdout.close()
+        LocalCluster(cluster_folder).stop()

@@ -1,0 +1,50 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+from __future__ import annotations
+
+import os
+import socket
+
+from cassandra_ros.local_server import ports
+
+
+def listener(host="127.0.0.1"):
+    server = socket.socket()
+    server.bind((host, 0))
+    server.listen()
+    return server, server.getsockname()[1]
+
+
+def test_a_port_with_a_listener_is_not_free():
+    server, port = listener()
+    with server:
+        assert not ports.is_free("127.0.0.1", port)
+        assert ports.is_free("127.0.0.2", port)
+    assert ports.is_free("127.0.0.1", port)
+
+
+def test_a_listener_on_all_addresses_counts():
+    server, port = listener("0.0.0.0")  # noqa: S104 (a free port, for a moment)
+    with server:
+        assert not ports.is_free("127.0.0.1", port)
+
+
+def test_the_owner_of_a_port_is_named():
+    server, port = listener()
+    with server:
+        assert f"(pid {os.getpid()})" in ports.port_owner(port)
+
+
+def test_clients_of_a_port_are_counted():
+    server, port = listener()
+    with server:
+        assert ports.count_clients(port) == 0
+        with socket.create_connection(("127.0.0.1", port)):
+            connection, _ = server.accept()
+            assert ports.count_clients(port) == 1
+            connection.close()
+        assert ports.count_clients(port) == 0
+
+
+def test_a_port_without_owner():
+    assert ports.port_owner(ports.free_port()) == "an unknown process"

@@ -1,0 +1,90 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+from __future__ import annotations
+
+import pytest
+
+from cassandra_ros.errors import ServerError
+from cassandra_ros.local_server import LocalCluster
+from cassandra_ros.local_server.settings import (
+    change_settings,
+    load_settings,
+    new_settings,
+    parse_heap,
+    save_settings,
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "mib"), [("512M", 512), ("2G", 2048), ("2g", 2048), ("300", 300), ("1GiB", 1024)]
+)
+def test_heap_sizes(text, mib):
+    assert parse_heap(text) == mib
+
+
+@pytest.mark.parametrize("text", ["", "much", "-1", "1.5G", "512K"])
+def test_heap_that_is_no_size(text):
+    with pytest.raises(ServerError, match="512M or 2G"):
+        parse_heap(text)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"host": "0.0.0.0"}, "loopback only"),  # noqa: S104 (it is refused)
+        ({"host": "192.168.1.7"}, "loopback only"),
+        ({"host": "localhost"}, "loopback only"),
+        ({"host": "127.255.255.254", "nodes": 3}, "loopback only"),
+        ({"nodes": 0}, "1 to 3"),
+        ({"nodes": 4}, "1 to 3"),
+        ({"port": 0}, "65535"),
+        ({"port": 70000}, "65535"),
+        ({"heap": "64M"}, "256M or more"),
+    ],
+)
+def test_options_that_cannot_be(options, words):
+    with pytest.raises(ServerError, match=words):
+        change_settings(new_settings(), **options)
+
+
+def test_options_that_are_not_given_stay():
+    old = change_settings(new_settings(), port=9999, heap="1G")
+    assert change_settings(old, nodes=2) == change_settings(old, nodes=2, port=9999, heap="1G")
+
+
+def test_what_is_saved_is_loaded(tmp_path):
+    settings = change_settings(new_settings(), nodes=3, host="127.0.0.7", port=9123)
+    save_settings(tmp_path, settings)
+    assert load_settings(tmp_path) == settings
+    assert [settings.address(i) for i in (1, 2, 3)] == ["127.0.0.7", "127.0.0.8", "127.0.0.9"]
+
+
+def test_two_clusters_have_two_names():
+    assert new_settings().cluster_name != new_settings().cluster_name
+
+
+def test_a_new_directory_has_no_settings(tmp_path):
+    assert load_settings(tmp_path / "new") is None
+    (tmp_path / "jars").mkdir()
+    assert load_settings(tmp_path) is None
+
+
+def test_a_foreign_directory_is_refused(tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "commitlog").mkdir()
+    with pytest.raises(ServerError, match=r"commitlog, data.*another Cassandra.*--dir"):
+        LocalCluster(tmp_path)
+
+
+def test_a_file_is_no_directory(tmp_path):
+    path = tmp_path / "file"
+    path.write_text("")
+    with pytest.raises(ServerError, match="is a file|cannot be read"):
+        LocalCluster(path)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"cluster_name": 1, "nodes": "x"}', "{}"])
+def test_damaged_settings_say_which_file(tmp_path, text):
+    (tmp_path / "cluster.json").write_text(text)
+    with pytest.raises(ServerError, match="cluster.json cannot be read"):
+        LocalCluster(tmp_path)
