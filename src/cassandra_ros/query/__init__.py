@@ -1,0 +1,15 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The query language: parse, check against the definitions, run.
+
+``cql.lark`` is the grammar and ``syntax`` the tree that ``parse`` makes of a statement; ``fields``
+finds the fields that it names, ``literals`` fits its values to their types, ``evaluate`` says what
+it means, ``bounds`` what the store may leave out, ``extract`` takes values out of messages,
+``plan`` makes rows of them, and ``run`` joins all. No driver, no rospy.
+"""
+
+from cassandra_ros.query.conditions import Condition
+from cassandra_ros.query.json_values import fromJson, toJson
+from cassandra_ros.query.run import QueryResult, Rows, execute, executeAll
+
+__all__ = ["Condition", "QueryResult", "Rows", "execute", "executeAll", "fromJson", "toJson"]

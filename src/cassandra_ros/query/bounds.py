@@ -1,0 +1,79 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What of a condition the store can check: the span of KEY, and NODE.
+
+Only conjuncts are used, so the bounds may be weaker than the condition and are never stronger.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Iterator, Optional
+
+from cassandra_ros.keys import MAX_NS
+from cassandra_ros.query.literals import fitToNode, fitToTime
+from cassandra_ros.query.syntax import All, Compare, Expression, Key, Literal, Node
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Rows outside of these cannot match."""
+
+    low: int = 0
+    """Least KEY, included, ns."""
+    high: int = MAX_NS
+    """Greatest KEY, included, ns."""
+    node: Optional[str] = None
+    """The one nodeID, None = all."""
+    empty: bool = False
+    """No row can match."""
+    whole: bool = True
+    """The bounds are the whole condition: every row inside matches."""
+
+    def within(self, low: Optional[int], high: Optional[int], node: Optional[str] = None) -> Bounds:
+        """Narrow the bounds further."""
+        found = replace(
+            self,
+            low=self.low if low is None else max(self.low, low),
+            high=self.high if high is None else min(self.high, high),
+        )
+        if node is not None:
+            clash = self.node is not None and self.node != node
+            found = replace(found, node=node, empty=found.empty or clash)
+        return replace(found, empty=found.empty or found.low > found.high)
+
+
+def boundsOf(condition: Optional[Expression], node: Optional[str] = None) -> Bounds:
+    """Find the bounds of a condition.
+
+    Args:
+        condition: Bound; None is always true.
+        node: nodeID that was asked for besides, None = all.
+
+    Raises:
+        StatementError: A value is no time, or NODE is compared with something else than text.
+    """
+    bounds = Bounds().within(None, None, node)
+    for part in _conjuncts(condition):
+        bounds = _narrowed(bounds, part)
+    return bounds
+
+
+def _conjuncts(condition: Optional[Expression]) -> Iterator[Expression]:
+    if isinstance(condition, All):
+        for item in condition.items:
+            yield from _conjuncts(item)
+    elif condition is not None:
+        yield condition
+
+
+def _narrowed(bounds: Bounds, part: Expression) -> Bounds:
+    if isinstance(part, Compare) and isinstance(part.value, Literal):
+        if isinstance(part.operand, Node) and part.operator == "=":
+            return bounds.within(None, None, fitToNode(part.value))
+        if isinstance(part.operand, Key) and part.operator != "!=":
+            ns = fitToTime(part.value)
+            low = {"=": ns, ">=": ns, ">": ns + 1}.get(part.operator)
+            high = {"=": ns, "<=": ns, "<": ns - 1}.get(part.operator)
+            return bounds.within(low, high)
+    return replace(bounds, whole=False)

@@ -1,0 +1,192 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""From the words that the grammar recognised to the tree of a statement."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Optional
+
+from lark import Token, Transformer, v_args
+
+from cassandra_ros.query.syntax import (
+    All,
+    Compare,
+    CountAll,
+    DecimalText,
+    Either,
+    Expression,
+    Key,
+    Literal,
+    Negation,
+    Node,
+    OneOf,
+    Operand,
+    Part,
+    Path,
+    Placeholder,
+    Value,
+    parts,
+)
+
+MAX_DEPTH = 100
+MAX_DIGITS = 400
+"""Of a number: Python converts longer ones in quadratic time, or refuses."""
+
+
+class StatementError(Exception):
+    """Something in a statement is wrong at a position; becomes an InvalidQuery."""
+
+    def __init__(self, position: int, reason: str) -> None:
+        super().__init__(reason)
+        self.position = position
+        self.reason = reason
+
+
+class Parsed(NamedTuple):
+    """The clauses of a SELECT, its values not bound yet."""
+
+    columns: Optional[tuple[Any, ...]]
+    topic: str
+    topic_position: int
+    condition: Optional[Expression]
+    descending: bool
+    limit: Optional[Value]
+
+
+@v_args(inline=True)
+class _Builder(Transformer):  # type: ignore[type-arg]
+    """One method per rule of the grammar, called while lark parses."""
+
+    def statement(
+        self,
+        columns: Optional[tuple[Any, ...]],
+        topic: tuple[str, int],
+        condition: Optional[Expression],
+        descending: Optional[bool],
+        limit: Optional[Value],
+    ) -> Parsed:
+        return Parsed(columns, *topic, condition, bool(descending), limit)
+
+    def lone_condition(self, condition: Expression) -> Expression:
+        return condition
+
+    def everything(self, _star: Token) -> None:
+        return None
+
+    def selected(self, *columns: Any) -> tuple[Any, ...]:
+        for column in columns:
+            if isinstance(column, CountAll) and len(columns) > 1:
+                raise StatementError(column.position, "count(*) stands alone: it counts the rows")
+        return columns
+
+    def count(self, word: Token, _star: Token) -> CountAll:
+        return CountAll(_at(word))
+
+    def topic(self, token: Token) -> tuple[str, int]:
+        return (_unquote(token) if token.type == "QUOTED" else str(token)), _at(token)
+
+    def where(self, condition: Expression) -> Expression:
+        return condition
+
+    def order(self, _key: Token, direction: Optional[Token]) -> bool:
+        return direction is not None and direction.type == "DESC"
+
+    def limit(self, count: Any) -> Value:
+        return count if isinstance(count, Placeholder) else Literal(_integer(count), _at(count))
+
+    # ------------------------------------------------------------------ conditions
+
+    def either(self, *items: Expression) -> Expression:
+        return items[0] if len(items) == 1 else _shallow(Either(items), items)
+
+    def all(self, *items: Expression) -> Expression:
+        return items[0] if len(items) == 1 else _shallow(All(items), items)
+
+    def negate(self, item: Expression) -> Expression:
+        return _shallow(Negation(item), (item,))
+
+    def compare(self, operand: Operand, operator: Token, value: Value) -> Compare:
+        return Compare(operand, "!=" if operator == "<>" else str(operator), value)
+
+    def one_of(self, operand: Operand, *values: Value) -> OneOf:
+        return OneOf(operand, values)
+
+    def none_of(self, operand: Operand, *values: Value) -> Negation:
+        return Negation(OneOf(operand, values))
+
+    def in_list(self, operand: Operand, values: Placeholder) -> OneOf:
+        return OneOf(operand, (values,), whole=True)
+
+    def not_in_list(self, operand: Operand, values: Placeholder) -> Negation:
+        return Negation(OneOf(operand, (values,), whole=True))
+
+    def between(self, operand: Operand, low: Value, high: Value) -> All:
+        return All((Compare(operand, ">=", low), Compare(operand, "<=", high)))
+
+    def not_between(self, operand: Operand, low: Value, high: Value) -> Negation:
+        return Negation(self.between(operand, low, high))
+
+    # ------------------------------------------------------------------ names and values
+
+    def key(self, token: Token) -> Key:
+        return Key(_at(token))
+
+    def node(self, token: Token) -> Node:
+        return Node(_at(token))
+
+    def path(self, *parts: tuple[Part, ...]) -> Path:
+        names = tuple(name for part in parts for name in part)
+        return Path(names, names[0].position)
+
+    def part(self, token: Token, index: Optional[Token]) -> tuple[Part, ...]:
+        names = _unquote(token).split(".") if token.type == "QUOTED" else [str(token)]
+        made = [Part(name, None, _at(token)) for name in names]
+        if index is not None:
+            made[-1] = Part(names[-1], _integer(index), _at(token))
+        return tuple(made)
+
+    def number(self, token: Token) -> Literal:
+        if token.lstrip("+-").isdigit():
+            return Literal(_integer(token), _at(token))
+        return Literal(DecimalText(str(token)), _at(token))
+
+    def text(self, token: Token) -> Literal:
+        return Literal(token[1:-1].replace("''", "'"), _at(token))
+
+    def true(self, token: Token) -> Literal:
+        return Literal(True, _at(token))
+
+    def false(self, token: Token) -> Literal:
+        return Literal(False, _at(token))
+
+    def placeholder(self, token: Token) -> Placeholder:
+        return Placeholder(_at(token))
+
+
+def _at(token: Token) -> int:
+    return token.start_pos or 0
+
+
+def _unquote(token: Token) -> str:
+    return token[1:-1].replace('""', '"')
+
+
+def _integer(token: Token) -> int:
+    if len(token) > MAX_DIGITS:
+        raise StatementError(_at(token), f"a number has at most {MAX_DIGITS} digits")
+    return int(token)
+
+
+def _shallow(made: Expression, items: tuple[Expression, ...]) -> Expression:
+    """Return made unless it is nested so deep that walking it would overflow the stack."""
+    level, depth = list(items), 1
+    while level:
+        level = [part for item in level for part in parts(item)]
+        depth += 1
+        if depth > MAX_DEPTH:
+            raise StatementError(0, f"the condition is nested deeper than {MAX_DEPTH}")
+    return made
+
+
+BUILDER = _Builder()
+"""Makes the tree; holds no state, so threads may share it."""

@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A condition by itself, as ``where=`` takes it: which messages satisfy it."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any, Callable, Iterator, Optional, Sequence
+
+from cassandra_ros.errors import CorruptMessage, InvalidQuery
+from cassandra_ros.keys import Position
+from cassandra_ros.query.bounds import Bounds, boundsOf
+from cassandra_ros.query.builder import StatementError
+from cassandra_ros.query.evaluate import compileCondition
+from cassandra_ros.query.parse import parseCondition
+from cassandra_ros.query.scope import Findings, Scope
+from cassandra_ros.query.syntax import Expression
+
+_log = logging.getLogger(__name__)
+
+Test = Callable[[Any], bool]
+
+
+class Condition:
+    """What stands behind WHERE, for the messages of one topic.
+
+    A message satisfies a condition on the elements of an array of messages when one element does.
+
+    Args:
+        text: The condition.
+        params: Values of its ``?`` or ``%s``.
+        nodeID: Only messages of this node; None = of all.
+
+    Raises:
+        InvalidQuery: The text is no condition, or the parameters do not fit.
+    """
+
+    def __init__(self, text: str, params: Sequence[Any] = (), nodeID: Optional[str] = None) -> None:
+        self.text = text
+        self._expression = parseCondition(text, params)
+        try:
+            self.bounds: Bounds = boundsOf(self._expression, nodeID)
+        except StatementError as exc:
+            raise InvalidQuery(text, exc.position, exc.reason) from None
+
+    def test(self, tables: Sequence[Any]) -> Test:
+        """Return a function that tells whether a stored row satisfies the condition.
+
+        Args:
+            tables: The TopicTables of the topic.
+
+        Raises:
+            InvalidQuery: The condition names a field that no definition of the topic has, or
+                compares one with a value of another kind.
+        """
+        findings = Findings(self.text)
+        tests = {t.name: _test(self._expression, Scope(t.definition, findings)) for t in tables}
+        findings.check()
+
+        def test(row: Any) -> bool:
+            if row.table.name not in tests:  # made since
+                scope = Scope(row.table.definition, Findings(self.text))
+                tests[row.table.name] = _test(self._expression, scope)
+            return tests[row.table.name](row)
+
+        return test
+
+    def rows(
+        self,
+        topic: Any,
+        key: Optional[int] = None,
+        to_key: Optional[int] = None,
+        after: Optional[Position] = None,
+        reverse: bool = False,
+    ) -> Iterator[Any]:
+        """Walk through the rows of a topic that satisfy the condition, in the order of time.
+
+        Args:
+            topic: A CassandraTopic.
+            key: Lower end, included, ns; None = open.
+            to_key: Upper end, included, ns; None = open.
+            after: Begin behind this row.
+            reverse: Newest first.
+        """
+        test = self.test(topic.tables)
+        bounds = self.bounds.within(key, to_key)
+        return (row for row in boundedRows(topic, bounds, after, reverse) if test(row))
+
+
+def boundedRows(
+    topic: Any,
+    bounds: Bounds,
+    after: Optional[Position] = None,
+    reverse: bool = False,
+    limit: Optional[int] = None,
+) -> Iterator[Any]:
+    """Walk through the rows of a topic inside of bounds."""
+    if bounds.empty:
+        return iter(())
+    rows: Iterator[Any] = topic.rows(
+        bounds.low, bounds.high, nodeID=bounds.node, after=after, reverse=reverse, limit=limit
+    )
+    return rows
+
+
+def readable(row: Any, values: Iterator[Sequence[Any]], width: int) -> list[Sequence[Any]]:
+    """Return the values of a row; where its bytes are no message, its fields are missing."""
+    try:
+        return list(values)
+    except CorruptMessage as exc:
+        _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
+        return [(row.t, row.node, *[None] * (width - 2))]
+
+
+def _test(expression: Expression, scope: Scope) -> Test:
+    check = compileCondition(expression, scope.locate, scope.fit)
+    extractor = scope.extractor()
+
+    def test(row: Any) -> bool:
+        found = readable(row, scope.rows(row, extractor), scope.width)
+        return any(check(values) is True for values in found)
+
+    return test

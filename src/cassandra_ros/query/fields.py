@@ -1,0 +1,166 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The fields that a statement names, found in a message definition."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Iterator, Optional, Sequence
+
+from cassandra_ros.messages.definition import Definition, Field
+from cassandra_ros.query.builder import StatementError
+from cassandra_ros.query.parse import nearest
+from cassandra_ros.query.syntax import Part, Path
+
+_TIME_PARTS = {"time": ("uint32", "uint32"), "duration": ("int32", "int32")}
+
+
+@dataclass(frozen=True)
+class Step:
+    """One field on the way to a value."""
+
+    name: str
+    many: bool = False
+    """An array of messages."""
+    index: Optional[int] = None
+    """The one element of the array that was asked for."""
+
+
+@dataclass(frozen=True)
+class FieldRef:
+    """A field of primitive type, or an array of one."""
+
+    steps: tuple[Step, ...]
+    """From the message itself to the field."""
+    type: str
+    """Primitive type, aliases resolved."""
+    is_array: bool = False
+    """A primitive array as a whole."""
+    index: Optional[int] = None
+    """The element of a primitive array that was asked for."""
+    part: str = ""
+    """'secs' or 'nsecs' of a time or duration."""
+
+    @property
+    def column(self) -> str:
+        """The dotted name without any index: the column of the format ``ros``."""
+        return ".".join(step.name for step in self.steps)
+
+    @property
+    def name(self) -> str:
+        """The dotted name as a column of a result."""
+        shown = [s.name if s.index is None else f"{s.name}[{s.index}]" for s in self.steps]
+        tail = "" if self.index is None else f"[{self.index}]"
+        return ".".join(shown) + tail + (f".{self.part}" if self.part else "")
+
+    @property
+    def arrays(self) -> tuple[tuple[Step, ...], ...]:
+        """The arrays of messages without an index on the way, outermost first."""
+        return tuple(
+            self.steps[: n + 1]
+            for n, step in enumerate(self.steps)
+            if step.many and step.index is None
+        )
+
+
+def allFields(definition: Definition) -> list[FieldRef]:
+    """List every field of primitive type in the order of the wire."""
+    return list(_leaves(definition, definition.type, ()))
+
+
+def fieldsOf(path: Path, definition: Definition) -> list[FieldRef]:
+    """Find what a path names: one field, or all fields of a message.
+
+    Raises:
+        StatementError: There is no such field.
+    """
+    steps: tuple[Step, ...] = ()
+    msg_type = definition.type
+    for number, part in enumerate(path.parts):
+        field = _field(definition, msg_type, part, steps)
+        if field.is_primitive:
+            return [_primitive(path, number, steps, field)]
+        if part.index is not None:
+            _check_index(part, field, path)
+        steps = (*steps, Step(field.name, field.is_array, part.index))
+        msg_type = field.type
+    return list(_leaves(definition, msg_type, steps))
+
+
+def fieldOf(path: Path, definition: Definition) -> FieldRef:
+    """Find the one field that a path names, for a condition.
+
+    Raises:
+        StatementError: There is no such field, or it is a message or an array as a whole.
+    """
+    found = fieldsOf(path, definition)
+    if len(found) != 1 or len(found[0].steps) > len(path.parts):
+        inside = [ref.name for ref in found[:3]]
+        raise StatementError(
+            path.position,
+            f"{path.text} is a message; name one of its fields"
+            + (f", like {' or '.join(inside)}" if inside else " (it has none)"),
+        )
+    if found[0].is_array:
+        raise StatementError(
+            path.position, f"{path.text} is an array; name an element, like {path.text}[0]"
+        )
+    return found[0]
+
+
+def _field(definition: Definition, msg_type: str, part: Part, steps: Sequence[Step]) -> Field:
+    fields = definition.specs[msg_type].fields
+    for field in fields:
+        if field.name == part.name:
+            return field
+    prefix = "".join(f"{step.name}." for step in steps)
+    names = [field.name for field in fields]
+    hint = nearest(part.name, names) or _elsewhere(definition, part.name)
+    raise StatementError(
+        part.position,
+        f"{definition.type} has no field {prefix}{part.name}{hint}; "
+        f"{'its' if not prefix else prefix[:-1]} fields are {', '.join(names[:20]) or 'none'}",
+    )
+
+
+def _elsewhere(definition: Definition, name: str) -> str:
+    """Where the name stands deeper in the message, as ' (did you mean …?)'."""
+    found = [ref.name for ref in allFields(definition) if ref.steps[-1].name == name]
+    return f" (did you mean {' or '.join(found[:3])}?)" if found else ""
+
+
+def _check_index(part: Part, field: Field, path: Path) -> None:
+    if not field.is_array:
+        raise StatementError(part.position, f"{part.name} in {path.text} is not an array")
+    if field.length is not None and part.index is not None and part.index >= field.length:
+        raise StatementError(
+            part.position,
+            f"{part.name} has {field.length} elements, counted from 0; {path.text} asks for more",
+        )
+
+
+def _primitive(path: Path, number: int, steps: tuple[Step, ...], field: Field) -> FieldRef:
+    part, rest = path.parts[number], path.parts[number + 1 :]
+    if part.index is not None:
+        _check_index(part, field, path)
+    whole = field.is_array and part.index is None
+    ref = FieldRef((*steps, Step(field.name)), field.base, whole, part.index)
+    if not rest:
+        return ref
+    if field.base in _TIME_PARTS and not whole and len(rest) == 1 and rest[0].index is None:
+        if rest[0].name in ("secs", "nsecs"):
+            which = ("secs", "nsecs").index(rest[0].name)
+            return replace(ref, type=_TIME_PARTS[field.base][which], part=rest[0].name)
+    name = rest[0].name
+    raise StatementError(
+        rest[0].position, f"{ref.name} is a {field.full_type}; it has no field {name}"
+    )
+
+
+def _leaves(definition: Definition, msg_type: str, steps: tuple[Step, ...]) -> Iterator[FieldRef]:
+    for field in definition.specs[msg_type].fields:
+        here = (*steps, Step(field.name, field.is_array and not field.is_primitive))
+        if field.is_primitive:
+            yield FieldRef(here, field.base, field.is_array)
+        else:
+            yield from _leaves(definition, field.type, here)

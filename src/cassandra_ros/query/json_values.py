@@ -1,0 +1,50 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Values of a result as JSON text, and parameters out of it: what services carry."""
+
+from __future__ import annotations
+
+import base64
+import json
+from typing import Any
+
+from cassandra_ros.errors import InvalidExpression
+from cassandra_ros.query.syntax import DecimalText
+
+
+def toJson(value: Any) -> str:
+    """Write one value of a result.
+
+    Times and durations are integer nanoseconds, uint8[] base64 text as in rosbridge, missing
+    values null; NaN, Infinity and -Infinity stand as bare words.
+    """
+    return json.dumps(value, default=_simple)
+
+
+def fromJson(text: str, name: str = "the value") -> Any:
+    """Read the value of a parameter; decimal numbers keep all their digits.
+
+    Args:
+        text: JSON: a number, "text", true, false, or a list of them.
+        name: What it is, for the error text.
+
+    Raises:
+        InvalidExpression: It is not.
+    """
+    try:
+        value = json.loads(text, parse_float=DecimalText, parse_constant=DecimalText)
+    except (ValueError, RecursionError) as exc:
+        raise InvalidExpression(
+            f'{name} is not JSON: {text[:80]!r} (text stands in double quotes: "base_link")'
+        ) from exc
+    if isinstance(value, dict) or value is None:
+        raise InvalidExpression(f"{name} is {text[:80]}; nothing can be compared with that")
+    return value
+
+
+def _simple(value: Any) -> Any:
+    if isinstance(value, (bytes, bytearray)):
+        return base64.b64encode(value).decode("ascii")
+    if hasattr(value, "to_nsec"):
+        return int(value.to_nsec())
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")

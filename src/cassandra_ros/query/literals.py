@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Values of a statement, fitted to what they are compared with.
+
+Times are compared as integer nanoseconds: an int is nanoseconds, a decimal number seconds, text
+ISO 8601. Numbers stay as they are, for Python compares int and float exactly and NaN as IEEE says.
+"""
+
+from __future__ import annotations
+
+import math
+from decimal import Decimal
+from numbers import Integral, Real
+from typing import Any, Optional, Union
+
+from cassandra_ros.errors import InvalidKey
+from cassandra_ros.messages.stamps import secondsToNs, toNs
+from cassandra_ros.query.builder import StatementError
+from cassandra_ros.query.fields import FieldRef
+from cassandra_ros.query.syntax import DecimalText, Literal
+
+Comparable = Union[int, float, str]
+
+_BEYOND_SEC = 1e20
+"""Later and earlier than any time; also stands for the infinities."""
+_KINDS = {"bool": "bool", "string": "text", "time": "time", "duration": "duration"}
+
+
+def fitToField(literal: Literal, ref: FieldRef) -> Comparable:
+    """Return a value that the values of a field can be compared with.
+
+    Raises:
+        StatementError: The value is of another kind.
+    """
+    kind = _KINDS.get(ref.type, "number")
+    if kind == "time":
+        return fitToTime(literal, ref.name)
+    fitted = _FITS[kind](literal.value)
+    if fitted is None:
+        raise StatementError(
+            literal.position,
+            f"{ref.name} is a {ref.type}; compare it with {_WANTED[kind]}, "
+            f"not with {_shown(literal.value)}",
+        )
+    return fitted
+
+
+def fitToTime(literal: Literal, name: str = "KEY") -> int:
+    """Return the nanoseconds of a value that KEY or a time field is compared with.
+
+    Numbers may lie outside of what ROS can express: the comparison is then simply true or false.
+
+    Raises:
+        StatementError: The value is no time.
+    """
+    ns = _numberToNs(literal.value)
+    if ns is not None:
+        return ns
+    try:
+        return toNs(literal.value)
+    except InvalidKey as exc:
+        raise StatementError(literal.position, f"{name} is a time, but {exc}") from None
+
+
+def fitToNode(literal: Literal) -> str:
+    """Return the text that NODE is compared with.
+
+    Raises:
+        StatementError: The value is not text.
+    """
+    if isinstance(literal.value, str):
+        return literal.value
+    raise StatementError(
+        literal.position, f"NODE is text; compare it with 'text', not {_shown(literal.value)}"
+    )
+
+
+def _number(value: Any) -> Optional[Comparable]:
+    if isinstance(value, bool):
+        return None
+    if isinstance(value, Integral):
+        return int(value)
+    return float(value) if isinstance(value, Real) else None
+
+
+def _bool(value: Any) -> Optional[Comparable]:
+    return value if isinstance(value, bool) else _number(value)
+
+
+def _text(value: Any) -> Optional[Comparable]:
+    return value if isinstance(value, str) else None
+
+
+def _numberToNs(value: Any) -> Optional[int]:
+    """Nanoseconds of an int (nanoseconds) or another number (seconds), or None."""
+    if isinstance(value, bool) or not isinstance(value, (Real, Decimal)):
+        return None
+    if isinstance(value, Integral):
+        return int(value)
+    try:
+        rough = float(value)
+        if abs(rough) > _BEYOND_SEC:
+            return int(math.copysign(_BEYOND_SEC, rough)) * 10**9
+        # Seconds as they were written: a float keeps about 200 ns of a time of today.
+        exact = Decimal(value.text) if isinstance(value, DecimalText) else value
+        return secondsToNs(exact)
+    except (InvalidKey, ArithmeticError, TypeError):
+        return None  # NaN
+
+
+def _duration(value: Any) -> Optional[Comparable]:
+    if hasattr(value, "to_nsec"):
+        return int(value.to_nsec())
+    return _numberToNs(value)
+
+
+_FITS = {"number": _number, "bool": _bool, "text": _text, "duration": _duration}
+_WANTED = {
+    "number": "a number",
+    "bool": "true or false",
+    "text": "'text'",
+    "duration": "a number (integer nanoseconds or decimal seconds)",
+}
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return f"text {value[:40]!r}"
+    return repr(value)[:60]

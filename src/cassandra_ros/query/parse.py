@@ -1,0 +1,206 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Statements and conditions from text. Whatever the text: a tree, or InvalidQuery."""
+
+from __future__ import annotations
+
+import difflib
+from functools import lru_cache
+from numbers import Integral
+from typing import Any, Iterator, Optional, Sequence, Union
+
+from lark import Lark, UnexpectedInput
+from lark.exceptions import UnexpectedCharacters, UnexpectedToken
+
+from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.query.builder import BUILDER, Parsed, StatementError
+from cassandra_ros.query.syntax import (
+    Compare,
+    Expression,
+    Literal,
+    Negation,
+    OneOf,
+    Placeholder,
+    Select,
+    Value,
+    leaves,
+)
+
+MAX_STATEMENT = 1 << 20
+
+_WORDS = {
+    "NAME": "a field",
+    "TOPIC": "a topic",
+    "STAR": "*",
+    "KEY": "KEY",
+    "NODE": "NODE",
+    "OPERATOR": "one of = != < <= > >=",
+    "NUMBER": "a number",
+    "INTEGER": "a whole number",
+    "TEXT": "'text'",
+    "PLACEHOLDER": "?",
+    "LPAR": "'('",
+    "RPAR": "')'",
+    "LSQB": "'['",
+    "RSQB": "']'",
+    "COMMA": "','",
+    "DOT": "'.'",
+    "$END": "the end",
+}
+_UNSAID = {"QUOTED", "SEMICOLON", "COUNT", "TRUE", "FALSE"}
+
+
+@lru_cache(maxsize=1)
+def _grammar() -> Lark:
+    return Lark.open(
+        "cql.lark",
+        rel_to=__file__,
+        parser="lalr",
+        start=["statement", "lone_condition"],
+        transformer=BUILDER,
+    )
+
+
+def parseSelect(text: str, params: Sequence[Any] = ()) -> Select:
+    """Parse a SELECT statement and bind its parameters.
+
+    Args:
+        text: The statement.
+        params: A value for each ``?`` or ``%s``, in their order.
+
+    Raises:
+        InvalidQuery: The text is no statement, or the parameters do not fit.
+    """
+    parsed: Parsed = _parse(text, "statement")
+    values = list(leaves(parsed.condition))
+    binding = _Binding(text, [*_placeholders(values), *_of_limit(parsed.limit)], params)
+    return Select(
+        text=text,
+        columns=parsed.columns,
+        topic=parsed.topic,
+        topic_position=parsed.topic_position,
+        condition=None if parsed.condition is None else binding.expression(parsed.condition),
+        descending=parsed.descending,
+        limit=None if parsed.limit is None else _limit(text, binding.value(parsed.limit)),
+    )
+
+
+def parseCondition(text: str, params: Sequence[Any] = ()) -> Expression:
+    """Parse a condition, what stands behind WHERE, and bind its parameters.
+
+    Raises:
+        InvalidQuery: The text is no condition, or the parameters do not fit.
+    """
+    expression: Expression = _parse(text, "lone_condition")
+    binding = _Binding(text, list(_placeholders(list(leaves(expression)))), params)
+    return binding.expression(expression)
+
+
+def nearest(name: str, known: Sequence[str]) -> str:
+    """Return ' (did you mean …?)' with the names most like one, or '' where none is."""
+    lowered = {other.lower(): other for other in known}
+    close = difflib.get_close_matches(name.lower(), lowered, n=3, cutoff=0.6)
+    longer = [other for other in lowered if len(name) > 1 and other.startswith(name.lower())]
+    found = list(dict.fromkeys(close + longer))[:3]
+    return f" (did you mean {' or '.join(lowered[n] for n in found)}?)" if found else ""
+
+
+class _Binding:
+    """Puts the values of parameters where their placeholders stand."""
+
+    def __init__(self, text: str, found: list[Placeholder], params: Sequence[Any]) -> None:
+        if isinstance(params, (str, bytes)):
+            raise InvalidQuery(text, 0, "the parameters are a list of values, not one text")
+        if len(found) != len(params):
+            ordered = sorted(p.position for p in found)
+            at = ordered[len(params)] if len(params) < len(found) else len(text)
+            raise InvalidQuery(
+                text, at, f"the statement has {len(found)} parameters, {len(params)} were given"
+            )
+        ordered = sorted(p.position for p in found)
+        self._text = text
+        self._values = dict(zip(ordered, params))
+
+    def expression(self, item: Expression) -> Expression:
+        if isinstance(item, Compare):
+            return Compare(item.operand, item.operator, self.value(item.value))
+        if isinstance(item, OneOf):
+            return OneOf(item.operand, tuple(self._listed(item)))
+        if isinstance(item, Negation):
+            return Negation(self.expression(item.item))
+        return type(item)(tuple(self.expression(part) for part in item.items))
+
+    def value(self, value: Value) -> Literal:
+        if isinstance(value, Literal):
+            return value
+        return Literal(self._values[value.position], value.position)
+
+    def _listed(self, item: OneOf) -> Iterator[Literal]:
+        values = [self.value(value) for value in item.values]
+        if not item.whole:
+            yield from values
+            return
+        (given,) = values
+        if not isinstance(given.value, (list, tuple, set, frozenset)):
+            raise InvalidQuery(self._text, given.position, "IN ? takes a list as its value")
+        for element in given.value:
+            yield Literal(element, given.position)
+
+
+def _placeholders(comparisons: list[Union[Compare, OneOf]]) -> Iterator[Placeholder]:
+    for item in comparisons:
+        values = (item.value,) if isinstance(item, Compare) else item.values
+        yield from (value for value in values if isinstance(value, Placeholder))
+
+
+def _of_limit(limit: Optional[Value]) -> list[Placeholder]:
+    return [limit] if isinstance(limit, Placeholder) else []
+
+
+def _limit(text: str, given: Literal) -> int:
+    if not isinstance(given.value, Integral) or isinstance(given.value, bool) or given.value < 1:
+        raise InvalidQuery(text, given.position, "LIMIT takes a whole number of at least 1")
+    return int(given.value)
+
+
+def _parse(text: str, start: str) -> Any:
+    if not isinstance(text, str):
+        raise InvalidQuery(repr(text)[:200], 0, "a statement is text")
+    if len(text) > MAX_STATEMENT:
+        raise InvalidQuery(text[:200], 0, f"a statement has at most {MAX_STATEMENT} characters")
+    try:
+        return _grammar().parse(text, start=start)
+    except StatementError as exc:
+        raise InvalidQuery(text, exc.position, exc.reason) from None
+    except UnexpectedInput as exc:
+        raise InvalidQuery(text, *_explain(text, exc)) from None
+
+
+def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
+    """Return where a text went wrong, and what would have been right."""
+    expected: set[str] = set()
+    position = len(text)
+    if isinstance(error, UnexpectedCharacters):
+        position, expected = error.pos_in_stream or 0, set(error.allowed or ())
+    elif isinstance(error, UnexpectedToken):
+        expected = set(error.accepts or error.expected or ())
+        if error.token.type != "$END":
+            position = error.token.start_pos or 0
+    found = _word_at(text, position)
+    if found[:1] in "'\"" and found and text.count(found[0], position) == 1:
+        return position, f"the quote {found[0]} is not closed"
+    keywords = [name.lstrip("_") for name in expected if _is_keyword(name)]
+    shown = f"found {found!r}" if found else "the statement ends here"
+    wanted = ", ".join(sorted(_WORDS.get(name, name.lstrip("_")) for name in expected - _UNSAID))
+    return position, f"{shown}{nearest(found, keywords)}; expected {wanted or 'something else'}"
+
+
+def _is_keyword(name: str) -> bool:
+    return name.startswith("_") or name in ("ASC", "DESC", "COUNT")
+
+
+def _word_at(text: str, position: int) -> str:
+    end = position
+    while end < len(text) and (text[end].isalnum() or text[end] in "_/"):
+        end += 1
+    return text[position : max(end, position + 1)][:40]

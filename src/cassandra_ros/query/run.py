@@ -1,0 +1,174 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Run a statement over the stored rows of a topic."""
+
+from __future__ import annotations
+
+from typing import Any, Generator, Iterator, Optional, Sequence, Tuple, Union
+
+from cassandra_ros.errors import InvalidQuery, TopicNotFound
+from cassandra_ros.keys import Position
+from cassandra_ros.query.bounds import Bounds, boundsOf
+from cassandra_ros.query.builder import StatementError
+from cassandra_ros.query.conditions import boundedRows
+from cassandra_ros.query.cursor import Place, readPlace
+from cassandra_ros.query.parse import parseSelect
+from cassandra_ros.query.plan import TablePlan, uniteColumns
+from cassandra_ros.query.scope import Findings
+from cassandra_ros.query.syntax import Select
+
+Cursor = Union[str, Position, None]
+_Rows = Generator[Tuple[Any, ...], None, None]
+
+
+class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples of any values
+    """The rows of a statement, read while they are taken.
+
+    Attributes:
+        columns: Names of the columns.
+        direct: Every message that the store gives is a row: to look for one more costs nothing.
+    """
+
+    def __init__(
+        self, select: Select, topic: Any, bounds: Bounds, place: Place, limit: Optional[int]
+    ) -> None:
+        findings = Findings(select.text)
+        self._select = select
+        self._plans = {t.name: TablePlan(select, t.definition, findings) for t in topic.tables}
+        findings.check()
+        self._names = uniteColumns(select, list(self._plans.values()))
+        self.columns = tuple(name for names in self._names for name in names)
+        self.direct = bounds.whole and not any(p.unnests for p in self._plans.values())
+        self._place = place
+        left = None if select.limit is None else max(0, select.limit - place.given)
+        if limit is not None:
+            left = limit if left is None else min(left, limit)
+        read = self._counted if select.counts else self._selected
+        self._rows = read(topic, bounds, place, left)
+
+    def __iter__(self) -> QueryResult:
+        return self
+
+    def __next__(self) -> tuple[Any, ...]:
+        return next(self._rows)
+
+    @property
+    def cursor(self) -> str:
+        """Where to go on behind the last row that was taken; '' at the beginning."""
+        return self._place.text
+
+    def close(self) -> None:
+        """Stop reading. Twice is harmless."""
+        self._rows.close()
+
+    def __enter__(self) -> QueryResult:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def _selected(self, topic: Any, bounds: Bounds, place: Place, left: Optional[int]) -> _Rows:
+        given = place.given
+        last = None if left is None else given + left
+        if last == given:
+            return
+        for row in self._stored(topic, bounds, place, left):
+            found = self._plan(row.table).rows(row)
+            for number in range(place.skip if row.position == place.position else 0, len(found)):
+                given += 1
+                # All rows of the message: go on behind it, without looking at it again.
+                skip = 0 if number + 1 == len(found) else number + 1
+                self._place = Place(given, skip, row.position)
+                yield found[number]
+                if given == last:
+                    return
+
+    def _stored(
+        self, topic: Any, bounds: Bounds, place: Place, left: Optional[int]
+    ) -> Iterator[Any]:
+        reverse, at = self._select.descending, place.position
+        if at is None or not (place.skip or reverse):
+            return boundedRows(topic, bounds, at, reverse, left if self.direct else None)
+        # Begin with the message at the cursor: some of its rows may be still to come, and the
+        # store goes on behind a position only upwards.
+        narrowed = bounds.within(None, at.t) if reverse else bounds.within(at.t, None)
+        rows = boundedRows(topic, narrowed, None, reverse)
+        return (row for row in rows if _isLeft(row.position, at, reverse, bool(place.skip)))
+
+    def _counted(self, topic: Any, bounds: Bounds, place: Place, left: Optional[int]) -> _Rows:
+        if place.position is not None or left == 0:
+            return
+        if bounds.empty:
+            yield (0,)
+        elif bounds.whole:
+            yield (topic.countTopicData(bounds.low, bounds.high, bounds.node),)
+        else:
+            rows = boundedRows(topic, bounds)
+            yield (sum(len(self._plan(row.table).rows(row)) for row in rows),)
+
+    def _plan(self, table: Any) -> TablePlan:
+        if table.name not in self._plans:  # made since the statement was planned
+            select = self._select
+            self._plans[table.name] = TablePlan(select, table.definition, Findings(select.text))
+            self._plans[table.name].follow(self._names)
+        return self._plans[table.name]
+
+
+def execute(
+    rosCas: Any,
+    statement: str,
+    params: Sequence[Any] = (),
+    nodeID: Optional[str] = None,
+    limit: Optional[int] = None,
+    after: Cursor = None,
+) -> QueryResult:
+    """Run a statement.
+
+    Args:
+        rosCas: A RosCassandra connected to a keyspace.
+        statement: A SELECT statement.
+        params: Values of its ``?`` and ``%s``, in their order.
+        nodeID: Only messages of this node; None = of all.
+        limit: At most so many rows, besides the statement's LIMIT; None = no bound.
+        after: ``cursor`` of an earlier result of the same statement: go on behind its last row.
+
+    Raises:
+        InvalidQuery: The statement cannot be understood, or names something unknown.
+        InvalidKey: ``after`` is no cursor.
+    """
+    select = parseSelect(statement, params)
+    try:
+        topic = rosCas.getTopic(select.topic)
+    except TopicNotFound as exc:
+        raise InvalidQuery(statement, select.topic_position, str(exc)) from exc
+    try:
+        bounds = boundsOf(select.condition, nodeID)
+    except StatementError as exc:
+        raise InvalidQuery(statement, exc.position, exc.reason) from None
+    return QueryResult(select, topic, bounds, readPlace(after), limit)
+
+
+class Rows(list):  # type: ignore[type-arg]
+    """All rows of a result: a list of tuples that knows its columns."""
+
+    def __init__(self, result: QueryResult) -> None:
+        super().__init__(result)
+        self.columns = result.columns
+
+
+def executeAll(
+    rosCas: Any,
+    statement: str,
+    params: Sequence[Any] = (),
+    nodeID: Optional[str] = None,
+    limit: Optional[int] = None,
+) -> Rows:
+    """Run a statement and return all its rows; see ``execute``."""
+    return Rows(execute(rosCas, statement, params, nodeID, limit))
+
+
+def _isLeft(position: Position, at: Position, reverse: bool, included: bool) -> bool:
+    """Say whether a row lies behind a position, in the direction of reading, or at it."""
+    if position == at:
+        return included
+    return position < at if reverse else position > at

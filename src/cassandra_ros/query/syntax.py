@@ -1,0 +1,166 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a statement says, as a tree. Positions are indexes into its text, for the caret."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Iterator, Optional, Union
+
+
+class DecimalText(float):
+    """A float that remembers how it was written: a time needs all its digits."""
+
+    text: str
+
+    def __new__(cls, text: str) -> DecimalText:
+        """Read a decimal number."""
+        value = super().__new__(cls, text)
+        value.text = text
+        return value
+
+
+@dataclass(frozen=True)
+class Literal:
+    """A value to compare with: int, float, str, bool; of a parameter also others."""
+
+    value: Any
+    position: int
+
+
+@dataclass(frozen=True)
+class Placeholder:
+    """A ``?`` or ``%s`` whose value has not been bound yet."""
+
+    position: int
+
+
+Value = Union[Literal, Placeholder]
+
+
+@dataclass(frozen=True)
+class Part:
+    """One name of a dotted path, with the index behind it."""
+
+    name: str
+    index: Optional[int]
+    position: int
+
+
+@dataclass(frozen=True)
+class Path:
+    """A dotted field, like ``transforms[0].transform.translation.x``."""
+
+    parts: tuple[Part, ...]
+    position: int
+
+    @property
+    def text(self) -> str:
+        """The path as a column's name."""
+        shown = (p.name if p.index is None else f"{p.name}[{p.index}]" for p in self.parts)
+        return ".".join(shown)
+
+
+@dataclass(frozen=True)
+class Key:
+    """``KEY``, the time under which a message lies."""
+
+    position: int
+    text = "KEY"
+
+
+@dataclass(frozen=True)
+class Node:
+    """``NODE``, the entity that produced a message."""
+
+    position: int
+    text = "NODE"
+
+
+@dataclass(frozen=True)
+class CountAll:
+    """``count(*)``."""
+
+    position: int
+    text = "count(*)"
+
+
+Operand = Union[Path, Key, Node]
+
+
+@dataclass(frozen=True)
+class Compare:
+    """``operand operator value``; the operator is one of = != < <= > >=."""
+
+    operand: Operand
+    operator: str
+    value: Value
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """``operand IN (…)``, or ``IN ?`` with a list as parameter."""
+
+    operand: Operand
+    values: tuple[Value, ...]
+    whole: bool = False
+    """The one value is the list itself."""
+
+
+@dataclass(frozen=True)
+class All:
+    """Conditions joined by AND."""
+
+    items: tuple[Expression, ...]
+
+
+@dataclass(frozen=True)
+class Either:
+    """Conditions joined by OR."""
+
+    items: tuple[Expression, ...]
+
+
+@dataclass(frozen=True)
+class Negation:
+    """NOT."""
+
+    item: Expression
+
+
+Expression = Union[Compare, OneOf, All, Either, Negation]
+
+
+def parts(expression: Expression) -> tuple[Expression, ...]:
+    """Return the conditions of which one is made."""
+    if isinstance(expression, (All, Either)):
+        return expression.items
+    return (expression.item,) if isinstance(expression, Negation) else ()
+
+
+def leaves(expression: Optional[Expression]) -> Iterator[Union[Compare, OneOf]]:
+    """Yield the comparisons of an expression, from left to right."""
+    if isinstance(expression, (Compare, OneOf)):
+        yield expression
+    elif expression is not None:
+        for part in parts(expression):
+            yield from leaves(part)
+
+
+@dataclass(frozen=True)
+class Select:
+    """A SELECT statement with all its values bound."""
+
+    text: str
+    columns: Optional[tuple[Union[Path, Key, Node, CountAll], ...]]
+    """None = ``*``."""
+    topic: str
+    topic_position: int
+    condition: Optional[Expression]
+    descending: bool = False
+    limit: Optional[int] = None
+
+    @property
+    def counts(self) -> bool:
+        """Whether it asks for the number of rows."""
+        return self.columns is not None and isinstance(self.columns[0], CountAll)

@@ -1,0 +1,40 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Cursors: text that anybody may send back changed."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cassandra_ros.errors import InvalidKey
+from cassandra_ros.keys import Position, encodeCursor
+from cassandra_ros.query.cursor import START, Place, readPlace
+
+POSITION = Position(5, "röbot", 1 << 40, "t_0")
+
+
+def test_round_trip():
+    for place in (START, Place(7, 0, POSITION), Place(10**15, 3, POSITION)):
+        assert readPlace(place.text) == place
+    assert readPlace(POSITION) == Place(0, 0, POSITION)
+    assert readPlace(None) == readPlace("") == START
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["x", "1.2", "1.2.", "-1.0." + encodeCursor(POSITION), "1.x." + encodeCursor(POSITION),
+     "9" * 30 + ".0." + encodeCursor(POSITION), encodeCursor(POSITION), "1.0.!!!!"],
+)  # fmt: skip
+def test_other_text(text):
+    with pytest.raises(InvalidKey):
+        readPlace(text)
+
+
+@given(st.text())
+def test_any_text(text):
+    try:
+        readPlace(text)
+    except InvalidKey as exc:
+        assert str(exc)

@@ -1,0 +1,202 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The grammar: what it takes, and that whatever it is given it answers with a tree or a caret."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.query.parse import parseCondition, parseSelect
+from cassandra_ros.query.syntax import All, Compare, Either, Key, Literal, Negation, Node, OneOf
+
+
+def columns(text):
+    found = parseSelect(text).columns
+    return found if found is None else [column.text for column in found]
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("select * from tf", None),
+        ("SELECT KEY, NODE, linear.x FROM /cmd_vel;", ["KEY", "NODE", "linear.x"]),
+        ("select key, node from t", ["key", "node"]),  # fields, for they are in lower case
+        ('select "KEY", "a.b"[2].c from t', ["KEY", "a.b[2].c"]),
+        ("select from, count, select, limit from t", ["from", "count", "select", "limit"]),
+        ("select\n  a [ 3 ] . b\nfrom\tt", ["a[3].b"]),
+        ("select count(*) from t", ["count(*)"]),
+        ("select COUNT ( * ) from t", ["count(*)"]),
+    ],
+)
+def test_columns(text, names):
+    assert columns(text) == names
+
+
+@pytest.mark.parametrize(
+    ("text", "topic"),
+    [
+        ("select * from tf", "tf"),
+        ("select * from /husky/data/encoders limit 1", "/husky/data/encoders"),
+        ("select * from where where where = 1", "where"),
+        ("select * from limit limit 3", "limit"),
+        ("select * from ~private", "~private"),
+        ('select * from "weird \'topic\'; -- ""quoted"""', "weird 'topic'; -- \"quoted\""),
+    ],
+)
+def test_topics(text, topic):
+    assert parseSelect(text).topic == topic
+
+
+def test_conditions_bind_as_they_read():
+    tree = parseCondition("a = 1 or b = 2 and not (c = 3 or KEY > 4)")
+    assert isinstance(tree, Either)
+    first, second = tree.items
+    assert (first.operand.text, second.items[0].operand.text) == ("a", "b")
+    assert isinstance(second, All)
+    assert isinstance(second.items[1], Negation)
+    assert isinstance(second.items[1].item.items[1].operand, Key)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("x = 5", 5),
+        ("x = -5", -5),
+        ("x = 123456789012345678901234567890", 123456789012345678901234567890),
+        ("x = .5", 0.5),
+        ("x = 5.", 5.0),
+        ("x = -1.5E-3", -0.0015),
+        ("x = 'it''s'", "it's"),
+        ("x = ''", ""),
+        ("x = 'drop table; -- \"'", 'drop table; -- "'),
+        ("x = TRUE", True),
+        ("x = false", False),
+        ("x = -Infinity", float("-inf")),
+    ],
+)
+def test_values(text, value):
+    found = parseCondition(text).value.value
+    assert found == value
+    assert isinstance(found, type(value))
+
+
+def test_operators_and_lists():
+    for sign in ("=", "!=", "<", "<=", ">", ">="):
+        assert parseCondition(f"x {sign} 1").operator == sign
+        assert parseCondition(f"x{sign}1").operator == sign
+    assert parseCondition("x <> 1").operator == "!="
+    between = parseCondition("x between 1 and 2 and y = 3")
+    assert [item.operator for item in between.items[0].items] == [">=", "<="]
+    assert isinstance(parseCondition("NODE in ('a', 'b')").operand, Node)
+    assert isinstance(parseCondition("x not in (1)"), Negation)
+
+
+def test_parameters_are_values():
+    hostile = "'; drop keyspace ros; --"
+    select = parseSelect(
+        "select a from t where a = ? and b in %s limit ?", [hostile, [1, 2.5, hostile], 7]
+    )
+    first, second = select.condition.items
+    assert first.value == Literal(hostile, 26)
+    assert isinstance(second, OneOf)
+    assert [value.value for value in second.values] == [1, 2.5, hostile]
+    assert select.limit == 7
+
+
+def test_limit_and_order():
+    select = parseSelect("select a from t order by KEY desc limit 10 allow filtering")
+    assert (select.descending, select.limit) == (True, 10)
+    assert not parseSelect("select a from t order by KEY").descending
+
+
+@pytest.mark.parametrize(
+    ("text", "params", "spot", "word"),
+    [
+        ("select a form t", (), "form", "did you mean FROM?"),
+        ("select a from t wher x = 1", (), "wher", "did you mean WHERE?"),
+        ("select a, from t where", (), "t where", "FROM"),
+        ("select a from t where x == 1", (), "= 1", "a number"),
+        ("select a from t where x = 'open", (), "'open", "not closed"),
+        ("select a from t where x = ?", (), "?", "1 parameters, 0 were given"),
+        ("select a from t", [1], "", "0 parameters, 1 were given"),
+        ("select a from t where x in ?", [3], "?", "list"),
+        ("select a from t limit 0", (), "0", "at least 1"),
+        ("select a from t limit ?", [True], "?", "at least 1"),
+        ("select a from t limit 5.5", (), ".5", "ALLOW"),
+        ("select count(*), a from t", (), "count", "stands alone"),
+        ("delete from t", (), "delete", "SELECT"),
+        ("", (), "", "SELECT"),
+        ("select a from t order by a", (), "a", "KEY"),
+        ("select a from t where x = " + "9" * 500, (), "9", "digits"),
+        ("select a from t where key = 1; select b from t", (), "select b", "found"),
+    ],
+)
+def test_errors_point_at_the_spot(text, params, spot, word):
+    with pytest.raises(InvalidQuery) as caught:
+        parseSelect(text, params)
+    assert text[caught.value.position :].startswith(spot)
+    assert word in caught.value.reason
+    lines = str(caught.value).split("\n")
+    assert lines[-1].strip() == "^"
+
+
+@pytest.mark.parametrize("count", [10_000, 100_000])
+def test_depth_is_bounded(count):
+    assert isinstance(parseCondition("(" * 1000 + "x = 1" + ")" * 1000), Compare)
+    with pytest.raises(InvalidQuery, match="deeper than"):
+        parseCondition("not " * count + "x = 1")
+    wide = parseCondition(" or ".join(["x = 1"] * (count // 10)))
+    assert len(wide.items) == count // 10
+
+
+def test_text_that_is_no_text():
+    for statement in (None, b"select * from t", 5, ["select"]):
+        with pytest.raises(InvalidQuery):
+            parseSelect(statement)
+    with pytest.raises(InvalidQuery, match="not one text"):
+        parseSelect("select a from t where a = ?", "x")
+
+
+def answers(parse, text, params=()):
+    try:
+        parse(text, params)
+    except InvalidQuery as exc:
+        assert 0 <= exc.position <= len(text)
+        assert str(exc)
+
+
+WORDS = st.sampled_from(
+    "select from where and or not in between order by KEY NODE asc desc limit allow filtering "
+    "count ( ) * , . [ ] = != <> < <= > >= ? %s ; ' \" '' 'a' \"b\" a a.b x[3] /tf tf ~ 1 -1 1e400 "
+    "1. .5 nan infinity true false 2013-05-08 '2013-05-08' \n -- /* é \0 \ud800".split(" ")
+)
+
+
+@settings(max_examples=600, deadline=None)
+@given(st.lists(WORDS, max_size=25), st.lists(st.integers() | st.text(), max_size=3))
+def test_fuzz_of_words(words, params):
+    answers(parseSelect, " ".join(words), params)
+    answers(parseSelect, "select * from t where " + " ".join(words), params)
+    answers(parseCondition, "".join(words), params)
+
+
+@settings(max_examples=400, deadline=None)
+@given(st.text())
+def test_fuzz_of_text(text):
+    answers(parseSelect, text)
+    answers(parseCondition, text)
+    answers(parseSelect, "select a from t where a = '" + text)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.text(min_size=1), st.text())
+def test_quoted_text_stays_data(name, value):
+    quoted = name.replace('"', '""')
+    literal = value.replace("'", "''")
+    select = parseSelect(f'select "{quoted}" from "{quoted}" where "{quoted}" = \'{literal}\'')
+    assert select.topic == name
+    assert select.columns[0].text == name
+    assert select.condition.value.value == value

@@ -1,0 +1,283 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Statements against a real Cassandra that holds a real robot's bag, beside loops over the bag."""
+
+from __future__ import annotations
+
+import math
+import uuid
+
+import pytest
+import rosbag
+from geometry_msgs.msg import Twist
+from sensor_msgs.msg import NavSatFix
+from std_msgs.msg import Float32, String
+
+from cassandra_ros import RosCassandra, Stamp
+from cassandra_ros.errors import InvalidKey, InvalidQuery
+from cassandra_ros.messages.connection import liveConnection
+from cassandra_ros.query import Condition, execute
+
+TOPICS = ("/diagnostics", "/encoder", "/fix", "/joy", "/tf")
+T0 = 1_400_000_000 * 10**9
+
+
+def key(ns):
+    return Stamp.fromNs(ns)
+
+
+class Recorded:
+    """A bag in the store, and its messages as the rosbag module reads them."""
+
+    def __init__(self, store, path):
+        self.store = store
+        self.messages = {}
+        writer = store.messageWriter(format=store.wanted_format, nodeID="husky")
+        handles = {}
+        with rosbag.Bag(str(path)) as bag:
+            for number, (topic, raw, t, header) in enumerate(
+                bag.read_messages(TOPICS, raw=True, return_connection_header=True)
+            ):
+                if topic not in handles:
+                    handles[topic] = writer.connect(liveConnection(topic, header))
+                writer.write(handles[topic], t.to_nsec(), number, raw[1])
+                found = self.messages.setdefault(topic, [])
+                found.append((t.to_nsec(), raw[4]().deserialize(raw[1])))
+        writer.close()
+
+    def ask(self, statement, params=(), **options):
+        return list(execute(self.store, statement, params, **options))
+
+
+@pytest.fixture(scope="module", params=["binary", "ros"])
+def husky(request, cassandra, cql, bags):
+    name = f"t_{uuid.uuid4().hex[:16]}"
+    with RosCassandra(cassandra.host, cassandra.port, keyspace=name) as store:
+        store.wanted_format = request.param
+        yield Recorded(store, bags / "husky_gps_data.bag")
+    cql.execute(f"DROP KEYSPACE {name}")
+
+
+def test_fields_of_every_message(husky):
+    expected = [(key(t), m.latitude, m.header.frame_id) for t, m in husky.messages["/fix"]]
+    assert husky.ask("select KEY, latitude, header.frame_id from fix") == expected
+    assert husky.ask("SELECT KEY, latitude, header.frame_id FROM /fix;") == expected
+
+
+def test_conditions(husky):
+    expected = [
+        (key(t), m.pose.pose.position.x)
+        for t, m in husky.messages["/encoder"]
+        if m.pose.pose.position.x > -3 and m.twist.twist.linear.x != 0
+    ]
+    found = husky.ask(
+        "select KEY, pose.pose.position.x from encoder "
+        "where pose.pose.position.x > ? and twist.twist.linear.x != 0",
+        [-3],
+    )
+    assert found == expected
+    assert 0 < len(found) < len(husky.messages["/encoder"])
+
+
+def test_the_statement_of_the_paper(husky):
+    """Listing of design 4: a stretch of time of one frame, min and max of a column."""
+    times = [t for t, _ in husky.messages["/tf"]]
+    t1, t2 = Stamp.fromNs(times[1000]), Stamp.fromNs(times[1500])
+    statement = (
+        "select transforms.transform.translation.x from tf where transforms.child_frame_id='"
+        + "/base_link"
+        + "' and KEY > "
+        + str(t1 - 1)
+        + " and KEY < "
+        + str(t2 + 1)
+    )
+    x_list = husky.store.executeCQL(statement)
+    expected = [
+        (transform.transform.translation.x,)
+        for t, message in husky.messages["/tf"]
+        if times[1000] - 10**9 < t < times[1500] + 10**9
+        for transform in message.transforms
+        if transform.child_frame_id == "/base_link"
+    ]
+    assert x_list == expected
+    assert x_list
+    assert x_list.columns == ("transforms.transform.translation.x",)
+    assert (min(x_list)[0], max(x_list)[0]) == (min(expected)[0], max(expected)[0])
+
+
+def test_select_star(husky):
+    result = execute(husky.store, "select * from tf limit 3")
+    assert result.columns[:3] == ("KEY", "transforms.header.seq", "transforms.header.stamp")
+    for row, (t, message) in zip(result, husky.messages["/tf"]):
+        assert row[0] == key(t)
+        assert row[4] == [transform.child_frame_id for transform in message.transforms]
+    unnested = husky.ask("select * from tf where transforms.child_frame_id = '/base_link' limit 2")
+    assert [row[4] for row in unnested] == ["/base_link"] * 2
+
+
+def test_keys_carry_their_row(husky):
+    ((found,),) = husky.ask("select KEY from fix limit 1")
+    assert isinstance(found, Stamp)
+    t, message = husky.messages["/fix"][0]
+    assert (found.ns, found.node) == (t, "husky")
+    assert husky.store.getTopic("fix").getData(found).latitude == message.latitude
+    ((stamp,),) = husky.ask("select header.stamp from fix limit 1")
+    assert stamp == message.header.stamp
+
+
+def test_counts(husky):
+    for topic, messages in husky.messages.items():
+        assert husky.ask(f"select count(*) from {topic}") == [(len(messages),)]
+    half = husky.messages["/tf"][1500][0]
+    assert husky.ask("select count(*) from tf where KEY < ?", [half]) == [
+        (sum(t < half for t, _ in husky.messages["/tf"]),)
+    ]
+    assert husky.ask("select count(*) from tf where transforms.child_frame_id = '/base_link'") == [
+        (sum(f.child_frame_id == "/base_link" for _, m in husky.messages["/tf"]
+             for f in m.transforms),)
+    ]  # fmt: skip
+    assert husky.ask("select count(*) from fix where latitude > 90") == [(0,)]
+    assert husky.ask("select count(*) from fix where KEY < 0") == [(0,)]
+
+
+def test_order_and_limit(husky):
+    times = [(key(t),) for t, _ in husky.messages["/joy"]]
+    assert husky.ask("select KEY from joy order by KEY desc") == times[::-1]
+    assert husky.ask("select KEY from joy order by KEY desc limit 3") == times[:-4:-1]
+    assert husky.ask("select KEY from joy limit 5", limit=3) == times[:3]
+    assert husky.ask("select KEY from joy limit 3", limit=5) == times[:3]
+    assert husky.ask("select KEY from joy", limit=0) == []
+
+
+STATEMENTS = (
+    "select KEY, axes[1] from joy limit 50",
+    "select KEY from joy order by KEY desc limit 50",
+    "select KEY, transforms.child_frame_id from tf limit 60",
+    "select transforms.child_frame_id, KEY from tf where transforms.transform.rotation.w < 1 "
+    "order by KEY desc limit 60",
+    "select status.values.key, status.name from diagnostics where status.level = 0 limit 60",
+)
+
+
+@pytest.mark.parametrize("size", [1, 7, 5000])
+@pytest.mark.parametrize("statement", STATEMENTS)
+def test_pages_give_the_same_rows(husky, statement, size):
+    whole = husky.ask(statement)
+    assert len(whole) > 7
+    pages, cursor = [], None
+    for _ in range(len(whole) + 2):
+        with execute(husky.store, statement, limit=size, after=cursor) as result:
+            page = list(result)
+            cursor = result.cursor
+        if not page:
+            break
+        pages += page
+    assert pages == whole
+
+
+def test_cursors_from_elsewhere(husky):
+    with pytest.raises(InvalidKey, match="not a cursor"):
+        execute(husky.store, "select KEY from joy", after="x")
+
+
+def test_condition_for_getdata_and_range(husky):
+    topic = husky.store.getTopic("encoder")
+    rows = list(Condition("pose.pose.position.x > -3").rows(topic))
+    assert [row.t for row in rows] == [
+        t for t, m in husky.messages["/encoder"] if m.pose.pose.position.x > -3
+    ]
+    low, high = rows[5].t, rows[9].t
+    again = Condition("pose.pose.position.x > ?", [-3]).rows(topic, low, high)
+    assert [row.t for row in again] == [row.t for row in rows[5:10]]
+    after = Condition("pose.pose.position.x > -3").rows(topic, after=rows[9].position)
+    assert [row.t for row in after] == [row.t for row in rows[10:]]
+
+
+@pytest.mark.parametrize(
+    ("statement", "spot", "word"),
+    [
+        ("select lat from fix", "lat", "did you mean latitude?"),
+        ("select latitude from fixx", "fixx", "did you mean /fix?"),
+        ("select latitude from fix where KEY > 'noon'", "'noon'", "KEY is a time"),
+        ("select latitude from fix where longitud > 0", "longitud", "did you mean longitude"),
+        ('select KEY from "\'; drop table x; --"', "\"'", "not stored"),
+        ("select transforms.x, transforms.child_frame_id from tf", "x", "no field transforms.x"),
+    ],
+)
+def test_errors_come_at_once_with_the_statement(husky, statement, spot, word):
+    with pytest.raises(InvalidQuery) as caught:
+        execute(husky.store, statement)
+    assert statement[caught.value.position :].startswith(spot)
+    assert word in caught.value.reason
+    assert statement in str(caught.value)
+
+
+# -------------------------------------------------------------------- stores made for the purpose
+
+
+def test_several_nodes(rosCas):
+    topic = rosCas.addTopic("/pose", format="ros")
+    for n in range(6):
+        topic.addData(Twist(), key=T0 + n // 2, nodeID="ab"[n % 2])
+    rows = rosCas.executeCQL("select KEY, NODE from pose")
+    assert rows == [(key(T0 + n // 2), "ab"[n % 2]) for n in range(6)]
+    assert rosCas.executeCQL("select NODE from pose where NODE = 'b'") == [("b",)] * 3
+    assert rosCas.executeCQL("select NODE from pose", nodeID="a") == [("a",)] * 3
+    assert rosCas.executeCQL("select NODE from pose where NODE = 'a'", nodeID="b") == []
+    assert rosCas.executeCQL("select count(*) from pose where NODE in ('a', 'b')") == [(6,)]
+
+
+def test_definitions_are_united(rosCas):
+    writer = rosCas.messageWriter(format="ros")
+
+    def write(msg, t):
+        from cassandra_ros.messages.classes import serialize
+
+        header = {"type": msg._type, "md5sum": msg._md5sum, "message_definition": msg._full_text}
+        writer.write(writer.connect(liveConnection("/x", header)), t, t - T0, serialize(msg))
+
+    write(Float32(1.5), T0)
+    write(NavSatFix(latitude=5.0), T0 + 1)
+    write(String("text"), T0 + 2)
+    writer.close()
+    rows = rosCas.executeCQL("select KEY, data, latitude from x")
+    assert rows == [(key(T0), 1.5, None), (key(T0 + 1), None, 5.0), (key(T0 + 2), "text", None)]
+    everything = execute(rosCas, "select * from x")
+    assert set(everything.columns) >= {"KEY", "data", "latitude", "header.frame_id"}
+    assert len(list(everything)) == 3
+    assert rosCas.executeCQL("select data from x where data = 'text'") == [("text",)]
+    assert rosCas.executeCQL("select data from x where data > 1") == [(1.5,)]
+    with pytest.raises(InvalidQuery, match="no field"):
+        rosCas.executeCQL("select nothing from x")
+
+
+def test_odd_values(rosCas):
+    topic = rosCas.addTopic("/fix", format="ros")
+    for n, value in enumerate([math.nan, math.inf, -math.inf, -0.0, 1e-320]):
+        topic.addData(NavSatFix(latitude=value), key=T0 + n)
+    assert rosCas.executeCQL("select KEY from fix where latitude = 0") == [(key(T0 + 3),)]
+    assert rosCas.executeCQL("select KEY from fix where latitude > 0") == [
+        (key(T0 + 1),),
+        (key(T0 + 4),),
+    ]
+    assert rosCas.executeCQL("select KEY from fix where latitude != 0 and not latitude < 0") == [
+        (key(T0),), (key(T0 + 1),), (key(T0 + 4),)
+    ]  # fmt: skip
+
+
+def test_hostile_names_and_values_stay_data(rosCas):
+    name = '\'; DROP KEYSPACE ros; -- "x" \n ü'
+    quoted = name.replace('"', '""')
+    topic = rosCas.addTopic(name, format="ros")
+    topic.addData(String(name), key=T0)
+    assert rosCas.executeCQL(f'select data from "{quoted}" where data = ?', [name]) == [(name,)]
+    literal = name.replace("'", "''")
+    assert rosCas.executeCQL(f"select data from \"{quoted}\" where data = '{literal}'") == [(name,)]
+
+
+def test_a_topic_without_messages(rosCas):
+    rosCas.addTopic("/later", format="ros", msg_type="std_msgs/String")
+    assert rosCas.executeCQL("select data from later") == []
+    assert rosCas.executeCQL("select count(*) from later") == [(0,)]
+    rosCas.addTopic("/unknown")
+    assert execute(rosCas, "select KEY from unknown").columns == ("KEY",)
