@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Answer questions about recorded topics: services getData, range and executeCQL.
+
+The node is called cassandra_ros. Its parameters ~host, ~port and ~keyspace count where the options
+of the same names are not given.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import sys
+from typing import Sequence
+
+from cassandra_ros.cli.options import (
+    add_store_options,
+    open_store,
+    port_number,
+    strip_remappings,
+)
+
+PROGRAM = "query_server"
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM,
+        description=inspect.getdoc(sys.modules[__name__]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_store_options(parser)
+    return parser
+
+
+def apply_parameters(
+    parser: argparse.ArgumentParser, options: argparse.Namespace, given: dict[str, str]
+) -> None:
+    """Let ROS parameters take the place of options that were not given."""
+    for name, text in given.items():
+        if str(getattr(options, name)) != str(parser.get_default(name)):
+            continue
+        try:
+            setattr(options, name, port_number(text) if name == "port" else text)
+        except argparse.ArgumentTypeError as exc:
+            parser.error(f"parameter ~{name}: {exc}")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Serve until the node is shut down; return the exit status.
+
+    Args:
+        argv: Arguments without the program's name; None = those of the process.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    parser = make_parser()
+    options = parser.parse_args(strip_remappings(arguments))
+    from cassandra_ros.nodes.query_server import serve, startNode
+
+    apply_parameters(parser, options, startNode([PROGRAM, *arguments]))
+    with open_store(options, make=True) as rosCas:
+        serve(rosCas, lambda line: print(line, flush=True))
+    return 0

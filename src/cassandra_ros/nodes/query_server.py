@@ -1,0 +1,57 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Node cassandra_ros: the store, asked over ROS services."""
+
+from __future__ import annotations
+
+from typing import Any, Callable, Sequence
+
+import rospy
+
+from cassandra_ros.errors import InvalidName
+from cassandra_ros.nodes.node_name import fullName, isTaken, wantedName
+from cassandra_ros.nodes.rosout import forwardLogging
+from cassandra_ros.nodes.services import Services
+from cassandra_ros.srv import ExecuteCQL, GetData, Range
+
+NAME = "cassandra_ros"
+PARAMETERS = ("host", "port", "keyspace")
+
+Say = Callable[[str], None]
+
+
+def startNode(argv: Sequence[str]) -> dict[str, str]:
+    """Become the node; return the private parameters that say which store is meant.
+
+    Args:
+        argv: Command line with the program's name and ROS remappings.
+
+    Raises:
+        InvalidName: A node of this name lives; its services would be taken away.
+    """
+    name = wantedName(NAME, argv)
+    if isTaken(fullName(name)):
+        raise InvalidName(
+            f"a node {fullName(name)} runs already: stop it with rosnode kill {fullName(name)}, "
+            "or give this one another name with __name:=other"
+        )
+    rospy.init_node(name, argv=list(argv))
+    forwardLogging()
+    given = {name: rospy.get_param(f"~{name}", None) for name in PARAMETERS}
+    return {name: str(value) for name, value in given.items() if value is not None}
+
+
+def serve(rosCas: Any, say: Say) -> None:
+    """Answer requests until the node is shut down.
+
+    Args:
+        rosCas: A RosCassandra connected to a keyspace.
+        say: Prints a line.
+    """
+    services = Services(rosCas)
+    rospy.Service("~getData", GetData, services.getData)
+    rospy.Service("~range", Range, services.range)
+    rospy.Service("~executeCQL", ExecuteCQL, services.executeCQL)
+    say(f"services under {rospy.get_name()}")
+    say(f"serving keyspace {rosCas.keyspace}")
+    rospy.spin()

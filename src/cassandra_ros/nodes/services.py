@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the services of the query server answer: unpack, ask the library, pack."""
+
+from __future__ import annotations
+
+import functools
+import logging
+from itertools import islice
+from typing import Any, Callable, Iterator, Optional
+
+from cassandra_ros.errors import CassandraRosError, InvalidKey
+from cassandra_ros.keys import decodeCursor, encodeCursor
+from cassandra_ros.messages.stamps import toNs
+from cassandra_ros.msg import Row
+from cassandra_ros.nodes.stored_messages import clean, pack, sizeOf
+from cassandra_ros.query import Condition, execute, fromJson, toJson
+from cassandra_ros.srv import ExecuteCQLResponse, GetDataResponse, RangeResponse
+
+_log = logging.getLogger(__name__)
+
+DEFAULT_LIMIT = 100
+MAX_REPLY_BYTES = 16 * 1024 * 1024
+"""A page ends behind the message that passes this."""
+
+Handler = Callable[[Any, Any], Any]
+
+
+def _answers(response_class: Any) -> Callable[[Handler], Handler]:
+    """Let a handler answer ``success: false`` for whatever goes wrong in it."""
+
+    def decorate(handler: Handler) -> Handler:
+        @functools.wraps(handler)
+        def answer(self: Any, request: Any) -> Any:
+            try:
+                return handler(self, request)
+            except CassandraRosError as exc:
+                return response_class(success=False, message=clean(str(exc)))
+            except Exception as exc:  # noqa: BLE001 - a mistake of ours must not end the node
+                _log.exception("%s failed", handler.__name__)
+                reason = f"internal error: {type(exc).__name__}: {exc}; the node's log has more"
+                return response_class(success=False, message=clean(reason))
+
+        return answer
+
+    return decorate
+
+
+class Services:
+    """The handlers, for one store. Thread-safe.
+
+    Args:
+        rosCas: A RosCassandra connected to a keyspace.
+    """
+
+    def __init__(self, rosCas: Any) -> None:
+        self._rosCas = rosCas
+
+    @_answers(GetDataResponse)
+    def getData(self, request: Any) -> Any:
+        """Answer GetData."""
+        topic = self._rosCas.getTopic(request.topic)
+        where = {"nearest": request.nearest or None, "nodeID": request.node_id or None}
+        key = _key(request)
+        row = topic.getRow(key, **where)
+        if row is None:
+            topic.getData(key, **where)  # raises with what lies near
+            row = topic.getRow(key, **where)
+        return GetDataResponse(True, "", pack(row, request.omit_data, request.omit_yaml))
+
+    @_answers(RangeResponse)
+    def range(self, request: Any) -> Any:
+        """Answer Range."""
+        limit = request.limit or DEFAULT_LIMIT
+        response = RangeResponse(success=True)
+        size = 0
+        rows = self._rows(request, limit + 1)
+        for row in islice(rows, limit):
+            message = pack(row, request.omit_data, request.omit_yaml)
+            response.data.append(message)
+            response.next_cursor = encodeCursor(row.position)
+            size += sizeOf(message)
+            if size > MAX_REPLY_BYTES:
+                break
+        # With a condition the next match may be far away; the next page then may be empty.
+        full = len(response.data) == limit or size > MAX_REPLY_BYTES
+        if not full or (not request.where and next(rows, None) is None):
+            response.next_cursor = ""
+        return response
+
+    def _rows(self, request: Any, most: int) -> Iterator[Any]:
+        topic = self._rosCas.getTopic(request.topic)
+        low = toNs(request.key)
+        high = toNs(request.to_key) or None
+        if high is not None and high < low:
+            raise InvalidKey(f"to_key ({high} ns) lies before key ({low} ns)")
+        after = decodeCursor(request.cursor) if request.cursor else None
+        node = request.node_id or None
+        if request.where:
+            return Condition(request.where, nodeID=node).rows(topic, low, high, after)
+        rows: Iterator[Any] = topic.rows(low, high, nodeID=node, limit=most, after=after)
+        return rows
+
+    @_answers(ExecuteCQLResponse)
+    def executeCQL(self, request: Any) -> Any:
+        """Answer ExecuteCQL."""
+        limit = request.limit or DEFAULT_LIMIT
+        params = [fromJson(text, f"params[{n}]") for n, text in enumerate(request.params)]
+        node: Optional[str] = request.node_id or None
+        with execute(
+            self._rosCas, request.statement, params, node, limit + 1, request.cursor
+        ) as result:
+            response = ExecuteCQLResponse(success=True, columns=[clean(c) for c in result.columns])
+            size = 0
+            for values in islice(result, limit):
+                row = Row([toJson(value) for value in values])
+                response.rows.append(row)
+                response.next_cursor = result.cursor
+                size += 64 + sum(len(text) + 16 for text in row.values)
+                if size > MAX_REPLY_BYTES:
+                    break
+            full = len(response.rows) == limit or size > MAX_REPLY_BYTES
+            if not full or (result.direct and next(result, None) is None):
+                response.next_cursor = ""
+        return response
+
+
+def _key(request: Any) -> Any:
+    text = request.key_text.strip()
+    if not text:
+        return request.key
+    return int(text) if text.isascii() and text.isdigit() and len(text) < 40 else text

@@ -1,0 +1,200 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Subscriptions that lose nothing: rospy's own, mended where it drops messages.
+
+What plain ``rospy.Subscriber`` loses or doubles (rospy 1.15, seen with publishers made for it):
+
+* It registers with the master before it knows its callback and buffer size; what arrives in
+  between is dropped. Here the callback stands first.
+* Publishers that start together cause updates that each list all of them, and two connections to
+  one publisher: messages come twice, or are lost with the connection that is dropped. Here one
+  attempt waits for the other.
+* A publisher that comes again under its URI while its old connection is still being read is taken
+  for connected, and not heard any more. Here a connection whose other end is closed does not
+  count, and a publisher that was taken for connected is tried again when its connection ends.
+* A connection header that is not UTF-8 (a degree sign in an old .msg file) is refused, and the
+  publisher never heard. Here the bytes are kept as surrogates.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import select
+import struct
+import termios
+import threading
+from typing import Any, Callable, Mapping
+
+import rospy
+from rospy.impl import tcpros_base
+from rospy.impl.registration import (
+    Registration,
+    get_registration_listeners,
+    get_topic_manager,
+)
+from rospy.topics import _SubscriberImpl
+
+from cassandra_ros.messages.classes import serialize
+
+BUFF_SIZE = 16 * 1024 * 1024
+"""Bytes that are read at once; with the default of 64 KiB large messages lag."""
+
+_HUNG_UP = getattr(select, "POLLRDHUP", 0) | select.POLLHUP | select.POLLERR
+_CLOSING = "#closing"
+_length = struct.Struct("<I").unpack_from
+
+Callback = Callable[[str, Mapping[str, str], bytes], None]
+"""Called with topic, connection header and serialised message."""
+
+
+def subscribe(topic: str, callback: Callback, tcp_nodelay: bool = False) -> rospy.Subscriber:
+    """Subscribe to a topic of any type.
+
+    Args:
+        topic: Resolved name.
+        callback: Called on the thread of each publisher.
+        tcp_nodelay: Ask publishers for TCP_NODELAY.
+
+    Returns:
+        The subscriber; ``impl`` is rospy's.
+    """
+    tcpros_base.read_ros_handshake_header = readHeader
+
+    def take(msg: Any) -> None:
+        # rospy itself may be subscribed with a class: /clock under simulated time.
+        wire = msg._buff if isinstance(msg, rospy.AnyMsg) else serialize(msg)
+        callback(topic, msg._connection_header, wire)
+
+    manager = get_topic_manager()
+    with manager.lock:
+        if manager.get_subscriber_impl(topic) is None:
+            manager._add(_Subscription(topic, take, tcp_nodelay), manager.subs, Registration.SUB)
+            return rospy.Subscriber(topic, rospy.AnyMsg)
+    return rospy.Subscriber(topic, rospy.AnyMsg, take)
+
+
+def isDrained(subscriber: rospy.Subscriber) -> bool:
+    """Say whether everything that has reached this machine was handed to the callback."""
+    impl = subscriber.impl
+    return impl is None or all(_isRead(c) for c in list(impl.connections or ()))
+
+
+def connectedUris(subscriber: rospy.Subscriber) -> set[str]:
+    """Return the URIs of the publishers whose connection stands."""
+    impl = subscriber.impl
+    found = list(impl.connections or ()) if impl is not None else []
+    return {c.endpoint_id for c in found if c.header is not None}
+
+
+class _Subscription(_SubscriberImpl):
+    """rospy's side of a subscription, with the faults above mended."""
+
+    def __init__(self, name: str, take: Callable[[Any], None], tcp_nodelay: bool) -> None:
+        super().__init__(name, rospy.AnyMsg)
+        self.set_buff_size(BUFF_SIZE)
+        self.set_tcp_nodelay(tcp_nodelay)
+        self._connecting: dict[str, threading.Thread] = {}
+        self._asked_again: set[str] = set()
+        self.add_callback(take, None)
+
+    def has_connection(self, endpoint_id: str) -> bool:
+        """Say whether a publisher is connected; waits for another thread that connects to it."""
+        me = threading.current_thread()
+        while not rospy.is_shutdown():
+            with self.c_lock:
+                connections = [c for c in self.connections if c.endpoint_id == endpoint_id]
+                if any(not c.done and not _hasHungUp(c) for c in connections):
+                    self._asked_again.add(endpoint_id)
+                    return True
+                other = self._connecting.get(endpoint_id)
+                if other is None or other is me or not other.is_alive():
+                    self._connecting[endpoint_id] = me
+                    return False
+            other.join(1.0)
+        return True
+
+    def add_connection(self, c: Any) -> bool:
+        """Add a connection beside an old one of the same publisher that is still being read."""
+        with self.c_lock:
+            for old in self.connections:
+                if old.endpoint_id == c.endpoint_id:
+                    old.endpoint_id += _CLOSING
+            return bool(super().add_connection(c))
+
+    def remove_connection(self, c: Any) -> None:
+        """Forget a connection that has ended; look whether its publisher is there again."""
+        super().remove_connection(c)
+        with self.c_lock:
+            again = c.endpoint_id.replace(_CLOSING, "")
+            if again not in self._asked_again or self.closed or rospy.is_shutdown():
+                return
+            self._asked_again.discard(again)
+        for listener in list(get_registration_listeners().listeners):
+            # One that is gone, or does not publish any more, refuses.
+            connect = getattr(listener, "_connect_topic_thread", None)
+            if connect is not None:
+                threading.Thread(target=connect, args=(self.name, again), daemon=True).start()
+
+    def receive_callback(self, msgs: list[Any], connection: Any) -> None:
+        """Hand on messages and note how many of the connection's were."""
+        super().receive_callback(msgs, connection)
+        connection.handled = getattr(connection, "handled", 0) + len(msgs)
+
+
+def _hasHungUp(connection: Any) -> bool:
+    """Say whether the publisher has closed its end."""
+    sock = connection.socket
+    if sock is None:
+        return False  # being connected
+    try:
+        poller = select.poll()
+        poller.register(sock, _HUNG_UP)
+        return bool(poller.poll(0))
+    except (OSError, ValueError):
+        return True
+
+
+def _isRead(connection: Any) -> bool:
+    sock = connection.socket
+    if sock is None or connection.done:
+        return True
+    try:
+        unread = _length(fcntl.ioctl(sock, termios.FIONREAD, bytes(4)))[0]
+    except (OSError, ValueError):
+        return True
+    return not unread and getattr(connection, "handled", 0) == connection.stat_num_msg
+
+
+def readHeader(sock: Any, b: Any, buff_size: int) -> dict[str, str]:
+    """Read a connection header as rosgraph does, keeping bytes that are not UTF-8.
+
+    Args:
+        sock: Blocking socket.
+        b: BytesIO; afterwards holds what came behind the header.
+        buff_size: Bytes to read at once.
+    """
+    while b.tell() < 4 or b.tell() - 4 < _length(b.getvalue())[0]:
+        data = sock.recv(buff_size)
+        if not data:
+            raise rospy.exceptions.TransportInitError("the publisher closed before its header")
+        b.write(data)
+    received = b.getvalue()
+    end = 4 + _length(received)[0]
+    b.seek(0)
+    b.truncate(0)
+    b.write(received[end:])
+    return _fields(received[4:end])
+
+
+def _fields(header: bytes) -> dict[str, str]:
+    fields: dict[str, str] = {}
+    at = 0
+    while at + 4 <= len(header):
+        (size,) = _length(header, at)
+        name, equals, value = header[at + 4 : at + 4 + size].partition(b"=")
+        at += 4 + size
+        if not equals or at > len(header):
+            raise rospy.exceptions.TransportInitError("a connection header is malformed")
+        text = name.decode("utf-8", "surrogateescape").strip()
+        fields[text] = value.decode("utf-8", "surrogateescape")
+    return fields

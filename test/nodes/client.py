@@ -1,0 +1,50 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Calls services: a line of JSON in, [service, request]; a line of JSON out, the response."""
+
+from __future__ import annotations
+
+import base64
+import json
+import sys
+
+import genpy
+import rospy
+import rosservice
+
+
+def plain(value):
+    if isinstance(value, genpy.Message):
+        return {name: plain(getattr(value, name)) for name in value.__slots__}
+    if isinstance(value, (genpy.Time, genpy.Duration)):
+        return value.to_nsec()
+    if isinstance(value, bytes):
+        return base64.b64encode(value).decode("ascii")
+    if isinstance(value, (list, tuple)):
+        return [plain(element) for element in value]
+    return value
+
+
+def answer(line):
+    name, fields = json.loads(line)
+    service = rosservice.get_service_class_by_name(name)
+    request = service._request_class()
+    for field, value in fields.items():
+        if isinstance(getattr(request, field), genpy.Time):
+            value = genpy.Time(0, value)
+        setattr(request, field, value)
+    try:
+        return plain(rospy.ServiceProxy(name, service)(request))
+    except (rospy.ServiceException, rosservice.ROSServiceException) as exc:
+        return {"error": str(exc)}
+
+
+def main():
+    rospy.init_node("client", anonymous=True, disable_signals=True)
+    print("ready", flush=True)
+    for line in sys.stdin:
+        print(json.dumps(answer(line)), flush=True)
+    rospy.signal_shutdown("no more requests")
+
+
+main()

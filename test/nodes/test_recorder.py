@@ -1,0 +1,390 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The recorder as a node: a real roscore, real publishers, and some that misbehave."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import time
+import xmlrpc.client
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+import rosbag
+from nodes.children import Child, start_node, start_recorder
+from nodes.raw_publisher import RawPublisher, header_of, message
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Int32, String
+
+from cassandra_ros.messages.connection import liveConnection
+
+
+def text(n):
+    return message(String(str(n)))
+
+
+def wires(rosCas, topic):
+    return [row.wire for row in rosCas.getTopic(topic).rows()]
+
+
+@pytest.fixture
+def recorder(roscore, cassandra, keyspace, rosCas):
+    """Start recorders of the test's keyspace; they are gone afterwards."""
+    started = []
+
+    def start(*arguments, ready="recording ", **options):
+        child = start_recorder(roscore, cassandra, keyspace, *arguments, **options)
+        started.append(child)
+        if ready:
+            child.await_line(ready)
+        return child
+
+    yield start
+    for child in started:
+        with child:
+            pass
+
+
+def publisher(roscore, topic_name, msg_class=String, name="/raw", **fields):
+    return RawPublisher(roscore.uri, topic_name, header_of(msg_class, name, **fields), name)
+
+
+# -------------------------------------------------------------------- a played bag
+
+PLAYED = "turtlesim_tf.bag"
+RENAMED = {"/rosout": "/turtle/rosout", "/rosout_agg": "/turtle/rosout_agg"}
+
+
+@pytest.mark.parametrize("fmt", ["binary", "ros"])
+def test_a_played_bag_is_recorded_message_for_message(bags, roscore, recorder, rosCas, fmt):
+    expected = {}
+    with rosbag.Bag(str(bags / PLAYED)) as bag:
+        for topic, raw, _ in bag.read_messages(raw=True):
+            found = expected.setdefault(RENAMED.get(topic, topic), [])
+            found.append((raw[0], raw[2], raw[1]))
+    child = recorder(*expected, "--format", fmt, "--node-id", "turtle")
+    assert child.lines[0] == "services under /recorder"
+    assert child.lines[1] == f"recording {len(expected)} topics"
+    play = ["rosbag", "play", "-q", "-r", "40", "-d", "0.5", "--wait-for-subscribers"]
+    maps = [f"{old}:={new}" for old, new in RENAMED.items()]
+    with Child([*play, "--queue", "100000", bags / PLAYED, *maps], roscore.env) as player:
+        assert player.wait(60) == 0, player.output
+    assert child.end() == 0, child.output
+    for topic, messages in expected.items():
+        rows = list(rosCas.getTopic(topic).rows())
+        assert len(rows) == len(messages), topic
+        recorded = [(row.type, row.md5sum, row.wire) for row in rows]
+        if topic == "/turtle/rosout":
+            # The player's own log goes the same way: roscpp then renumbers header.seq, the first
+            # four bytes. And several publishers had equal stamps, for which it has its own order.
+            recorded = sorted((*row[:2], row[2][4:]) for row in recorded)
+            messages = sorted((*row[:2], row[2][4:]) for row in messages)
+        assert recorded == messages
+        assert {row.node for row in rows} == {"turtle"}
+    total = sum(map(len, expected.values()))
+    assert "total" in child.lines[-1]
+    assert child.lines[-1].split()[1:4] == [str(total), str(total), "0"]
+
+
+# -------------------------------------------------------------------- what rospy would lose
+
+
+def test_the_end_of_a_burst_is_read(roscore, recorder, rosCas):
+    sent = [message(String("x" * 300 + str(n))) for n in range(30_000)]
+    child = recorder("/burst")
+    first = publisher(roscore, "/burst", name="/first").await_subscribers()
+    first.publish(*sent)
+    first.hang_up()
+    with publisher(roscore, "/burst", name="/second") as second:
+        second.await_subscribers().publish(text("last"))
+        time.sleep(1.2)
+    first.close()
+    assert child.end() == 0, child.output
+    found = wires(rosCas, "/burst")
+    found.remove(text("last"))  # may overtake what lies in the other connection
+    assert found == sent
+
+
+def test_publishers_that_come_at_once(roscore, recorder, rosCas):
+    """Each update of the publishers lists all of them; rospy then connects to some twice."""
+    child = recorder("/many")
+    names = [f"/p{n}" for n in range(12)]
+    with ThreadPoolExecutor(len(names)) as pool:
+        publishers = list(pool.map(lambda name: publisher(roscore, "/many", name=name), names))
+    for one in publishers:
+        one.await_subscribers()
+    time.sleep(0.5)
+    assert [len(one._sockets) for one in publishers] == [1] * len(names)
+    for n in range(50):
+        for one in publishers:
+            one.publish(text(f"{one.name} {n}"))
+    for one in publishers:
+        one.close()
+    assert child.end() == 0, child.output
+    rows = list(rosCas.getTopic("/many").rows())
+    assert len(rows) == 50 * len(names)
+    for name in names:
+        own = [row.wire for row in rows if row.connection.callerid == name]
+        assert own == [text(f"{name} {n}") for n in range(50)]
+
+
+def test_a_publisher_that_comes_again_under_its_uri(roscore, recorder, rosCas):
+    """rospy believes to be connected still while it reads what came before."""
+    child = recorder("/again")
+    one = publisher(roscore, "/again").await_subscribers()
+    for round_ in range(5):
+        one.publish(*[text(f"{round_} {n}") for n in range(20_000)])
+        one._master.unregisterPublisher(one.name, one.topic, one.uri)
+        one.hang_up()
+        one._master.registerPublisher(one.name, one.topic, "std_msgs/String", one.uri)
+        one.await_subscribers()
+    one.close()
+    assert child.end() == 0, child.output
+    found = wires(rosCas, "/again")
+    assert len(found) == 100_000
+    for round_ in range(5):  # a new connection may overtake what lies in the old one
+        sent = [text(f"{round_} {n}") for n in range(20_000)]
+        assert [wire for wire in found if wire[4:5] == sent[0][4:5]] == sent
+
+
+def test_a_header_that_is_not_utf8(roscore, recorder, rosCas):
+    child = recorder("/latin")
+    definition = b"# angle in \xb0\nstring data\n"
+    with publisher(roscore, "/latin", message_definition=definition) as one:
+        one.await_subscribers().publish(text(1))
+        time.sleep(0.3)
+    assert child.end() == 0, child.output
+    (row,) = rosCas.getTopic("/latin").rows()
+    assert row.wire == text(1)
+    assert row.connection.fields["message_definition"] == definition
+    assert row.message().data == "1"
+
+
+def test_types_that_differ_on_one_topic(roscore, recorder, rosCas):
+    child = recorder("/mixed")
+    with publisher(roscore, "/mixed", name="/s") as s, publisher(
+        roscore, "/mixed", Int32, name="/i"
+    ) as i:
+        for n in range(20):
+            s.await_subscribers().publish(text(n))
+            i.await_subscribers().publish(message(Int32(n)))
+        time.sleep(0.3)
+    assert child.end() == 0, child.output
+    rows = list(rosCas.getTopic("/mixed").rows())
+    assert sorted(row.type for row in rows) == ["std_msgs/Int32"] * 20 + ["std_msgs/String"] * 20
+    assert {row.message().data for row in rows if row.type == "std_msgs/Int32"} == set(range(20))
+
+
+def test_headers_without_the_optional_fields(roscore, recorder, rosCas):
+    child = recorder("/bare", "--format", "ros")
+    fields = {"callerid": None, "latching": None, "message_definition": None, "topic": None}
+    with publisher(roscore, "/bare", **fields) as one:
+        one.await_subscribers().publish(text(1))
+        time.sleep(0.3)
+    assert child.end() == 0, child.output
+    (row,) = rosCas.getTopic("/bare").rows()
+    assert (row.wire, row.connection.callerid) == (text(1), "")
+    assert rosCas.executeCQL("select data from bare") == [("1",)]
+
+
+# -------------------------------------------------------------------- hostile and broken
+
+SIGNATURE = "_md5sum;open({!r},'w').write('x');B"
+
+
+@pytest.mark.parametrize("place", ["name", "value", "type"])
+def test_a_hostile_definition_runs_nothing(roscore, recorder, rosCas, tmp_path, place):
+    trap = tmp_path / "trap"
+    code = SIGNATURE.format(str(trap))
+    definition = {
+        "name": f"int32 {code}=1\nstring data\n",
+        "value": f"float64 A=__import__('os').system('touch {trap}')\nstring data\n",
+        "type": f"string[1];open({str(trap)!r},'w') data\n",
+    }[place]
+    child = recorder("/hostile", "/good", "--format", "ros")
+    header = {"message_definition": definition, "type": "pkg/Evil", "md5sum": "1" * 32}
+    with publisher(roscore, "/hostile", **header) as one, publisher(
+        roscore, "/good", name="/good"
+    ) as good:
+        one.await_subscribers().publish(text("evil"))
+        good.await_subscribers().publish(text("good"))
+        time.sleep(0.5)
+    assert child.end() == 0, child.output
+    assert "kept as binary" in child.output
+    (row,) = rosCas.getTopic("/hostile").rows()
+    assert (row.wire, row.table.metadata.format) == (text("evil"), "binary")
+    assert row.connection.definition_text == definition
+    row.message()
+    assert rosCas.executeCQL("select data from good") == [("good",)]
+    assert not trap.exists()
+
+
+def test_warnings_reach_rosout(roscore, recorder, rosCas):
+    child = recorder("/rosout", "/broken")
+    with publisher(roscore, "/broken", message_definition="no definition") as one:
+        one.await_subscribers().publish(text(1))
+        time.sleep(2)
+    assert child.end() == 0, child.output
+    said = [row.message().msg for row in rosCas.getTopic("/rosout").rows()]
+    assert any("/broken" in line and "kept as binary" in line for line in said)
+
+
+# -------------------------------------------------------------------- the end
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_drain(roscore, recorder, rosCas, number):
+    sent = [message(String("y" * 1000 + str(n))) for n in range(5000)]
+    child = recorder("/late")
+    with publisher(roscore, "/late") as one:
+        one.await_subscribers().publish(*sent)
+        assert child.end(number) == 0, child.output
+    assert wires(rosCas, "/late") == sent
+    assert "5000" in child.lines[-1]
+
+
+def test_rosnode_kill_drains(roscore, recorder, rosCas):
+    child = recorder("/killed", "__name:=to_be_killed")
+    assert child.lines[0] == "services under /to_be_killed"
+    with publisher(roscore, "/killed") as one:
+        one.await_subscribers().publish(*[text(n) for n in range(100)])
+        time.sleep(0.5)
+        killed = subprocess.run(
+            ["rosnode", "kill", "/to_be_killed"], env=roscore.env, capture_output=True, check=False
+        )
+        assert killed.returncode == 0
+        assert child.wait() == 0, child.output
+    assert len(wires(rosCas, "/killed")) == 100
+
+
+def test_simulated_time(roscore, recorder, rosCas):
+    master = xmlrpc.client.ServerProxy(roscore.uri)
+    master.setParam("/test", "/use_sim_time", True)
+    try:
+        child = recorder("/sim", "/clock")
+        with publisher(roscore, "/sim", name="/sim") as one, publisher(
+            roscore, "/clock", Clock, name="/clock"
+        ) as clock:
+            one.await_subscribers().publish(text("too early"))
+            time.sleep(0.5)
+            stamp = Clock()
+            stamp.clock.secs = 1234
+            clock.await_subscribers().publish(message(stamp))
+            time.sleep(0.5)
+            one.publish(text("in time"))
+            time.sleep(0.5)
+        assert child.end() == 1, child.output
+    finally:
+        master.deleteParam("/test", "/use_sim_time")
+    (row,) = rosCas.getTopic("/sim").rows()
+    assert (row.t, row.wire) == (1234 * 10**9, text("in time"))
+    assert wires(rosCas, "/clock") == [message(stamp)]
+    assert "1 lost: simulated time" in child.output
+    assert "1 messages were lost" in child.output
+
+
+# -------------------------------------------------------------------- options
+
+
+def test_limit_and_duration(roscore, recorder, rosCas):
+    child = recorder("/a", "/b", "-l", "3")
+    with publisher(roscore, "/a", name="/a") as a, publisher(roscore, "/b", name="/b") as b:
+        a.await_subscribers().publish(*[text(n) for n in range(10)])
+        b.await_subscribers().publish(*[text(n) for n in range(10)])
+        assert child.wait(30) == 0, child.output
+    assert wires(rosCas, "/a") == wires(rosCas, "/b") == [text(n) for n in range(3)]
+    began = time.monotonic()
+    assert recorder("/a", "--duration", "1").wait(30) == 0
+    assert time.monotonic() - began < 10
+
+
+def test_all_and_exclude(roscore, recorder, rosCas):
+    with publisher(roscore, "/old", name="/old", latching="1") as old:
+        child = recorder("-a", "-x", "/(secret|rosout_agg).*")
+        old.await_subscribers().publish(text("old"))
+        with publisher(roscore, "/new/topic", name="/new") as new, publisher(
+            roscore, "/secret/x", name="/secret"
+        ):
+            new.await_subscribers().publish(text("new"))
+            time.sleep(0.5)
+            child.await_line("/new/topic")
+    assert child.end() == 0, child.output
+    names = {topic.name for topic in rosCas.getAllTopics()}
+    assert {"/old", "/new/topic"} <= names
+    assert not any("secret" in name or name == "/rosout_agg" for name in names)
+
+
+def test_regular_expressions(roscore, recorder, rosCas):
+    with publisher(roscore, "/cam/1", name="/c1") as one, publisher(
+        roscore, "/cam/1/info", name="/c2"
+    ) as info:
+        child = recorder("-e", "/cam/[0-9]")
+        one.await_subscribers().publish(text(1))
+        time.sleep(0.5)
+        assert not info._sockets
+    assert child.end() == 0, child.output
+    assert [topic.name for topic in rosCas.getAllTopics()] == ["/cam/1"]
+
+
+def test_no_name_of_a_living_node_is_taken(roscore, recorder, rosCas):
+    first = recorder("/x")
+    second = recorder("/x")
+    assert first.lines[0] == "services under /recorder"
+    assert second.lines[0].startswith("services under /recorder_") or any(
+        line.startswith("services under /recorder_") for line in second.lines
+    )
+    assert "a node /recorder runs already" in second.output
+    with publisher(roscore, "/x") as one:
+        one.await_subscribers(2).publish(text(1))
+        time.sleep(0.3)
+    assert (first.end(), second.end()) == (0, 0)
+    assert len(wires(rosCas, "/x")) == 2
+
+
+def test_quiet(roscore, recorder):
+    child = recorder("/x", "-q", "--duration", "2", ready="")
+    assert child.wait() == 0
+    assert child.output == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        ((), "give topics to record"),
+        (("-a", "/x"), "not both"),
+        (("-e", "("), "not a regular expression"),
+        (("-a", "-x", "["), "not a regular expression"),
+        (("/x", "--duration", "soon"), "not a duration"),
+        (("/x", "-b", "-5"), "whole number"),
+        (("/x", "--format", "xml"), "invalid choice"),
+    ],
+)
+def test_wrong_usage(roscore, arguments, word):
+    child = start_node(roscore, "recorder", *arguments)
+    assert child.wait() == 2
+    assert word in child.output
+
+
+def test_help_and_no_server(roscore):
+    done = subprocess.run(
+        ["rosrun", "cassandra_ros", "recorder", "--help"],
+        env=roscore.env,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "use an internal buffer of SIZE MB" in done.stdout
+    child = start_node(roscore, "recorder", "/x", "--port", "1")
+    assert child.wait() == 1
+    assert "rosrun cassandra_ros local_cassandra start" in child.output
+
+
+def test_scripts_are_thin():
+    for script in (Path(__file__).parents[2] / "scripts").iterdir():
+        assert len(script.read_text().splitlines()) < 10
+        assert not script.stat().st_mode & 0o111
+    assert liveConnection("/x", {}).header == b""
