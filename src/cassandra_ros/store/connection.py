@@ -80,6 +80,10 @@ class Cassandra:
         self._prepare_lock = threading.Lock()
         self._closed = False
         auth = PlainTextAuthProvider(username, password) if username else None
+        self._cluster = self._makeCluster(auth, ssl_context)
+        self._session, self._raw_session = self._connect()
+
+    def _makeCluster(self, auth: Any, ssl_context: Any) -> Cluster:
         profile = ExecutionProfile(
             load_balancing_policy=TokenAwarePolicy(
                 DCAwareRoundRobinPolicy(), shuffle_replicas=True
@@ -88,7 +92,7 @@ class Cassandra:
             request_timeout=REQUEST_TIMEOUT_SEC,
             row_factory=tuple_factory,
         )
-        self._cluster = Cluster(
+        return Cluster(
             contact_points=self.hosts,
             port=self.port,
             protocol_version=5,
@@ -104,7 +108,6 @@ class Cassandra:
             idle_heartbeat_timeout=5,
             reconnection_policy=ExponentialReconnectionPolicy(0.5, 10),
         )
-        self._session, self._raw_session = self._connect()
 
     def _connect(self) -> tuple[Any, Any]:
         where = f"{','.join(self.hosts)} port {self.port}"
