@@ -248,7 +248,10 @@ def main() -> int:
     args = parser.parse_args()
     if shutil.which("rosrun") is None:
         sys.exit("demo: rosrun is not on the path; run: make demo")
-    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
+    # Also where a shell started this in the background and SIGINT is ignored, here and, by
+    # inheritance, in every node.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     args.out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         demo = Demo(args.out.resolve(), stack)

@@ -41,8 +41,10 @@ class RosMaster:
 
 
 def pytest_configure(config):
-    # Fixtures are torn down on Ctrl-C; let them be on a SIGTERM as well.
-    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
+    # Fixtures are torn down on Ctrl-C; let them be on a SIGTERM as well, and where a shell
+    # started us in the background and SIGINT is ignored, here and by inheritance in every node.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

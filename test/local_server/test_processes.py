@@ -67,3 +67,17 @@ def test_a_child_ends_with_a_parent_that_was_killed(tmp_path):
     while processes.command_line(child) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not processes.command_line(child)
+
+
+def test_a_child_can_be_ended_where_signals_are_ignored(tmp_path):
+    """As in a background job of a shell, whose children inherit that SIGINT is ignored."""
+    before = {n: signal.signal(n, signal.SIG_IGN) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        child = processes.spawn(
+            ["sleep", "60"], tmp_path / "out", dict(os.environ), die_with_us=False
+        )
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    processes.terminate(child.pid)
+    assert child.wait(10) == -signal.SIGTERM

@@ -79,7 +79,7 @@ def spawn(
             stderr=subprocess.STDOUT,
             env=environment,
             start_new_session=True,
-            preexec_fn=_die_with_parent() if die_with_us else None,
+            preexec_fn=_in_child(die_with_us),
         )
     # In its very first moments it has no command line to be known by.
     while process.poll() is None and not command_line(process.pid):
@@ -95,10 +95,15 @@ def terminate(pid: int) -> None:
         pass
 
 
-def _die_with_parent() -> Callable[[], None]:
+def _in_child(die_with_us: bool) -> Callable[[], None]:
     prctl = ctypes.CDLL(None).prctl  # found here: little may be done between fork and exec
 
-    def set_signal() -> None:
-        prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    def prepare() -> None:
+        # A shell's background jobs ignore SIGINT, and what is ignored stays so over exec: Java
+        # would never notice that it is asked to end.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        if die_with_us:
+            prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
-    return set_signal
+    return prepare
