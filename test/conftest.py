@@ -90,6 +90,7 @@ def ros_env(workspace_env, ros_home):
 @pytest.fixture(scope="session")
 def cassandra():
     """The Cassandra of this run: .host and .port."""
+    from cassandra_ros.errors import ServerError
     from cassandra_ros.local_server import LocalCluster, free_port
 
     running = os.environ.get("CASSANDRA_ROS_TEST_SERVER")
@@ -103,8 +104,15 @@ def cassandra():
         cluster.start(die_with_us=True)
         yield CassandraServer(cluster.settings.host, cluster.settings.port)
     finally:
-        cluster.stop()
-        shutil.rmtree(folder, ignore_errors=True)
+        pids = [node.pid for node in cluster.status() if node.pid]
+        try:
+            cluster.stop()
+        except ServerError:
+            for pid in pids:
+                os.kill(pid, signal.SIGKILL)
+            raise
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 @pytest.fixture(scope="session")

@@ -82,4 +82,7 @@ def decodeCursor(text: str) -> Position:
         raise InvalidKey(f"{text[:80]!r} is not a cursor of this package") from exc
     if not (isinstance(parts, list) and [type(p) for p in parts] == [int, str, int, str]):
         raise InvalidKey(f"{text[:80]!r} is not a cursor of this package")
-    return Position(*parts)
+    position = Position(*parts)
+    if not (0 <= position.t <= MAX_NS and 0 <= position.seq < 2**63):
+        raise InvalidKey(f"{text[:80]!r} is a cursor outside of all times and writers")
+    return position

@@ -84,7 +84,10 @@ def fromComment(comment: str, table: str) -> TopicMetadata | None:
     known = {f.name for f in fields(TopicMetadata)}
     kept = {name: value for name, value in values.items() if name in known}
     kept["columns"] = tuple(kept.get("columns", ()))
-    return TopicMetadata(**kept)
+    try:
+        return TopicMetadata(**kept)
+    except TypeError:
+        return None  # as above: our version, but not our keys
 
 
 def checkTopicName(topic: str) -> str:

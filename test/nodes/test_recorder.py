@@ -11,6 +11,7 @@ import xmlrpc.client
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import genpy
 import pytest
 import rosbag
 from nodes.children import Child, start_node, start_recorder
@@ -269,9 +270,8 @@ def test_simulated_time(roscore, recorder, rosCas):
         ) as clock:
             one.await_subscribers().publish(text("too early"))
             time.sleep(0.5)
-            stamp = Clock()
-            stamp.clock.secs = 1234
-            clock.await_subscribers().publish(message(stamp))
+            ticks = [message(Clock(genpy.Time(1234 - 500 + n))) for n in range(1, 501)]
+            clock.await_subscribers().publish(*ticks)
             time.sleep(0.5)
             one.publish(text("in time"))
             time.sleep(0.5)
@@ -280,7 +280,8 @@ def test_simulated_time(roscore, recorder, rosCas):
         master.deleteParam("/test", "/use_sim_time")
     (row,) = rosCas.getTopic("/sim").rows()
     assert (row.t, row.wire) == (1234 * 10**9, text("in time"))
-    assert wires(rosCas, "/clock") == [message(stamp)]
+    # rospy itself subscribes with a queue of one, and would let the others share it.
+    assert sorted(wires(rosCas, "/clock")) == sorted(ticks)
     assert "1 lost: simulated time" in child.output
     assert "1 messages were lost" in child.output
 

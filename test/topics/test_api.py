@@ -322,8 +322,88 @@ def test_foreign_tables_and_newer_ones(rosCas, cql):
     )
     assert [t.name for t in rosCas.getAllTopics()] == ["/a"]
     cql.execute(
+        f"CREATE TABLE {space}.alike (a int PRIMARY KEY) "
+        'WITH comment = \'{"cassandra_ros": {"version": 1}}\''
+    )
+    rosCas.parts.schema.tables(fresh=True)
+    assert [t.name for t in rosCas.getAllTopics()] == ["/a"]
+    cql.execute(
         f"CREATE TABLE {space}.newer (a int PRIMARY KEY) "
         'WITH comment = \'{"cassandra_ros": {"version": 99}}\''
     )
     with pytest.raises(UnsupportedSchema, match=r"version 99.*up to 1"):
         rosCas.getAllTopics()
+
+
+def test_one_of_two_messages_of_a_stamp_is_removed(rosCas):
+    topic = rosCas.addTopic("/a")
+    first = topic.addData(String(data="1"), key=T0)
+    topic.addData(String(data="2"), key=T0)
+    topic.addData(String(data="3"), key=T0, nodeID="r2")
+    assert topic.removeData(first) == 1
+    assert [m.data for _, m in topic.items()] == ["2", "3"]
+    assert topic.countTopicData() == 2
+    with pytest.raises(MessageNotFound):
+        topic.getData(first)
+
+
+def test_counts_hold_when_a_living_writer_closes_after_a_deletion(cassandra, keyspace):
+    with RosCassandra(cassandra.host, cassandra.port, keyspace=keyspace) as rosCas:
+        topic = rosCas.addTopic("/a")
+        for number in range(10):
+            topic.addData(String(), key=T0 + number)
+        assert topic.removeData(T0, T0 + 2) == 3
+    with RosCassandra(cassandra.host, cassandra.port, keyspace=keyspace) as rosCas:
+        assert rosCas.info()[0].count == rosCas.getTopic("/a").countTopicData() == 7
+
+
+def test_two_robots_share_a_topic(cassandra, keyspace, rosCas):
+    rosCas.addTopic("/a", nodeID="r1").addData(String(data="of r1"), key=T0)
+    with RosCassandra(cassandra.host, cassandra.port, keyspace=keyspace) as other:
+        topic = other.addTopic("/a", nodeID="r2")
+        topic.addData(String(data="of r2"), key=T0)
+        assert len(topic.tables) == 1
+        assert [m.data for _, m in topic.items(nodeID="r2")] == ["of r2"]
+
+
+def test_the_format_that_was_asked_for(rosCas):
+    rosCas.addTopic("/a", "binary").addData(String(data="1"), key=T0)
+    rosCas.addTopic("/a", "ros").addData(String(data="2"), key=T0 + 1)
+    topic = rosCas.getTopic("/a")
+    assert {t.metadata.format for t in topic.tables} == {"binary", "ros"}
+    assert [m.data for _, m in topic.items()] == ["1", "2"]
+
+
+class TestAnotherClient:
+    """What somebody else changes is seen, at the latest two seconds later."""
+
+    @pytest.fixture
+    def other(self, cassandra, keyspace, rosCas, monkeypatch):
+        monkeypatch.setattr("cassandra_ros.store.schema.CACHE_SEC", 0.0)
+        with RosCassandra(cassandra.host, cassandra.port, keyspace=keyspace) as store:
+            yield store
+
+    def test_adds_a_second_definition(self, rosCas, other):
+        topic = rosCas.addTopic("/a")
+        topic.addData(String(data="1"), key=T0)
+        with other.messageWriter() as writer:
+            from cassandra_ros.messages.classes import serialize
+            from cassandra_ros.messages.connection import apiConnection
+            from cassandra_ros.messages.definition import definitionOf
+
+            handle = writer.connect(apiConnection("/a", definitionOf(Twist), "/x"))
+            writer.write(handle, T0 + 1, 0, serialize(Twist()))
+        assert [type(m) for _, m in topic.items()] == [String, Twist]
+        other.removeTopic("/a")
+        assert not rosCas.existTopic("/a")
+        assert not rosCas.parts.schema.tables(fresh=True)
+
+    def test_drops_and_makes_a_topic_anew(self, rosCas, other):
+        topic = rosCas.addTopic("/a")
+        topic.addData(String(data="old"), key=T0)
+        other.removeTopic("/a")
+        other.addTopic("/a").addData(String(data="new"), key=T0 + 1)
+        topic.addData(String(data="mine"), key=T0 + 2)
+        assert [m.data for _, m in topic.items()] == ["new", "mine"]
+        assert [m.data for _, m in other.getTopic("/a").items()] == ["new", "mine"]
+        assert rosCas.info()[0].count == 2

@@ -9,6 +9,7 @@ import random
 import pytest
 from std_msgs.msg import String, UInt32
 
+from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import Position, decodeCursor, encodeCursor
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
@@ -77,6 +78,43 @@ def test_cursors_go_on_anywhere(filled):
         after = decodeCursor(encodeCursor(mine[number][0]))
         rest = found(topic.rows(after=after, limit=40))
         assert rest == mine[number + 1 : number + 41]
+        assert found(topic.rows(after=after, reverse=True)) == mine[:number][::-1]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "x",
+        "e30=",
+        encodeCursor(Position(10**40, "", 1, "t")),
+        encodeCursor(Position(1, "", 2**70, "t")),
+        encodeCursor(Position(-1, "", 0, "t")),
+    ],
+)
+def test_what_is_no_cursor_is_refused(text):
+    with pytest.raises(InvalidKey):
+        decodeCursor(text)
+
+
+def test_reading_outlasts_a_server_that_stumbles(filled, monkeypatch):
+    from cassandra import OperationTimedOut
+
+    rosCas, wanted = filled
+    send, calls = rosCas.cassandra.sendRaw, []
+
+    def stumbling(statement, *rest):
+        future = send(statement, *rest)
+        calls.append(future)
+        if len(calls) % 3 == 1:
+            future.result = lambda: (_ for _ in ()).throw(OperationTimedOut())
+        return future
+
+    monkeypatch.setattr(rosCas.cassandra, "sendRaw", stumbling)
+    monkeypatch.setattr("cassandra_ros.store.patience.FIRST_PAUSE_SEC", 0.001)
+    assert found(rosCas.readMessages()) == wanted
+    assert sum(i.count for i in rosCas.info()) == len(wanted)
+    assert rosCas.getTopic("/t0").getRow(wanted[0][0].t) is not None
 
 
 def test_two_definitions_of_a_topic(filled):

@@ -74,6 +74,7 @@ class Recorder:
         self._buffer = Buffer(buffer_bytes)
         self._most_waiting = buffer_bytes // 2 or 2**63
         self._waiting: list[Source] = []
+        self._waiting_bytes = 0
         self._tables = TableMaker(self._connect, self._buffer.wake)
         self._thread = threading.Thread(target=self._run, name="recorder-writer", daemon=True)
         self._thread.start()
@@ -145,7 +146,7 @@ class Recorder:
         for source in self._tables.finished():
             self._waiting.remove(source)
             while source.waiting:
-                self._route(source.release())
+                self._route(self._released(source))
         ending = self._buffer.ended
         for source in self._waiting:
             if not source.submitted and (ending or source.isRipe()):
@@ -160,6 +161,7 @@ class Recorder:
             if not source.waiting and not source.submitted:
                 self._waiting.append(source)
             source.hold(item)
+            self._waiting_bytes += item.nbytes
             self._boundWaiting(source)
             return
         if source.error:
@@ -170,11 +172,14 @@ class Recorder:
 
     def _boundWaiting(self, source: Source) -> None:
         """Keep what waits for tables within half of the buffer: topics with one go on."""
-        while sum(s.waiting_bytes for s in self._waiting) > self._most_waiting:
-            if len(source.waiting) < 2:
-                return
-            self._buffer.release(source.release())
+        while self._waiting_bytes > self._most_waiting and len(source.waiting) > 1:
+            self._buffer.release(self._released(source))
             self._counts.lost(source.topic, 1, "the buffer was full before its table stood")
+
+    def _released(self, source: Source) -> Item:
+        item = source.waiting.popleft()
+        self._waiting_bytes -= item.nbytes
+        return item
 
     def _write(self, item: Item) -> None:
         generation, counter = divmod(item.counter, 1 << COUNTER_BITS)

@@ -60,7 +60,7 @@ class Buffer:
         return dropped
 
     def take(self, most: int, most_bytes: int, timeout_sec: float) -> list[Item]:
-        """Take the oldest items, at least one; [] after the timeout, a wake or the end.
+        """Take the oldest items, at least one; [] after the timeout or a wake.
 
         Args:
             most: At most so many.
@@ -70,7 +70,7 @@ class Buffer:
         taken: list[Item] = []
         nbytes = 0
         with self._changed:
-            if not self._items and not self._closed:
+            if not self._items:
                 self._changed.wait(timeout_sec)
             while self._items and len(taken) < most and nbytes < most_bytes:
                 item = self._items.popleft()

@@ -38,7 +38,6 @@ class Source:
         self.handle: Any = None
         self.error = ""
         self.waiting: deque[Item] = deque()
-        self.waiting_bytes = 0
         self.submitted = False
         self.has_header = startsWithHeader(connection.definition_text)
         self._since: Optional[float] = None
@@ -52,13 +51,6 @@ class Source:
         self._seen += 1
         self._seen_bytes += len(item.wire)
         self.waiting.append(item)
-        self.waiting_bytes += item.nbytes
-
-    def release(self) -> Item:
-        """Give back the oldest message that waits."""
-        item = self.waiting.popleft()
-        self.waiting_bytes -= item.nbytes
-        return item
 
     def isRipe(self) -> bool:
         """Whether enough was seen to fix the bucket length."""

@@ -57,6 +57,9 @@ seed_provider:
 # What is acknowledged must survive a kill -9 and a power cut. The periodic mode loses the last
 # 100 ms even of a process that is only killed; with many writes in flight batch is as fast.
 commitlog_sync: batch
+# A flush that meets a table that is just being dropped fails with "Unknown CF", and the default
+# (stop) then ends the node. With ignore it goes on, and what cannot be logged is not acknowledged.
+commit_failure_policy: ignore
 commitlog_disk_access_mode: legacy
 commitlog_segment_size: 32MiB
 commitlog_total_space: 512MiB

@@ -16,9 +16,9 @@ import rospy
 
 from cassandra_ros.bag.recorder import DEFAULT_BUFFER_BYTES, Recorder
 from cassandra_ros.bag.recorder_counts import TopicReport
-from cassandra_ros.errors import ClockNotSet
 from cassandra_ros.formats.table import DEFAULT_FORMAT
 from cassandra_ros.nodes.node_name import fullName, isTaken, wantedName, withoutName
+from cassandra_ros.nodes.ros_clock import followClock, nowNs
 from cassandra_ros.nodes.rosout import forwardLogging
 from cassandra_ros.nodes.subscription import connectedUris, isDrained, subscribe
 
@@ -83,7 +83,7 @@ def record(
     say(f"services under {name}")
     recorder = Recorder(
         rosCas,
-        clock=_now,
+        clock=nowNs,
         format=options.format,
         nodeID=options.node_id,
         buffer_bytes=options.buffer_bytes,
@@ -206,23 +206,13 @@ def _startNode(argv: Sequence[str]) -> str:
     """Become /recorder where that name is free, else a node of an anonymous name."""
     name = wantedName("recorder", argv)
     taken = isTaken(fullName(name))
-    rospy.init_node(
-        name, argv=withoutName(argv) if taken else list(argv), anonymous=taken, disable_signals=True
-    )
+    words = withoutName(argv) if taken else list(argv)
+    rospy.init_node(name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True)
     forwardLogging()
+    followClock()
     if taken:
         _log.warning("a node %s runs already; this one is %s", fullName(name), rospy.get_name())
     return str(rospy.get_name())
-
-
-def _now() -> int:
-    """Tell ROS time in ns, exactly: rospy's wall clock goes through a float."""
-    if rospy.rostime.is_wallclock():
-        return time.time_ns()
-    now = int(rospy.rostime.get_rostime().to_nsec())
-    if not now:
-        raise ClockNotSet("simulated time is in use and no /clock message had come")
-    return now
 
 
 def _publishers(topics: Sequence[str]) -> dict[str, int]:

@@ -12,21 +12,16 @@ What plain ``rospy.Subscriber`` loses or doubles (rospy 1.15, seen with publishe
 * A publisher that comes again under its URI while its old connection is still being read is taken
   for connected, and not heard any more. Here a connection whose other end is closed does not
   count, and a publisher that was taken for connected is tried again when its connection ends.
-* A connection header that is not UTF-8 (a degree sign in an old .msg file) is refused, and the
-  publisher never heard. Here the bytes are kept as surrogates.
+* A connection header that is not UTF-8 is refused: see ``tcpros_reading``.
 """
 
 from __future__ import annotations
 
-import fcntl
 import select
-import struct
-import termios
 import threading
 from typing import Any, Callable, Mapping
 
 import rospy
-from rospy.impl import tcpros_base
 from rospy.impl.registration import (
     Registration,
     get_registration_listeners,
@@ -35,13 +30,13 @@ from rospy.impl.registration import (
 from rospy.topics import _SubscriberImpl
 
 from cassandra_ros.messages.classes import serialize
+from cassandra_ros.nodes.tcpros_reading import mendReading, receivedBytes, unreadBytes
 
 BUFF_SIZE = 16 * 1024 * 1024
-"""Bytes that are read at once; with the default of 64 KiB large messages lag."""
+"""Most bytes that are read at once; with rospy's 64 KiB large messages lag."""
 
 _HUNG_UP = getattr(select, "POLLRDHUP", 0) | select.POLLHUP | select.POLLERR
 _CLOSING = "#closing"
-_length = struct.Struct("<I").unpack_from
 
 Callback = Callable[[str, Mapping[str, str], bytes], None]
 """Called with topic, connection header and serialised message."""
@@ -58,7 +53,7 @@ def subscribe(topic: str, callback: Callback, tcp_nodelay: bool = False) -> rosp
     Returns:
         The subscriber; ``impl`` is rospy's.
     """
-    tcpros_base.read_ros_handshake_header = readHeader
+    mendReading()
 
     def take(msg: Any) -> None:
         # rospy itself may be subscribed with a class: /clock under simulated time.
@@ -76,7 +71,9 @@ def subscribe(topic: str, callback: Callback, tcp_nodelay: bool = False) -> rosp
 def isDrained(subscriber: rospy.Subscriber) -> bool:
     """Say whether everything that has reached this machine was handed to the callback."""
     impl = subscriber.impl
-    return impl is None or all(_isRead(c) for c in list(impl.connections or ()))
+    if not isinstance(impl, _Subscription):
+        return True
+    return all(_isRead(connection) for connection in list(impl.connections or ()))
 
 
 def connectedUris(subscriber: rospy.Subscriber) -> set[str]:
@@ -136,9 +133,10 @@ class _Subscription(_SubscriberImpl):
                 threading.Thread(target=connect, args=(self.name, again), daemon=True).start()
 
     def receive_callback(self, msgs: list[Any], connection: Any) -> None:
-        """Hand on messages and note how many of the connection's were."""
+        """Hand on messages and note how many of the connection's bytes they were."""
         super().receive_callback(msgs, connection)
-        connection.handled = getattr(connection, "handled", 0) + len(msgs)
+        nbytes = sum(len(msg._buff) + 4 for msg in msgs)
+        connection.handled = getattr(connection, "handled", 0) + nbytes
 
 
 def _hasHungUp(connection: Any) -> bool:
@@ -159,42 +157,8 @@ def _isRead(connection: Any) -> bool:
     if sock is None or connection.done:
         return True
     try:
-        unread = _length(fcntl.ioctl(sock, termios.FIONREAD, bytes(4)))[0]
+        # In this order: what has left the socket was counted before it did.
+        unread = unreadBytes(sock)
     except (OSError, ValueError):
         return True
-    return not unread and getattr(connection, "handled", 0) == connection.stat_num_msg
-
-
-def readHeader(sock: Any, b: Any, buff_size: int) -> dict[str, str]:
-    """Read a connection header as rosgraph does, keeping bytes that are not UTF-8.
-
-    Args:
-        sock: Blocking socket.
-        b: BytesIO; afterwards holds what came behind the header.
-        buff_size: Bytes to read at once.
-    """
-    while b.tell() < 4 or b.tell() - 4 < _length(b.getvalue())[0]:
-        data = sock.recv(buff_size)
-        if not data:
-            raise rospy.exceptions.TransportInitError("the publisher closed before its header")
-        b.write(data)
-    received = b.getvalue()
-    end = 4 + _length(received)[0]
-    b.seek(0)
-    b.truncate(0)
-    b.write(received[end:])
-    return _fields(received[4:end])
-
-
-def _fields(header: bytes) -> dict[str, str]:
-    fields: dict[str, str] = {}
-    at = 0
-    while at + 4 <= len(header):
-        (size,) = _length(header, at)
-        name, equals, value = header[at + 4 : at + 4 + size].partition(b"=")
-        at += 4 + size
-        if not equals or at > len(header):
-            raise rospy.exceptions.TransportInitError("a connection header is malformed")
-        text = name.decode("utf-8", "surrogateescape").strip()
-        fields[text] = value.decode("utf-8", "surrogateescape")
-    return fields
+    return not unread and getattr(connection, "handled", 0) == receivedBytes(sock)

@@ -7,12 +7,18 @@ Only conjuncts are used, so the bounds may be weaker than the condition and are 
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from typing import Iterator, Optional
 
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.query.literals import fitToNode, fitToTime
-from cassandra_ros.query.syntax import All, Compare, Expression, Key, Literal, Node
+from cassandra_ros.query.syntax import All, Compare, Expression, Key, Literal, Node, leaves
+
+_log = logging.getLogger(__name__)
+
+SECONDS_BELOW = 10**12
+"""An integer key below is 17 minutes after 1970, or was meant as seconds."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +63,20 @@ def boundsOf(condition: Optional[Expression], node: Optional[str] = None) -> Bou
     for part in _conjuncts(condition):
         bounds = _narrowed(bounds, part)
     return bounds
+
+
+def warnOfSeconds(condition: Optional[Expression]) -> None:
+    """Log a warning where KEY is compared with what looks like seconds: integers are ns."""
+    for comparison in leaves(condition):
+        values = (comparison.value,) if isinstance(comparison, Compare) else comparison.values
+        for given in values if isinstance(comparison.operand, Key) else ():
+            value = given.value if isinstance(given, Literal) else None
+            if type(value) is int and 0 < value < SECONDS_BELOW:
+                _log.warning(
+                    "KEY is compared with %d, which means nanoseconds since 1970; did you mean "
+                    "seconds, %d.0?",
+                    *(value, value),
+                )
 
 
 def _conjuncts(condition: Optional[Expression]) -> Iterator[Expression]:

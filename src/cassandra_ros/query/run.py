@@ -8,7 +8,7 @@ from typing import Any, Generator, Iterator, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.errors import InvalidQuery, TopicNotFound
 from cassandra_ros.keys import Position
-from cassandra_ros.query.bounds import Bounds, boundsOf
+from cassandra_ros.query.bounds import Bounds, boundsOf, warnOfSeconds
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.conditions import boundedRows
 from cassandra_ros.query.cursor import Place, readPlace
@@ -145,6 +145,7 @@ def execute(
         bounds = boundsOf(select.condition, nodeID)
     except StatementError as exc:
         raise InvalidQuery(statement, exc.position, exc.reason) from None
+    warnOfSeconds(select.condition)
     return QueryResult(select, topic, bounds, readPlace(after), limit)
 
 

@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 import zlib
-from typing import Iterator
+from typing import Any, Iterator
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.driver_errors import translated
+from cassandra_ros.store.driver_errors import DRIVER_ERRORS
+from cassandra_ros.store.patience import Patience
 from cassandra_ros.store.row_table import (
     CHUNK_BYTES,
     RowTable,
@@ -56,12 +57,7 @@ def readChunks(cassandra: Cassandra, table: RowTable, row: TableRow) -> bytes:
     )
     bound = bind(table.selectChunks(), key)
     bound.fetch_size = _PAGE_CHUNKS
-    parts: list[bytes] = []
-    with translated(f"reading a large message of topic {table.metadata.topic}"):
-        for number, data in cassandra.sendRaw(bound).result():
-            if number != encodeInt(len(parts)) or len(parts) >= row.nchunks:
-                break
-            parts.append(data)
+    parts = _parts(cassandra, bound, table, row)
     wire = b"".join(parts)
     if len(parts) != row.nchunks or len(wire) != row.size or checksum(wire) != row.crc:
         raise CorruptMessage(
@@ -71,3 +67,17 @@ def readChunks(cassandra: Cassandra, table: RowTable, row: TableRow) -> bytes:
             "import or record it again"
         )
     return wire
+
+
+def _parts(cassandra: Cassandra, bound: Any, table: RowTable, row: TableRow) -> list[bytes]:
+    patience = Patience(f"reading a large message of topic {table.metadata.topic}")
+    while True:
+        parts: list[bytes] = []
+        try:
+            for number, data in cassandra.sendRaw(bound).result():
+                if number != encodeInt(len(parts)) or len(parts) >= row.nchunks:
+                    break
+                parts.append(data)
+            return parts
+        except DRIVER_ERRORS as exc:
+            patience.wait(exc)

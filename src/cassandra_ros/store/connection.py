@@ -8,7 +8,7 @@ import logging
 import socket
 import threading
 import time
-from typing import Any, Callable, Iterable, Sequence, TypeVar
+from typing import Any, Iterable, Sequence
 
 from cassandra import ConsistencyLevel
 from cassandra.auth import PlainTextAuthProvider
@@ -35,16 +35,14 @@ from cassandra_ros.store.driver_errors import (
     translate,
     translated,
 )
+from cassandra_ros.store.patience import RETRY_SEC, Patience
 from cassandra_ros.store.raw_rows import RawProtocolHandler
 
 _log = logging.getLogger(__name__)
-_Result = TypeVar("_Result")
 
 CONNECT_TIMEOUT_SEC = 10.0
 REQUEST_TIMEOUT_SEC = 20.0
 NEW_TABLE_SEC = 1.0
-RETRY_SEC = 30.0
-"""How long a single read or write is tried again before it fails."""
 
 
 class Cassandra:
@@ -180,15 +178,15 @@ class Cassandra:
         Returns:
             The rows as tuples of decoded values.
         """
-        return _withRetries(lambda: self._run(cql, params, consistency), what, retry_sec)
-
-    def _run(
-        self, cql: str, params: Sequence[Any], consistency: int | None
-    ) -> list[tuple[Any, ...]]:
-        bound = self.prepare(cql).bind(tuple(params))
-        if consistency is not None:
-            bound.consistency_level = consistency
-        return list(self._session.execute(bound))
+        patience = Patience(what, retry_sec)
+        while True:
+            try:
+                bound = self.prepare(cql).bind(tuple(params))
+                if consistency is not None:
+                    bound.consistency_level = consistency
+                return list(self._session.execute(bound))
+            except DRIVER_ERRORS as exc:
+                patience.wait(exc)
 
     def executeOnce(
         self, cql: str, params: Sequence[Any] = (), *, what: str
@@ -274,17 +272,3 @@ def _consistencyLevel(name: str) -> int:
             f"{name!r} is not a consistency level; there are {', '.join(sorted(levels))}"
         )
     return int(levels[name.upper()])
-
-
-def _withRetries(run: Callable[[], _Result], what: str, retry_sec: float) -> _Result:
-    deadline = time.monotonic() + retry_sec
-    pause = 0.1
-    while True:
-        try:
-            return run()
-        except DRIVER_ERRORS as exc:
-            if not isPassing(exc) or time.monotonic() + pause > deadline:
-                raise translate(exc, what) from exc
-            _log.warning("%s: %s; trying again", what, exc)
-        time.sleep(pause)
-        pause = min(2 * pause, 5.0)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Sequence
 from cassandra_ros.store.buckets import slotOf
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.names import quoteName
+from cassandra_ros.store.patience import RETRY_SEC
 
 STALE_SEC = 60.0
 """An open bucket whose heartbeat is older than this has no living writer."""
@@ -56,8 +57,10 @@ class Totals:
 class Directory:
     """Reads and writes cr_node and cr_bucket of one keyspace."""
 
-    def __init__(self, cassandra: Cassandra, keyspace: str) -> None:
+    def __init__(self, cassandra: Cassandra, keyspace: str, retry_sec: float = RETRY_SEC) -> None:
         self._cassandra = cassandra
+        self._keyspace = keyspace
+        self._retry_sec = retry_sec
         space = quoteName(keyspace)
         self._nodes = (
             f"SELECT slot, node FROM {space}.cr_node WHERE tbl = ? AND slot >= ? AND slot <= ?"
@@ -65,7 +68,7 @@ class Directory:
         self._add_node = f"INSERT INTO {space}.cr_node (tbl, slot, node) VALUES (?, ?, ?)"
         self._buckets = (
             "SELECT bucket, writer, state, heartbeat, n, bytes, largest, t_min, t_max, odd, "
-            f"toTimestamp(now()) FROM {space}.cr_bucket "
+            f"deleted, toTimestamp(now()) FROM {space}.cr_bucket "
             "WHERE tbl = ? AND node = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
         )
         self._values = (
@@ -77,18 +80,29 @@ class Directory:
             f"INSERT INTO {space}.cr_bucket (tbl, node, slot, bucket, writer, state, heartbeat) "
             "VALUES (?, ?, ?, ?, ?, 'open', toTimestamp(now())) USING TTL ?"
         )
+        self._deleted = (
+            f"INSERT INTO {space}.cr_bucket (tbl, node, slot, bucket, writer, state, heartbeat, "
+            "deleted) VALUES (?, ?, ?, ?, ?, 'open', toTimestamp(now()), true) USING TTL ?"
+        )
         self._recount = (
             f"UPDATE {space}.cr_bucket USING TTL ? SET state = 'closed', n = ?, bytes = ?, "
-            "largest = ?, t_min = ?, t_max = ?, odd = ? "
+            "largest = ?, t_min = ?, t_max = ?, odd = ?, deleted = false "
             "WHERE tbl = ? AND node = ? AND slot = ? AND bucket = ? AND writer = ? "
-            "IF state = 'open' AND heartbeat = ?"
+            "IF heartbeat = ?"
         )
         self._drop = f"DELETE FROM {space}.cr_bucket WHERE tbl = ? AND node = ? AND slot = ?"
         self._drop_node = f"DELETE FROM {space}.cr_node WHERE tbl = ?"
 
+    def patient(self, retry_sec: float) -> Directory:
+        """Return the same directory for a writer that tries for so many seconds."""
+        return Directory(self._cassandra, self._keyspace, retry_sec)
+
+    def _run(self, cql: str, params: Sequence[Any], what: str) -> list[tuple[Any, ...]]:
+        return self._cassandra.execute(cql, params, what=what, retry_sec=self._retry_sec)
+
     def nodes(self, table: str, first_slot: int, last_slot: int) -> list[tuple[int, str]]:
         """List the (slot, node) of a table in [first_slot, last_slot]."""
-        rows = self._cassandra.execute(
+        rows = self._run(
             self._nodes, (table, first_slot, last_slot), what="reading the directory of nodes"
         )
         return [(row[0], row[1]) for row in rows]
@@ -115,7 +129,7 @@ class Directory:
 
     def find(self, table: str, node: str, bucket: int) -> list[BucketRow]:
         """List the writers of one bucket."""
-        rows = self._cassandra.execute(
+        rows = self._run(
             self._buckets,
             (table, node, slotOf(bucket), bucket, bucket),
             what="reading the directory of buckets",
@@ -124,13 +138,22 @@ class Directory:
 
     def addNode(self, table: str, slot: int, node: str) -> None:
         """Note that a node has buckets in this slot; before the first of them."""
-        self._cassandra.execute(
-            self._add_node, (table, slot, node), what="writing the directory of nodes"
+        self._run(self._add_node, (table, slot, node), what="writing the directory of nodes")
+
+    def markDeleted(self, table: str, node: str, bucket: int, writer: int, ttl: int) -> None:
+        """Mark a bucket as deleted from: no count holds until the next recount.
+
+        A flag of its own, for a living writer closes the bucket with the counts of what it wrote.
+        """
+        self._run(
+            self._deleted,
+            (table, node, slotOf(bucket), bucket, writer, _ttl(ttl)),
+            what="marking a bucket in the directory",
         )
 
     def open(self, table: str, node: str, bucket: int, writer: int, ttl: int) -> None:
-        """Mark a bucket as being written (or deleted from), with a fresh heartbeat."""
-        self._cassandra.execute(
+        """Mark a bucket as being written, with a fresh heartbeat."""
+        self._run(
             self._reopen,
             (table, node, slotOf(bucket), bucket, writer, _ttl(ttl)),
             what="opening a bucket in the directory",
@@ -147,7 +170,7 @@ class Directory:
         ttl: int,
     ) -> None:
         """Write the values of a bucket: final when closed, else estimates with a heartbeat."""
-        self._cassandra.execute(
+        self._run(
             self._values,
             (
                 *(table, node, slotOf(bucket), bucket, writer, "closed" if closed else "open"),
@@ -171,10 +194,8 @@ class Directory:
     def forget(self, table: str) -> None:
         """Remove all that is known of a table that was dropped."""
         for slot, node in self.nodes(table, -(2**63), 2**63 - 1):
-            self._cassandra.execute(
-                self._drop, (table, node, slot), what="clearing the directory of buckets"
-            )
-        self._cassandra.execute(self._drop_node, (table,), what="clearing the directory")
+            self._run(self._drop, (table, node, slot), what="clearing the directory of buckets")
+        self._run(self._drop_node, (table,), what="clearing the directory")
 
 
 def _ttl(ttl: int) -> int:
@@ -189,10 +210,10 @@ def _values(totals: Totals) -> tuple[int, ...]:
 
 
 def _bucketRow(node: str, row: tuple[Any, ...]) -> BucketRow:
-    bucket, writer, state, heartbeat, n, size, largest, t_min, t_max, odd, now = row
+    bucket, writer, state, heartbeat, n, size, largest, t_min, t_max, odd, deleted, now = row
     age = (now - heartbeat).total_seconds() if heartbeat is not None else STALE_SEC + 1
     return BucketRow(
-        *(node, bucket, writer, state == "closed", heartbeat),
+        *(node, bucket, writer, state == "closed" and not deleted, heartbeat),
         *(n or 0, size or 0, largest or 0, t_min or 0, t_max if t_max is not None else -1),
         *(odd or 0, age),
     )

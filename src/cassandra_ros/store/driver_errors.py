@@ -30,6 +30,7 @@ from cassandra_ros.errors import (
     KeyspaceNotFound,
     SchemaConflict,
     StoreUnavailable,
+    TopicNotFound,
 )
 
 START_HINT = "start one with: rosrun cassandra_ros local_cassandra start"
@@ -108,6 +109,8 @@ def translate(exc: BaseException, what: str) -> CassandraRosError:
         return StoreUnavailable(f"{what}: the server did not answer in time or failed: {exc}")
     if isinstance(exc, InvalidRequest) and "keyspace" in str(exc).lower() and isTableGone(exc):
         return KeyspaceNotFound(f"{what}: {exc}")
+    if isTableGone(exc):
+        return TopicNotFound(f"{what}: its table was removed meanwhile by another client")
     if isinstance(exc, (InvalidRequest, SyntaxException, AlreadyExists)):
         return SchemaConflict(f"{what}: the server refuses the statement: {exc}")
     return StoreUnavailable(f"{what}: {type(exc).__name__}: {exc}")

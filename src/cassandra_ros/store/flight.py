@@ -11,20 +11,18 @@ import time
 from typing import Any, Callable
 
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isBusy, isPassing
+from cassandra_ros.store.patience import BUSY_PAUSE_SEC, FIRST_PAUSE_SEC, LAST_PAUSE_SEC
 
 _log = logging.getLogger(__name__)
 
 MAX_BYTES = 4 * 1024 * 1024
 MAX_REQUESTS = 16
-BUSY_PAUSE_SEC = 0.002
-FIRST_PAUSE_SEC = 0.1
-LAST_PAUSE_SEC = 5.0
 
 Outcome = Callable[["BaseException | None"], None]
 
 
 class _Request:
-    __slots__ = ("deadline", "nbytes", "outcome", "pause", "settled", "statement")
+    __slots__ = ("counted", "deadline", "nbytes", "outcome", "pause", "settled", "statement")
 
     def __init__(self, statement: Any, nbytes: int, outcome: Outcome, deadline: float) -> None:
         self.statement = statement
@@ -33,6 +31,7 @@ class _Request:
         self.deadline = deadline
         self.pause = FIRST_PAUSE_SEC
         self.settled = False
+        self.counted = False
 
 
 class Flight:
@@ -64,18 +63,20 @@ class Flight:
         Args:
             nbytes: Its size. One that is over the bound alone is sent when nothing else is.
         """
-        with self._changed:
-            while self._requests and (
-                self._requests >= MAX_REQUESTS or self._bytes + nbytes > MAX_BYTES
-            ):
-                self._changed.wait()
-            self._requests += 1
-            self._bytes += nbytes
         request = _Request(statement, nbytes, outcome, time.monotonic() + self._give_up)
         try:
+            with self._changed:
+                while self._requests and (
+                    self._requests >= MAX_REQUESTS or self._bytes + nbytes > MAX_BYTES
+                ):
+                    self._changed.wait()
+                request.counted = True
+                self._requests += 1
+                self._bytes += nbytes
+            request.deadline = time.monotonic() + self._give_up
             self._launch(request)
         except BaseException as exc:
-            # Ctrl-C between taking the place in the budget and handing the request over.
+            # Ctrl-C while waiting, or before the request was handed over.
             self._settle(request, exc)
             raise
 
@@ -141,8 +142,9 @@ class Flight:
             request.outcome(exc)
         finally:
             with self._changed:
-                self._requests -= 1
-                self._bytes -= request.nbytes
+                if request.counted:
+                    self._requests -= 1
+                    self._bytes -= request.nbytes
                 self._changed.notify_all()
 
     def _retry(self) -> None:
@@ -155,4 +157,7 @@ class Flight:
                     self._late_changed.wait(timeout)
                 request = heapq.heappop(self._late)[2]
             # Its place in the budget is still held, so this never blocks on itself.
-            self._launch(request)
+            try:
+                self._launch(request)
+            except Exception as exc:  # noqa: BLE001 - told as its outcome; the thread goes on
+                self._settle(request, exc)

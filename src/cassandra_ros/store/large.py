@@ -58,21 +58,30 @@ class LargeMessages:
         size, own = len(wire), (chunkCount(len(wire)), checksum(wire), None in small, None)
 
         def row() -> None:
+            # Alone in its batch: its size is not one of a row with the message inside.
+            if bucket.batch.rows:
+                self._send(bucket, False)
             with bucket.mutex:
                 bucket.in_air -= 1
             bucket.add(t, seq, conn, size, small, own)
-            # Alone in its batch: its size is not one of a row with the message inside.
             self._send(bucket, True)
 
+        statement, key = table.insertChunk(), bucket.key(t, seq)
+        outcome = self._outcome(bucket, chunkCount(size), row)
         with bucket.mutex:
             bucket.in_air += 1
         with self._changed:
             self._count += 1
-        outcome = self._outcome(bucket, chunkCount(size), row)
-        statement, key = table.insertChunk(), bucket.key(t, seq)
-        for number, data in pieces(wire):
-            values = (*key, encodeInt(number), data)
-            self._flight.submit(bind(statement, values), len(data), outcome)
+        told = 0
+        try:
+            for number, data in pieces(wire):
+                bound = bind(statement, (*key, encodeInt(number), data))
+                told += 1  # whatever happens in submit, it tells the outcome
+                self._flight.submit(bound, len(data), outcome)
+        except BaseException as exc:
+            for _ in range(chunkCount(size) - told):
+                outcome(exc)
+            raise
         self.commit()
 
     def _outcome(

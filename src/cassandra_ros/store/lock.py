@@ -20,8 +20,8 @@ from cassandra_ros.store.names import quoteName
 
 _log = logging.getLogger(__name__)
 
-LOCK_TTL_SEC = 60
-WAIT_SEC = 90.0
+LOCK_TTL_SEC = 120
+WAIT_SEC = 150.0
 _NAME = "schema"
 _TRIES = 8
 
@@ -34,7 +34,7 @@ class SchemaLock:
         keyspace: Whose tables are to be changed.
 
     Raises:
-        SchemaConflict: Somebody else holds the lock for longer than 90 s.
+        SchemaConflict: Somebody else holds the lock for longer than 150 s.
     """
 
     def __init__(self, cassandra: Cassandra, keyspace: str) -> None:

@@ -9,10 +9,9 @@ from typing import Any, Sequence
 from cassandra_ros.store.buckets import slotOf
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import Directory
-from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isPassing, translate
+from cassandra_ros.store.driver_errors import DRIVER_ERRORS
+from cassandra_ros.store.patience import Patience
 from cassandra_ros.store.row_table import MAX_SEQ, MIN_SEQ, RowTable, TableRow, bind, encodeLong
-
-_TRIES = 5
 
 
 def rowAt(cassandra: Cassandra, table: RowTable, t: int, node: str, seq: int) -> TableRow | None:
@@ -82,12 +81,11 @@ def _first(
     node: str,
     seqs: tuple[int, int],
 ) -> TableRow | None:
-    for left in reversed(range(_TRIES)):
+    patience = Patience(f"reading topic {table.metadata.topic}")
+    while True:
         try:
             rows = future.result().current_rows
             return table.rowFromValues(node, rows[0]) if rows else None
         except DRIVER_ERRORS as exc:
-            if not left or not isPassing(exc):
-                raise translate(exc, f"reading topic {table.metadata.topic}") from exc
+            patience.wait(exc)
             future = _ask(cassandra, table, t, node, seqs)
-    raise AssertionError("the loop above returns or raises")

@@ -10,7 +10,8 @@ from typing import Any, Callable, Iterator, NamedTuple, Sequence
 from cassandra_ros.keys import Position
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import BucketRow, Directory
-from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isPassing, translate
+from cassandra_ros.store.driver_errors import DRIVER_ERRORS
+from cassandra_ros.store.patience import Patience
 from cassandra_ros.store.row_table import MAX_SEQ, MIN_SEQ, RowTable, TableRow, bind, encodeLong
 
 PAGE_BYTES = 2 * 1024 * 1024
@@ -20,7 +21,6 @@ MAX_PAGE_ROWS = 5000
 UNKNOWN_ROW_BYTES = 32 * 1024
 """Assumed where the directory knows nothing yet of a bucket (opened seconds ago)."""
 _ROW_OVERHEAD = 64
-_TRIES = 5
 
 
 class Scan(NamedTuple):
@@ -94,13 +94,15 @@ def _inverted(text: str) -> tuple[int, ...]:
 
 def _pieces(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> list[_Piece]:
     found: list[_Piece] = []
-    low = scan.low if scan.after is None else max(scan.low, scan.after.t)
+    low, high = scan.low, scan.high
+    if scan.after is not None and scan.reverse:
+        high = min(high, scan.after.t)
+    elif scan.after is not None:
+        low = max(low, scan.after.t)
     groups: list[tuple[RowTable, list[BucketRow]]] = []
     streams: set[tuple[str, str]] = set()
     for table in tables:
-        rows = directory.buckets(
-            table.name, table.bucketOf(low), table.bucketOf(scan.high), scan.nodes
-        )
+        rows = directory.buckets(table.name, table.bucketOf(low), table.bucketOf(high), scan.nodes)
         groups.append((table, rows))
         streams.update((table.name, row.node) for row in rows)
     page_bytes = min(PAGE_BYTES, max(64 * 1024, ALL_PAGES_BYTES // max(1, 2 * len(streams))))
@@ -110,7 +112,7 @@ def _pieces(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> lis
             by_bucket.setdefault((row.node, row.bucket), []).append(row)
         length = table.metadata.bucket_ns
         for (node, bucket), group in by_bucket.items():
-            start = min((bucket + 1) * length, scan.high + 1) if scan.reverse else bucket * length
+            start = min((bucket + 1) * length, high + 1) if scan.reverse else bucket * length
             found.append(_Piece(start, table, node, bucket, _pageRows(group, page_bytes)))
     found.sort(key=lambda p: (p.start, p.node, p.table.name), reverse=scan.reverse)
     return found
@@ -164,7 +166,7 @@ class _Stream:
         wanted = piece.table.columns if scan.columns is None else scan.columns(piece.table)
         self._statement = piece.table.selectRange(wanted, reverse=scan.reverse)
         self._low = _lowest(piece, scan)
-        self._high = (scan.high, MAX_SEQ)
+        self._high = _highest(piece, scan)
         self._future = self._ask()
 
     def _ask(self) -> Any:
@@ -175,15 +177,13 @@ class _Stream:
         return self._cassandra.sendRaw(bound)
 
     def _page(self) -> list[Any]:
-        for left in reversed(range(_TRIES)):
+        patience = Patience(f"reading topic {self._piece.table.metadata.topic}")
+        while True:
             try:
                 return self._future.result().current_rows  # type: ignore[no-any-return]
             except DRIVER_ERRORS as exc:
-                if not left or not isPassing(exc):
-                    topic = self._piece.table.metadata.topic
-                    raise translate(exc, f"reading topic {topic}") from exc
+                patience.wait(exc)
                 self._future = self._ask()
-        raise AssertionError("the loop above returns or raises")
 
     def rows(self) -> Iterator[TableRow]:
         table, node = self._piece.table, self._piece.node
@@ -208,10 +208,19 @@ class _Stream:
 
 def _lowest(piece: _Piece, scan: Scan) -> tuple[int, int]:
     after = scan.after
-    if after is None or after.t < scan.low:
+    if after is None or scan.reverse or after.t < scan.low:
         return (scan.low, MIN_SEQ)
     if piece.node != after.node:
         return (after.t + (piece.node < after.node), MIN_SEQ)
     if piece.table.name > after.table:
         return (after.t, after.seq)
     return (after.t, after.seq + 1) if after.seq < MAX_SEQ else (after.t + 1, MIN_SEQ)
+
+
+def _highest(piece: _Piece, scan: Scan) -> tuple[int, int]:
+    after = scan.after
+    if after is None or not scan.reverse or after.t > scan.high:
+        return (scan.high, MAX_SEQ)
+    if piece.node != after.node:
+        return (after.t - (piece.node > after.node), MAX_SEQ)
+    return (after.t, after.seq - (piece.table.name >= after.table))

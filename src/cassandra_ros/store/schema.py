@@ -9,7 +9,7 @@ import threading
 import time
 from typing import Mapping
 
-from cassandra_ros.errors import SchemaConflict
+from cassandra_ros.errors import SchemaConflict, TopicNotFound
 from cassandra_ros.metadata import TopicMetadata, fromComment
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.lock import SchemaLock
@@ -28,6 +28,8 @@ OWN_COLUMNS = {
 }
 CHUNK_TTL_MARGIN_SEC = 86_400
 _WINDOWS = 25
+CACHE_SEC = 2.0
+"""How old the list of tables may be: other clients add definitions and drop topics."""
 
 
 class Schema:
@@ -42,6 +44,9 @@ class Schema:
         self._cassandra = cassandra
         self.keyspace = keyspace
         self._tables: dict[str, TopicMetadata] | None = None
+        self._read_at = 0.0
+        self.seen: set[tuple[str, str]] = set()
+        """(topic, format) of every table that was ever listed here."""
         self._mutex = threading.Lock()
 
     def qualified(self, table: str) -> str:
@@ -52,11 +57,13 @@ class Schema:
         """List the topic tables: name → metadata, from the comments.
 
         Args:
-            fresh: Ask the server even where the answer is cached.
+            fresh: Ask the server even where the answer was read within the last 2 s.
         """
         with self._mutex:
-            if self._tables is None or fresh:
+            now = time.monotonic()
+            if self._tables is None or fresh or now - self._read_at > CACHE_SEC:
                 self._tables = self._read()
+                self._read_at = now
             return self._tables
 
     def _read(self) -> dict[str, TopicMetadata]:
@@ -70,6 +77,7 @@ class Schema:
             metadata = fromComment(comment or "", f"{self.keyspace}.{name}")
             if metadata is not None:
                 found[name] = metadata
+                self.seen.add((metadata.topic, metadata.format))
         return found
 
     def find(self, topic: str, md5sum: str, format_name: str) -> str | None:
@@ -142,6 +150,11 @@ class Schema:
         if self._exists(name):
             return name
         with SchemaLock(self._cassandra, self.keyspace) as lock:
+            if not self._exists(table):
+                raise TopicNotFound(
+                    f"table {table} was removed by another client; messages of its topic need "
+                    "a new one: connect again"
+                )
             if not self._exists(name):
                 lock.renew()
                 self._cassandra.schemaChange(
@@ -177,9 +190,10 @@ class Schema:
             )
         self.tables(fresh=True)
 
-    def dropTables(self, tables: list[str]) -> None:
-        """Drop topic tables and what belongs to them, under the lock."""
+    def dropTopic(self, topic: str) -> list[str]:
+        """Drop all tables of a topic and what belongs to them; return their names."""
         with SchemaLock(self._cassandra, self.keyspace) as lock:
+            tables = [name for name, m in self._read().items() if m.topic == topic]
             for table in tables:
                 for name in (table, chunkTableName(table)):
                     lock.renew()
@@ -189,6 +203,7 @@ class Schema:
                     )
                 self._cassandra.forget(table)
         self.tables(fresh=True)
+        return tables
 
 
 def _storage(ttl: int, margin: int) -> str:

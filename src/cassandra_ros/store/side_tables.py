@@ -24,13 +24,13 @@ SIDE_TABLES = {
         "md5sum text, def_hash blob, PRIMARY KEY ((tbl, conn))"
     ),
     # md5sum does not tell one text from another (comments), so the hash of the text does.
-    "cr_definition": "md5sum text, hash blob, text blob, PRIMARY KEY ((md5sum), hash)",
+    "cr_definition": "md5sum text, hash blob, text blob, PRIMARY KEY ((md5sum, hash))",
     # Directory: which (slot, node) a table has, and every bucket of each of them by writer.
     "cr_node": "tbl text, slot bigint, node text, PRIMARY KEY ((tbl), slot, node)",
     "cr_bucket": (
         "tbl text, node text, slot bigint, bucket bigint, writer bigint, state text, "
         "heartbeat timestamp, n bigint, bytes bigint, largest bigint, t_min bigint, "
-        "t_max bigint, odd bigint, filled frozen<set<text>>, "
+        "t_max bigint, odd bigint, deleted boolean, filled frozen<set<text>>, "
         "PRIMARY KEY ((tbl, node, slot), bucket, writer)"
     ),
     # Each recording or import; its writer id is the upper half of the _seq of its rows.

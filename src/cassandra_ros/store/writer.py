@@ -7,10 +7,9 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from dataclasses import dataclass
-from typing import Callable, Sequence
+from typing import Sequence
 
-from cassandra_ros.errors import CassandraRosError, StoreUnavailable, WriteFailed
+from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound, WriteFailed
 from cassandra_ros.store.buckets import slotOf
 from cassandra_ros.store.chunks import isLarge
 from cassandra_ros.store.connection import Cassandra
@@ -22,6 +21,7 @@ from cassandra_ros.store.large import LargeMessages
 from cassandra_ros.store.open_bucket import Batch, OpenBucket
 from cassandra_ros.store.row_table import RowTable
 from cassandra_ros.store.schema import Schema
+from cassandra_ros.store.write_stats import LossCallback, WriteStats
 
 _log = logging.getLogger(__name__)
 
@@ -29,21 +29,6 @@ TICK_SEC = 0.02
 IDLE_SEC = 10.0
 REOPEN_SEC = 30.0
 """After so long without a heartbeat a bucket is marked open anew before it is written to."""
-
-
-@dataclass
-class WriteStats:
-    """What became of the rows of one table so far."""
-
-    stored: int = 0
-    bytes: int = 0
-    """Serialised bytes of the stored messages."""
-    lost: int = 0
-    reason: str = ""
-    """Why the first lost ones were lost."""
-
-
-LossCallback = Callable[[str, int, CassandraRosError], None]
 
 
 class RowWriter:
@@ -73,7 +58,7 @@ class RowWriter:
     ) -> None:
         self._cassandra = cassandra
         self._schema = schema
-        self._directory = directory
+        self._directory = directory.patient(give_up_after_sec)
         self._writer_id = writer_id
         self._linger_sec = linger_sec
         self._on_loss = on_loss
@@ -84,6 +69,9 @@ class RowWriter:
         self._large = LargeMessages(schema, self._flight, self._send, self._lost)
         self.stats: dict[str, WriteStats] = {}
         """Table name → what became of its rows."""
+        self.gone: set[str] = set()
+        """Tables that were dropped while they were written to."""
+        self._counting = threading.Lock()
         self._error: CassandraRosError | None = None
         self._closing = threading.Event()
         self._ticker = threading.Thread(target=self._tick, name="cassandra_ros-writer", daemon=True)
@@ -117,16 +105,20 @@ class RowWriter:
         """
         with self._lock:
             self._raiseError()
-            bucket = self._bucket(table, node, table.bucketOf(t))
-            if isLarge(len(wire)):
+            try:
+                bucket = self._bucket(table, node, table.bucketOf(t))
+                if not isLarge(len(wire)):
+                    own = (None, None, odd, raw) if odd or raw is not None else None
+                    bucket.add(t, seq, conn, len(wire), columns, own)
+                    if bucket.isFull():
+                        self._send(bucket)
+                    return
                 if bucket.batch.rows:
                     self._send(bucket)
                 self._large.send(bucket, t, seq, conn, wire, columns)
-                return
-            own = (None, None, odd, raw) if odd or raw is not None else None
-            bucket.add(t, seq, conn, len(wire), columns, own)
-            if bucket.isFull():
-                self._send(bucket)
+            except TopicNotFound:
+                self.gone.add(table.name)
+                raise
 
     def _bucket(self, table: RowTable, node: str, number: int) -> OpenBucket:
         key = (table.name, node, number)
@@ -168,21 +160,24 @@ class RowWriter:
     # ---------------------------------------------------------------- outcomes
 
     def _count(self, table: RowTable, batch: Batch) -> None:
-        stats = self.stats[table.name]
-        stats.stored += len(batch.sizes)
-        stats.bytes += sum(batch.sizes)
+        # The driver's, the retry and the calling thread come by here.
+        with self._counting:
+            stats = self.stats[table.name]
+            stats.stored += len(batch.sizes)
+            stats.bytes += sum(batch.sizes)
 
     def _lost(self, table: RowTable, rows: int, exc: BaseException) -> None:
         topic = table.metadata.topic
-        gone = "; its table was dropped meanwhile" if isTableGone(exc) else ""
         error = WriteFailed(
-            f"{rows} messages of topic {topic} could not be stored{gone}: "
-            f"{translate(exc, 'writing')}"
+            f"{rows} messages of topic {topic} could not be stored: {translate(exc, 'writing')}"
         )
         error.__cause__ = exc
-        stats = self.stats[table.name]
-        stats.lost += rows
-        stats.reason = stats.reason or str(error)
+        with self._counting:
+            stats = self.stats[table.name]
+            stats.lost += rows
+            stats.reason = stats.reason or str(error)
+            if isTableGone(exc):
+                self.gone.add(table.name)
         if self._on_loss is not None:
             self._on_loss(topic, rows, error)
         elif self._error is None:
@@ -223,7 +218,7 @@ class RowWriter:
             if idle or bucket.changed:
                 with self._lock:
                     if idle and not bucket.in_air and not bucket.batch.rows:
-                        self._close(bucket)
+                        self._closeOrLeave(bucket)
                         del self._buckets[key]
                     else:
                         self._mark(bucket)
@@ -280,15 +275,19 @@ class RowWriter:
             self._flight.close()
         self._closeAll()
 
+    def _closeOrLeave(self, bucket: OpenBucket) -> None:
+        try:
+            self._close(bucket)
+        except StoreUnavailable:
+            raise
+        except CassandraRosError as exc:
+            _log.warning("a bucket of topic %s stays open: %s", bucket.table.metadata.topic, exc)
+
     def _closeAll(self) -> None:
-        for bucket in self._buckets.values():
-            try:
-                self._close(bucket)
-            except StoreUnavailable as exc:
-                # Nothing is lost: buckets that stay open are counted live by the next reader.
-                _log.warning("buckets stay open in the directory: %s", exc)
-                break
-            except CassandraRosError as exc:
-                topic = bucket.table.metadata.topic
-                _log.warning("a bucket of topic %s stays open: %s", topic, exc)
+        try:
+            for bucket in self._buckets.values():
+                self._closeOrLeave(bucket)
+        except StoreUnavailable as exc:
+            # Nothing is lost: buckets that stay open are counted live by the next reader.
+            _log.warning("buckets stay open in the directory: %s", exc)
         self._buckets.clear()

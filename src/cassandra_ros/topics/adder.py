@@ -9,6 +9,7 @@ import sys
 import threading
 from typing import Any, Optional
 
+from cassandra_ros.errors import WriteFailed
 from cassandra_ros.keys import newWriterId
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
@@ -43,31 +44,40 @@ class Adder:
     def add(self, table: TopicTable, msg: Any, t: int, node: str) -> Stamp:
         """Store a message of the table's type; return when it is acknowledged."""
         wire = serialize(msg)
-        writer = self._open()
         connection = apiConnection(table.metadata.topic, definitionOf(type(msg)), _callerid())
-        handle = writer.connect(connection, format=table.metadata.format, nodeID=node)
+        # One at a time: a failure is raised to whoever flushes, and must be that message's.
         with self._mutex:
+            writer = self._open()
+            handle = writer.connect(connection, format=table.metadata.format, nodeID=node)
             counter = next(self._counter)
-        seq = writer.write(handle, t, counter, wire)
-        writer.flush()
-        return Stamp.fromNs(t, node=node, seq=seq, table=handle.table.name)
+            seq = writer.write(handle, t, counter, wire)
+            try:
+                writer.flush()
+            except WriteFailed:
+                if writer.current(handle) is handle:
+                    raise
+                # Another client removed the topic while this was on its way.
+                writer.write(handle, t, counter, wire)
+                writer.flush()
+            name = writer.current(handle).table.name
+        return Stamp.fromNs(t, node=node, seq=seq, table=name)
 
     def _open(self) -> MessageWriter:
-        with self._mutex:
-            if self._writer is None:
-                space, writer_id = self._keyspace, newWriterId()
-                rows = RowWriter(
-                    *(space.cassandra, space.schema, space.directory, writer_id), linger_sec=0.0
-                )
-                self._writer = MessageWriter(space, rows, writer_id)
-            return self._writer
+        if self._writer is None:
+            space, writer_id = self._keyspace, newWriterId()
+            rows = RowWriter(
+                *(space.cassandra, space.schema, space.directory, writer_id), linger_sec=0.0
+            )
+            self._writer = MessageWriter(space, rows, writer_id, ttl=None)
+            self._counter = itertools.count()
+        return self._writer
 
     def close(self) -> None:
         """Close the writer; the next add opens another."""
         with self._mutex:
             writer, self._writer = self._writer, None
-        if writer is not None:
-            writer.close()
+            if writer is not None:
+                writer.close()
 
 
 def _callerid() -> str:

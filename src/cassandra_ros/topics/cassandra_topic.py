@@ -75,9 +75,9 @@ class CassandraTopic:
         tables = self.tables
         fitting = [t for t in tables if t.metadata.md5sum == definition.md5sum]
         wished = [t for t in fitting if t.metadata.format == self._wish.format]
-        if wished or fitting:
+        if wished or (fitting and not self._wish.asked):
             return (wished or fitting)[0]
-        if tables:
+        if tables and not fitting:
             stored = tables[0].metadata
             raise TypeMismatch(
                 f"topic {self.name} holds {stored.msg_type} [{stored.md5sum}], the message is "
@@ -235,10 +235,15 @@ class CassandraTopic:
     ) -> int:
         """Delete the messages at key, or with key <= time <= to_key; return how many.
 
+        A key that the store returned means its one message, a bare time all of that time.
+
         Raises:
             MessageNotFound: There is no message at key (without to_key).
         """
         low = toNs(key)
+        row = self.getRow(key) if to_key is None and isinstance(key, Stamp) and key.table else None
+        if row is not None:
+            return self._keyspace.rows.deleteRow(row)
         high = low if to_key is None else toNs(to_key)
         count = self._keyspace.rows.delete(self._stored(), low, high, _nodes(nodeID))
         if not count and to_key is None:

@@ -46,9 +46,11 @@ class Catalog:
         definition = self._definitionFor(topic, msg_type, known=bool(stored))
         for table in stored:
             _checkSame(table.metadata, wish, definition)
-        with self._mutex:
-            self._pending[topic] = wish
-        found = self._topic(topic)
+        found = CassandraTopic(self._keyspace, self._adder, topic, wish)
+        if not any(table.metadata.format == wish.format for table in stored):
+            self._keyspace.schema.seen.discard((topic, wish.format))
+            with self._mutex:
+                self._pending[topic] = wish
         if definition is not None:
             found.makeTable(definition)
         return found
@@ -99,6 +101,9 @@ class Catalog:
         """List the names of all topics."""
         tables = self._keyspace.schema.tables(fresh=fresh)
         with self._mutex:
+            for name, wish in list(self._pending.items()):
+                if (name, wish.format) in self._keyspace.schema.seen:
+                    del self._pending[name]  # its first message has come
             return {metadata.topic for metadata in tables.values()} | set(self._pending)
 
     def remove(self, topic: str) -> None:
@@ -106,9 +111,7 @@ class Catalog:
         name = self.get(topic).name
         self._adder.close()
         space = self._keyspace
-        tables = [table.name for table in space.tables.ofTopic(name)]
-        space.schema.dropTables(tables)
-        for table in tables:
+        for table in space.schema.dropTopic(name):
             space.directory.forget(table)
             space.registry.forget(table)
         with self._mutex:
@@ -127,7 +130,7 @@ class Catalog:
             raise TopicNotFound(f"topic {name} was removed from keyspace {self._keyspace.name}")
         if wish is None:
             stored = tables[0].metadata
-            wish = Wish(stored.format, stored.nodeID, stored.ttl, stored.comment)
+            wish = Wish(stored.format, stored.nodeID, stored.ttl, stored.comment, asked=False)
         wish = replace(wish, pending=not tables)
         return CassandraTopic(self._keyspace, self._adder, name, wish)
 
@@ -138,8 +141,6 @@ def _checkSame(metadata: TopicMetadata, wish: Wish, definition: Optional[Definit
         wrong.append(f"type {metadata.msg_type} [{metadata.md5sum}]")
     if wish.ttl and wish.ttl != metadata.ttl:
         wrong.append(f"ttl {metadata.ttl} s")
-    if wish.nodeID and wish.nodeID != metadata.nodeID:
-        wrong.append(f"nodeID {metadata.nodeID!r}")
     if wrong:
         raise TopicExists(
             f"topic {metadata.topic} is stored already with {', '.join(wrong)}; give the same, "

@@ -11,6 +11,8 @@ from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.connection import Connection, cutDefinition, joinDefinition
 from cassandra_ros.store.registry import ConnectionRow, Registry
 
+MAX_KNOWN = 1024
+
 
 def connectionId(connection: Connection) -> int:
     """Number a connection: first 8 bytes of the md5 of topic, number in its bag, and header.
@@ -42,8 +44,7 @@ class Connections:
             *(connection.md5sum, definition),
         )
         self._registry.putConnection(table, number, row)
-        with self._mutex:
-            self._known[(table, number)] = connection
+        self._keep(table, number, connection)
         return number
 
     def get(self, table: str, number: int) -> Connection:
@@ -63,6 +64,11 @@ class Connections:
                 )
             header = joinDefinition(row.header, row.def_offset, row.definition)
             connection = Connection(row.topic, header, row.number)
-            with self._mutex:
-                self._known[(table, number)] = connection
+            self._keep(table, number, connection)
         return connection
+
+    def _keep(self, table: str, number: int, connection: Connection) -> None:
+        with self._mutex:
+            while len(self._known) >= MAX_KNOWN:
+                self._known.pop(next(iter(self._known)))
+            self._known[(table, number)] = connection

@@ -10,7 +10,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Optional
 
-from cassandra_ros.errors import CassandraRosError, CorruptMessage, DefinitionError, InvalidKey
+from cassandra_ros.errors import (
+    CassandraRosError,
+    CorruptMessage,
+    DefinitionError,
+    InvalidKey,
+    TopicNotFound,
+)
 from cassandra_ros.formats.table import DEFAULT_FORMAT, formatClass
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, joinSeq
 from cassandra_ros.messages.classes import installedDefinition
@@ -18,13 +24,16 @@ from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.definition import Definition, parseDefinition
 from cassandra_ros.metadata import TopicMetadata, checkTopicName
 from cassandra_ros.store.registry import Run
-from cassandra_ros.store.writer import LossCallback, RowWriter, WriteStats
+from cassandra_ros.store.write_stats import LossCallback, WriteStats
+from cassandra_ros.store.writer import RowWriter
 from cassandra_ros.topics.keyspace import Keyspace, defaultBucket
 from cassandra_ros.topics.topic_table import TopicTable
 
 _log = logging.getLogger(__name__)
 
 _FALLBACK = "binary"
+MAX_HANDLES = 1024
+"""Connections whose handles are kept: anonymous publishers come without end."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +44,8 @@ class Handle:
     table: TopicTable
     conn: int
     node: str
+    asked: str
+    """Name of the format that was asked for."""
     warning: Optional[str] = None
     """Why the topic is kept in another way than asked for."""
 
@@ -58,7 +69,7 @@ class MessageWriter:
         writer_id: 31 bits, never 0.
         format: Name of the format for topics that are not stored yet.
         nodeID: The entity that produces the messages; '' = nobody says.
-        ttl: Seconds until a row expires; 0 = never.
+        ttl: Seconds until a row expires; 0 = never; None = as the topic was made.
         run: The recording or import that this is; stored at once and with counts at close.
         on_loss: As in RowWriter.
     """
@@ -71,7 +82,7 @@ class MessageWriter:
         *,
         format: str = DEFAULT_FORMAT,
         nodeID: str = "",
-        ttl: int = 0,
+        ttl: Optional[int] = 0,
         run: Optional[Run] = None,
         on_loss: Optional[LossCallback] = None,
     ) -> None:
@@ -133,18 +144,42 @@ class MessageWriter:
                 format=format_name,
                 bucket_ns=bucket_ns or defaultBucket(definition),
                 definition=definition.text if definition else connection.definition_text,
-                ttl=self._ttl,
-                nodeID=node,
+                ttl=self._ttl or 0,
             ),
             definition,
         )
+        if self._ttl is not None and table.metadata.ttl != self._ttl:
+            warning = (
+                f"topic {connection.topic} was made with a ttl of {table.metadata.ttl} s, and that "
+                f"holds for what is stored now, not {self._ttl} s (0 = never)"
+            )
         conn = self._keyspace.connections.put(table.name, connection)
         if warning:
             _log.warning("%s", warning)
-        handle = Handle(connection, table, conn, node, warning)
+        handle = Handle(connection, table, conn, node, key[1], warning)
         with self._mutex:
             self._topics[table.name] = connection.topic
+            while len(self._handles) >= MAX_HANDLES:
+                self._handles.pop(next(iter(self._handles)))
             return self._handles.setdefault(key, handle)
+
+    def current(self, handle: Handle) -> Handle:
+        """Return the handle, or another one where its table was dropped: the topic goes on anew."""
+        while handle.table.name in self._rows.gone:
+            key = (handle.connection, handle.asked, handle.node)
+            with self._mutex:
+                found = self._handles.get(key)
+                if found is None or found.table.name in self._rows.gone:
+                    self._handles.pop(key, None)
+                    found = None
+            if found is None:
+                self._keyspace.schema.tables(fresh=True)
+                bucket_ns = handle.table.metadata.bucket_ns
+                found = self.connect(
+                    handle.connection, bucket_ns, format=handle.asked, nodeID=handle.node
+                )
+            handle = found
+        return handle
 
     # ---------------------------------------------------------------- messages
 
@@ -168,15 +203,22 @@ class MessageWriter:
                 f"times are 0 to {MAX_NS} ns, counters below 2**{COUNTER_BITS}"
             )
         seq = self._high | counter
-        table = handle.table
-        columns, odd, raw = table.format.encodeWire(wire)
         try:
-            self._rows.add(table, handle.node, t_ns, seq, handle.conn, wire, columns, odd, raw)
+            try:
+                self._put(self.current(handle), t_ns, seq, wire)
+            except TopicNotFound:
+                # Another client removed the topic; it goes on in a new table.
+                self._put(self.current(handle), t_ns, seq, wire)
         except CassandraRosError as exc:
             if self._on_loss is None:
                 raise
-            self._refuse(table, exc)
+            self._refuse(handle.table, exc)
         return seq
+
+    def _put(self, handle: Handle, t_ns: int, seq: int, wire: bytes) -> None:
+        table = handle.table
+        columns, odd, raw = table.format.encodeWire(wire)
+        self._rows.add(table, handle.node, t_ns, seq, handle.conn, wire, columns, odd, raw)
 
     def _refuse(self, table: TopicTable, exc: CassandraRosError) -> None:
         topic = table.metadata.topic

@@ -157,22 +157,43 @@ class Rows:
                 deleted += self._deleteBucket(table, node, bucket, writers, low, high)
         return deleted
 
+    def deleteRow(self, row: StoredRow) -> int:
+        """Delete one message; return 1."""
+        table, node, bucket = row.table, row.node, row.table.bucketOf(row.t)
+        writers = [found.writer for found in self._directory.find(table.name, node, bucket)]
+        key = (row.t, row.seq)
+        self._deleteKeys(table, node, bucket, writers, [(*key, row.chunked)], key, key)
+        return 1
+
     def _deleteBucket(
         self, table: TopicTable, node: str, bucket: int, writers: list[int], low: int, high: int
     ) -> int:
-        cassandra, what = self._cassandra, f"deleting from topic {table.metadata.topic}"
-        keys = list(scanKeys(cassandra, table, node, bucket, low, high))
-        if not keys:
-            return 0
-        for writer in writers:
-            # Its counts are no longer true; the next reader counts anew.
-            self._directory.open(table.name, node, bucket, writer, table.metadata.ttl)
-        ends = (keys[0][0], keys[0][1], keys[-1][0], keys[-1][1])
-        cassandra.execute(table.deleteRange(), (node, bucket, *ends), what=what)
-        chunked = [(node, bucket, t, seq) for t, seq, _, large, _ in keys if large]
-        if chunked:
-            cassandra.executeMany(table.deleteChunks(), chunked, what=what)
+        found = scanKeys(self._cassandra, table, node, bucket, low, high)
+        keys = [(t, seq, large) for t, seq, _, large, _ in found]
+        if keys:
+            ends = keys[0][:2], keys[-1][:2]
+            self._deleteKeys(table, node, bucket, writers, keys, *ends)
         return len(keys)
+
+    def _deleteKeys(
+        self,
+        table: TopicTable,
+        node: str,
+        bucket: int,
+        writers: list[int],
+        keys: list[tuple[int, int, bool]],
+        first: tuple[int, int],
+        last: tuple[int, int],
+    ) -> None:
+        what = f"deleting from topic {table.metadata.topic}"
+        for writer in writers:
+            self._directory.markDeleted(table.name, node, bucket, writer, table.metadata.ttl)
+        params = (node, bucket, *first, *last)
+        self._cassandra.execute(table.deleteRange(), params, what=what)
+        # The row goes first: it is the commit mark of its chunks.
+        chunked = [(node, bucket, t, seq) for t, seq, large in keys if large]
+        if chunked:
+            self._cassandra.executeMany(table.deleteChunks(), chunked, what=what)
 
 
 def _describe(table: TopicTable, node: str, rows: list[BucketRow]) -> TopicInfo:

@@ -13,7 +13,8 @@ from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import toNs
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.registry import Run
-from cassandra_ros.store.writer import LossCallback, RowWriter
+from cassandra_ros.store.write_stats import LossCallback
+from cassandra_ros.store.writer import RowWriter
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic, Time
 from cassandra_ros.topics.catalog import Catalog
@@ -56,20 +57,18 @@ class RosCassandra:
         password: Optional[str] = None,
         ssl_context: Any = None,
     ) -> None:
-        self.cassandra = Cassandra(
-            host,
-            port,
-            consistency=consistency,
-            username=username,
-            password=password,
-            ssl_context=ssl_context,
-        )
+        login: Any = {"username": username, "password": password, "ssl_context": ssl_context}
+        self.cassandra = Cassandra(host, port, consistency=consistency, **login)
         self._clock = clock
         self._parts: Optional[Keyspace] = None
         self._adder: Optional[Adder] = None
         self._catalog: Optional[Catalog] = None
         if keyspace is not None:
-            self.connectToKeyspace(keyspace)
+            try:
+                self.connectToKeyspace(keyspace)
+            except BaseException:
+                self.cassandra.close()
+                raise
 
     # ---------------------------------------------------------------- keyspace
 

@@ -72,6 +72,11 @@ class StoredRow:
         return self._row.size
 
     @property
+    def chunked(self) -> bool:
+        """Whether its bytes lie in the chunk table."""
+        return self._row.nchunks > 0
+
+    @property
     def odd(self) -> bool:
         """Whether some field is not held exactly in its column."""
         return self._row.odd

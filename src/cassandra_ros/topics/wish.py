@@ -20,6 +20,8 @@ class Wish:
     nodeID: str = ""
     ttl: int = 0
     comment: str = ""
+    asked: bool = True
+    """addTopic named the format; else it is the one that is stored."""
     pending: bool = True
     """Added in this process, perhaps without a table yet."""
 
