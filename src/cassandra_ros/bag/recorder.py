@@ -30,6 +30,8 @@ DEFAULT_BUFFER_BYTES = 256 * 1024 * 1024
 BATCH_ITEMS = 256
 BATCH_BYTES = 1024 * 1024
 POLL_SEC = 0.05
+GIVE_UP_SEC = 300.0
+"""How long the writing of one message is tried."""
 MAX_FEEDS = 4096
 """Connections remembered by their header object; publishers come and go for days."""
 
@@ -212,6 +214,8 @@ class Recorder:
             nodeID=self._nodeID,
             ttl=self._ttl,
             run=run,
+            # The buffer is the bound: a Cassandra that restarts costs nothing while it lasts.
+            give_up_after_sec=GIVE_UP_SEC,
             on_loss=lambda topic, messages, error: self._counts.lost(topic, messages, str(error)),
         )
 
@@ -236,8 +240,11 @@ class Recorder:
         """Stop, close the buckets, note the end of the run; return the final report."""
         self.stop()
         for writer in self._writers:
+            writer.flush()
+        lost = {report.topic: report.lost for report in self.reports(final=True) if report.lost}
+        for writer in self._writers:
             try:
-                writer.close()
+                writer.close(lost)
             except CassandraRosError as exc:
                 _log.error("the recording could not be closed properly: %s", exc)
         return self.reports(final=True)

@@ -9,7 +9,7 @@ from collections import deque
 from typing import Callable, Deque, Sequence
 
 from cassandra_ros.store.chunks import checksum, chunkCount, pieces
-from cassandra_ros.store.flight import Flight
+from cassandra_ros.store.flight import Flight, Outcome
 from cassandra_ros.store.open_bucket import OpenBucket
 from cassandra_ros.store.row_table import INLINE_COLUMN_BYTES, RowTable, bind, encodeInt
 from cassandra_ros.store.schema import Schema
@@ -66,27 +66,30 @@ class LargeMessages:
             bucket.add(t, seq, conn, size, small, own)
             self._send(bucket, True)
 
-        statement, key = table.insertChunk(), bucket.key(t, seq)
+        table.insertChunk()  # prepared before anything is counted: it may fail
         outcome = self._outcome(bucket, chunkCount(size), row)
         with bucket.mutex:
             bucket.in_air += 1
         with self._changed:
             self._count += 1
-        told = 0
+        self._sendChunks(table, bucket.key(t, seq), wire, outcome)
+        self.commit()
+
+    def _sendChunks(
+        self, table: RowTable, key: tuple[bytes, ...], wire: bytes, outcome: Outcome
+    ) -> None:
+        statement, told = table.insertChunk(), 0
         try:
             for number, data in pieces(wire):
                 bound = bind(statement, (*key, encodeInt(number), data))
                 told += 1  # whatever happens in submit, it tells the outcome
                 self._flight.submit(bound, len(data), outcome)
         except BaseException as exc:
-            for _ in range(chunkCount(size) - told):
+            for _ in range(chunkCount(len(wire)) - told):
                 outcome(exc)
             raise
-        self.commit()
 
-    def _outcome(
-        self, bucket: OpenBucket, chunks: int, row: Callable[[], None]
-    ) -> Callable[[BaseException | None], None]:
+    def _outcome(self, bucket: OpenBucket, chunks: int, row: Callable[[], None]) -> Outcome:
         left, failures, mutex = [chunks], [], threading.Lock()
 
         def outcome(exc: BaseException | None) -> None:

@@ -6,32 +6,27 @@ from __future__ import annotations
 
 import logging
 import threading
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Optional
+from typing import Mapping, Optional
 
 from cassandra_ros.errors import (
     CassandraRosError,
-    CorruptMessage,
-    DefinitionError,
     InvalidKey,
     TopicNotFound,
 )
 from cassandra_ros.formats.table import DEFAULT_FORMAT, formatClass
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, joinSeq
-from cassandra_ros.messages.classes import installedDefinition
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.messages.definition import Definition, parseDefinition
 from cassandra_ros.metadata import TopicMetadata, checkTopicName
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.write_stats import LossCallback, WriteStats
 from cassandra_ros.store.writer import RowWriter
 from cassandra_ros.topics.keyspace import Keyspace, defaultBucket
 from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.usable import FALLBACK_FORMAT, usableDefinition
 
 _log = logging.getLogger(__name__)
 
-_FALLBACK = "binary"
 MAX_HANDLES = 1024
 """Connections whose handles are kept: anonymous publishers come without end."""
 
@@ -134,31 +129,34 @@ class MessageWriter:
             if key in self._handles:
                 return self._handles[key]
         checkTopicName(connection.topic)
-        definition, warning = _usable(connection, key[1])
-        format_name = key[1] if definition is not None else _FALLBACK
-        table = self._keyspace.makeTable(
-            TopicMetadata(
-                topic=connection.topic,
-                msg_type=connection.type,
-                md5sum=connection.md5sum,
-                format=format_name,
-                bucket_ns=bucket_ns or defaultBucket(definition),
-                definition=definition.text if definition else connection.definition_text,
-                ttl=self._ttl or 0,
-            ),
-            definition,
+        definition, warning = usableDefinition(connection, key[1])
+        metadata = TopicMetadata(
+            topic=connection.topic,
+            msg_type=connection.type,
+            md5sum=connection.md5sum,
+            format=key[1] if definition is not None else FALLBACK_FORMAT,
+            bucket_ns=bucket_ns or defaultBucket(definition),
+            definition=definition.text if definition else connection.definition_text,
+            ttl=self._ttl or 0,
         )
-        if self._ttl is not None and table.metadata.ttl != self._ttl:
-            warning = (
-                f"topic {connection.topic} was made with a ttl of {table.metadata.ttl} s, and that "
-                f"holds for what is stored now, not {self._ttl} s (0 = never)"
-            )
+        table = self._keyspace.makeTable(metadata, definition)
+        warning = warning or self._otherTtl(table)
         conn = self._keyspace.connections.put(table.name, connection)
         if warning:
             _log.warning("%s", warning)
-        handle = Handle(connection, table, conn, node, key[1], warning)
+        return self._keep(key, Handle(connection, table, conn, node, key[1], warning))
+
+    def _otherTtl(self, table: TopicTable) -> Optional[str]:
+        if self._ttl is None or table.metadata.ttl == self._ttl:
+            return None
+        return (
+            f"topic {table.metadata.topic} was made with a ttl of {table.metadata.ttl} s, and that "
+            f"holds for what is stored now, not {self._ttl} s (0 = never)"
+        )
+
+    def _keep(self, key: tuple[Connection, str, str], handle: Handle) -> Handle:
         with self._mutex:
-            self._topics[table.name] = connection.topic
+            self._topics[handle.table.name] = handle.topic
             while len(self._handles) >= MAX_HANDLES:
                 self._handles.pop(next(iter(self._handles)))
             return self._handles.setdefault(key, handle)
@@ -251,8 +249,12 @@ class MessageWriter:
         """
         self._rows.flush()
 
-    def close(self) -> None:
+    def close(self, lost: Optional[Mapping[str, int]] = None) -> None:
         """Flush, close the buckets in the directory, note the end of the run. Twice is harmless.
+
+        Args:
+            lost: Messages that were lost, by topic, where the caller counts more than this object
+                sees (a full buffer); kept with the run.
 
         Raises:
             WriteFailed: Messages were given up (only without on_loss).
@@ -264,7 +266,8 @@ class MessageWriter:
         if self._run is not None:
             stats = self.stats()
             stored = {topic: part.stored for topic, part in stats.items()}
-            lost = {topic: part.lost for topic, part in stats.items() if part.lost}
+            if lost is None:
+                lost = {topic: part.lost for topic, part in stats.items() if part.lost}
             run = replace(self._run, stored=stored, lost=lost)
             self._keyspace.registry.putRun(run, ended=True)
 
@@ -273,28 +276,3 @@ class MessageWriter:
 
     def __exit__(self, *exc_info: object) -> None:
         self.close()
-
-
-def _usable(connection: Connection, format_name: str) -> tuple[Optional[Definition], Optional[str]]:
-    """Return the definition of a connection that the format can work with, or why there is none."""
-    try:
-        definition = _definition(connection)
-        fmt = formatClass(format_name)(connection.type, connection.md5sum, definition)
-        if format_name != _FALLBACK:
-            fmt.requireClass()
-        return definition, None
-    except (DefinitionError, CorruptMessage) as exc:
-        return None, (
-            f"topic {connection.topic} is kept as binary, its fields cannot be queried: {exc}"
-        )
-
-
-def _definition(connection: Connection) -> Definition:
-    text, md5sum = connection.definition_text, connection.md5sum
-    if not text.strip():
-        # Some publishers leave the definition out; an installed type of the md5 is as good.
-        with suppress(DefinitionError):
-            installed = installedDefinition(connection.type)
-            if installed.md5sum == md5sum:
-                return installed
-    return parseDefinition(connection.type, text, md5sum)
