@@ -20,6 +20,7 @@ from cassandra_ros.bag.verify import verifyBag
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError, BagUnindexed, InvalidKey, TopicExists, TopicNotFound
 from cassandra_ros.keys import splitSeq
+from cassandra_ros.messages.definition import parseDefinition
 
 
 def stored_rows(rosCas):
@@ -89,6 +90,23 @@ def test_a_broken_definition_does_not_stop_the_others(rosCas, tmp_path):
     exportBag(rosCas, tmp_path / "out.bag")
     with BagReader(tmp_path / "out.bag") as reader:
         assert [(m.number, m.t_ns, m.data) for m in reader.messages()] == expected
+
+
+def test_a_type_without_a_class_is_imported_twice(rosCas, cql, tmp_path):
+    """genpy cannot make a class with a field called serialize: the topic is kept as binary."""
+    definition = "int32 serialize\n"
+    md5sum = parseDefinition("odd_msgs/Odd", definition).md5sum
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as writer:
+        fields = {"type": "odd_msgs/Odd", "md5sum": md5sum, "message_definition": definition}
+        number = writer.connection(string_connection("/odd", **fields))
+        for i in range(5):
+            writer.write(number, i, i.to_bytes(4, "little"))
+    for _ in range(2):
+        report = importBag(rosCas, path, format="ros")
+        assert report.topics["/odd"].format == "binary"
+        assert counts_agree(rosCas, cql) == {"/odd": 5}
+    assert verifyBag(rosCas, path).equal
 
 
 @pytest.mark.parametrize("form", ["binary", "ros"])

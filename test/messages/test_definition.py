@@ -187,3 +187,15 @@ def test_a_type_that_is_not_installed():
     for package in ("os", "antigravity", "this"):  # modules, but no packages of messages
         with pytest.raises(DefinitionError, match="not installed"):
             installedDefinition(f"{package}/Path")
+
+
+def test_what_installed_packages_complete_is_kept_with_the_text():
+    """On another machine the packages may be missing, or newer."""
+    from sensor_msgs.msg import NavSatFix
+
+    alone = NavSatFix._full_text.split("\n====")[0]
+    definition = parseDefinition("sensor_msgs/NavSatFix", alone, NavSatFix._md5sum)
+    for used in ("std_msgs/Header", "sensor_msgs/NavSatStatus"):
+        assert f"MSG: {used}" in definition.text
+    again = parseDefinition("sensor_msgs/NavSatFix", definition.text, NavSatFix._md5sum)
+    assert again.text == definition.text

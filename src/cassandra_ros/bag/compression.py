@@ -31,6 +31,10 @@ def compressChunk(name: str, data: bytes) -> bytes:
     return data
 
 
+MAX_CHUNK_BYTES = 2**30
+"""rosbag closes a chunk at 768 KB; only a single larger message makes a larger one."""
+
+
 def decompressChunk(name: str, data: bytes, size: int, where: str) -> bytes:
     """Give back the content of a chunk.
 
@@ -44,6 +48,11 @@ def decompressChunk(name: str, data: bytes, size: int, where: str) -> bytes:
         BagError: The compression is unknown, or the data does not give ``size`` bytes.
         MissingDependency: lz4, and the package roslz4 is not installed.
     """
+    if size > MAX_CHUNK_BYTES:
+        raise BagError(
+            f"{where} states {size} bytes of content; chunks of over {MAX_CHUNK_BYTES} bytes are "
+            "taken for damaged"
+        )
     if name == "none":
         content = data
     elif name == "bz2":

@@ -17,6 +17,7 @@ from cassandra_ros.formats.table import DEFAULT_FORMAT
 from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.usable import FALLBACK_FORMAT, usableDefinition
 
 Progress = Callable[[int, int], None]
 """Called with the messages and bytes that were handled since the last call."""
@@ -126,10 +127,10 @@ def _refuseSecondCopy(rosCas: RosCassandra, reader: BagReader, numbers: Set[int]
         connection = reader.connections[number]
         for table in parts.tables.ofTopic(connection.topic):
             metadata = table.metadata
-            if metadata.format == run.format or metadata.md5sum != connection.md5sum:
+            usable, _ = usableDefinition(connection, run.format)
+            wanted = run.format if usable is not None else FALLBACK_FORMAT
+            if metadata.format == wanted or metadata.md5sum != connection.md5sum:
                 continue
-            if table.definition is None:
-                continue  # kept as binary whatever is asked for
             first, last = table.bucketOf(reader.start_ns), table.bucketOf(reader.end_ns)
             rows = parts.directory.buckets(table.name, first, last, (run.node,))
             if any(row.writer == run.writer for row in rows):

@@ -12,6 +12,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+import weakref
 from typing import Any, Callable, Mapping, Optional
 
 from cassandra_ros.bag.recorder_buffer import Buffer, Item
@@ -70,7 +71,9 @@ class Recorder:
         self._accepting = True
         self._counter = 0
         self._feeds: dict[int, Feed] = {}
-        self._sources: dict[tuple[str, bytes], Source] = {}
+        # Feeds, queued messages and waiting lists hold the sources that are in use.
+        self._sources: weakref.WeakValueDictionary[tuple[str, bytes], Source]
+        self._sources = weakref.WeakValueDictionary()
         self._counts = Counts()
         self._writers = [self._makeWriter()]
         self._buffer = Buffer(buffer_bytes)
@@ -82,6 +85,10 @@ class Recorder:
         self._thread.start()
 
     # ---------------------------------------------------------------- messages in
+
+    def expect(self, topic: str) -> None:
+        """Let a topic appear in the reports even if nothing ever comes."""
+        self._counts.expect(topic)
 
     def received(self, topic: str, header: Mapping[str, Any], wire: bytes) -> None:
         """Take one message that has just arrived. Never waits for the store.

@@ -43,6 +43,10 @@ class TopicReport:
     rate_hz: float
 
 
+MAX_SEQUENCES = 1024
+"""Publishers of a topic whose numbers are followed: anonymous ones come without end."""
+
+
 @dataclass
 class _Topic:
     types: set[str] = field(default_factory=set)
@@ -53,6 +57,16 @@ class _Topic:
     lost: dict[str, int] = field(default_factory=dict)
     warned: float = -REPORT_SEC
     sequences: dict[str, _Sequence] = field(default_factory=dict)
+    past_gaps: int = 0
+    """Gaps of publishers that are not remembered any more."""
+
+    def newSequence(self, callerid: str) -> _Sequence:
+        """Begin to follow a publisher; of too many the oldest is forgotten."""
+        while len(self.sequences) >= MAX_SEQUENCES:
+            oldest = self.sequences.pop(next(iter(self.sequences)))
+            self.past_gaps += oldest.gaps if oldest.reliable else 0
+        sequence = self.sequences[callerid] = _Sequence()
+        return sequence
 
 
 class _Sequence:
@@ -89,6 +103,11 @@ class Counts:
         self._topics: dict[str, _Topic] = {}
         self._mutex = threading.Lock()
 
+    def expect(self, topic: str) -> None:
+        """List a topic from which nothing may come."""
+        with self._mutex:
+            self._topic(topic)
+
     def received(self, topic: str, wire: bytes) -> None:
         """Count a message that arrived."""
         now = time.monotonic()
@@ -107,7 +126,9 @@ class Counts:
             counted = self._topic(topic)
             counted.types.add(connection.type)
             if feed.source.has_header and len(wire) >= 4:
-                sequence = counted.sequences.setdefault(connection.callerid, _Sequence())
+                sequence = counted.sequences.get(connection.callerid)
+                if sequence is None:
+                    sequence = counted.newSequence(connection.callerid)
                 sequence.see(_sequence(wire, 0)[0], feed)
 
     def lost(self, topic: str, messages: int, reason: str) -> None:
@@ -158,7 +179,7 @@ def _report(name: str, counted: _Topic, stored: int, final: bool) -> TopicReport
         stored=stored,
         lost=sum(reasons.values()),
         reasons=reasons,
-        gaps=sum(s.gaps for s in numbered) if numbered else None,
+        gaps=counted.past_gaps + sum(s.gaps for s in numbered) if numbered else None,
         bytes=counted.nbytes,
         rate_hz=(counted.received - 1) / span if span > 0 else 0.0,
     )

@@ -35,11 +35,16 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def apply_parameters(
-    parser: argparse.ArgumentParser, options: argparse.Namespace, given: dict[str, str]
+    parser: argparse.ArgumentParser,
+    options: argparse.Namespace,
+    arguments: Sequence[str],
+    given: dict[str, str],
 ) -> None:
     """Let ROS parameters take the place of options that were not given."""
+    absent = argparse.Namespace(**dict.fromkeys(given))
+    typed = parser.parse_args(arguments, absent)
     for name, text in given.items():
-        if str(getattr(options, name)) != str(parser.get_default(name)):
+        if getattr(typed, name) is not None:
             continue
         try:
             setattr(options, name, port_number(text) if name == "port" else text)
@@ -55,10 +60,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     parser = make_parser()
-    options = parser.parse_args(strip_remappings(arguments))
+    words = strip_remappings(arguments)
+    options = parser.parse_args(words)
     from cassandra_ros.nodes.query_server import serve, startNode
 
-    apply_parameters(parser, options, startNode([PROGRAM, *arguments]))
+    apply_parameters(parser, options, words, startNode([PROGRAM, *arguments]))
     with open_store(options, make=True) as rosCas:
         serve(rosCas, lambda line: print(line, flush=True))
     return 0

@@ -9,7 +9,7 @@ and is rendered anew by renderDefinition may reach it.
 from __future__ import annotations
 
 import keyword
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Callable, Iterable, Mapping
 
@@ -108,7 +108,11 @@ def _parse(msg_type: str, text: str, md5sum: str | None) -> Definition:
             f"the definition of {msg_type}{where} has md5 {md5sums[msg_type]}, not {md5sum[:80]!r} "
             f"as its connection says"
         )
-    return Definition(msg_type, md5sums[msg_type], text, specs, md5sums)
+    definition = Definition(msg_type, md5sums[msg_type], text, specs, md5sums)
+    if missing:
+        # What other packages of this machine gave is kept too: others have them not, or newer ones.
+        definition = replace(definition, text=_render(definition, msg_type, _render_whole))
+    return definition
 
 
 def _split(msg_type: str, text: str) -> dict[str, str]:

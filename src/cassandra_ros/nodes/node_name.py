@@ -5,13 +5,18 @@
 from __future__ import annotations
 
 import socket
+import xmlrpc.client
+from http.client import HTTPException
 from typing import Sequence
 from urllib.parse import urlparse
+from xml.parsers.expat import ExpatError
 
 import rospy
 
 _REMAP = "__name:="
 _TIMEOUT_SEC = 2.0
+MASTER_ERRORS = (OSError, HTTPException, xmlrpc.client.Error, ExpatError)
+"""What asking a master raises that is away, or dies in the middle of its answer."""
 
 
 def wantedName(default: str, argv: Sequence[str]) -> str:
@@ -39,7 +44,7 @@ def isTaken(full_name: str) -> bool:
     """Say whether a node of this name lives; False also where no master answers yet."""
     try:
         code, _, uri = rospy.get_master().lookupNode(full_name)
-    except OSError:
+    except MASTER_ERRORS:
         return False  # init_node waits for the master
     if code != 1:
         return False

@@ -17,7 +17,7 @@ import rospy
 from cassandra_ros.bag.recorder import DEFAULT_BUFFER_BYTES, Recorder
 from cassandra_ros.bag.recorder_counts import TopicReport
 from cassandra_ros.formats.table import DEFAULT_FORMAT
-from cassandra_ros.nodes.node_name import fullName, isTaken, wantedName, withoutName
+from cassandra_ros.nodes.node_name import MASTER_ERRORS, fullName, isTaken, wantedName, withoutName
 from cassandra_ros.nodes.ros_clock import followClock, nowNs
 from cassandra_ros.nodes.rosout import forwardLogging
 from cassandra_ros.nodes.subscription import connectedUris, isDrained, subscribe
@@ -143,7 +143,7 @@ class _Session:
     def _discover(self, announce: bool) -> None:
         try:
             _, _, published = rospy.get_master().getPublishedTopics("")
-        except OSError as exc:
+        except MASTER_ERRORS as exc:
             _log.warning("the master does not answer; new topics are not seen: %s", exc)
             self._stop.wait(1.0)
             return
@@ -156,6 +156,7 @@ class _Session:
     def _subscribe(self, topic: str) -> None:
         if topic not in self._subscribers:
             nodelay = self._options.tcp_nodelay
+            self._recorder.expect(topic)
             self._subscribers[topic] = subscribe(topic, self._recorder.received, nodelay)
 
     def _awaitPublishers(self) -> None:
@@ -169,6 +170,12 @@ class _Session:
                 if len(connectedUris(self._subscribers[topic])) < count
             }
             self._stop.wait(0.02)
+        if missing and not self._stop.is_set():
+            _log.warning(
+                "no connection yet to all publishers of %s: their messages are recorded only from "
+                "when it stands (is their node alive, and ROS_IP or ROS_HOSTNAME right?)",
+                ", ".join(sorted(missing)),
+            )
 
     def _isComplete(self) -> bool:
         """Leave the topics that reached the limit; say whether all have."""
@@ -219,6 +226,6 @@ def _publishers(topics: Sequence[str]) -> dict[str, int]:
     """Return how many publishers each topic has, where it has any."""
     try:
         _, _, (publishers, _, _) = rospy.get_master().getSystemState()
-    except OSError:
+    except MASTER_ERRORS:
         return {}
     return {topic: len(nodes) for topic, nodes in publishers if topic in topics and nodes}

@@ -9,7 +9,7 @@ import logging
 from itertools import islice
 from typing import Any, Callable, Iterator, Optional
 
-from cassandra_ros.errors import CassandraRosError, InvalidKey
+from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidKey
 from cassandra_ros.keys import decodeCursor, encodeCursor
 from cassandra_ros.messages.stamps import toNs
 from cassandra_ros.msg import Row
@@ -76,7 +76,14 @@ class Services:
         size = 0
         rows = self._rows(request, limit + 1)
         for row in islice(rows, limit):
-            message = pack(row, request.omit_data, request.omit_yaml)
+            try:
+                message = pack(row, request.omit_data, request.omit_yaml)
+            except CorruptMessage as exc:
+                if response.data:
+                    return response  # the next page begins with it
+                # The cursor leads past it.
+                cursor = encodeCursor(row.position)
+                return RangeResponse(False, clean(str(exc)), [], cursor)
             response.data.append(message)
             response.next_cursor = encodeCursor(row.position)
             size += sizeOf(message)

@@ -66,6 +66,9 @@ def receive(sock: Any, b: Any, buff_size: int) -> int:
     return len(data)
 
 
+MAX_HEADER_BYTES = 16 * 1024 * 1024
+
+
 def readHeader(sock: Any, b: Any, buff_size: int) -> dict[str, str]:
     """Read a connection header as rosgraph does, keeping bytes that are not UTF-8.
 
@@ -79,6 +82,10 @@ def readHeader(sock: Any, b: Any, buff_size: int) -> dict[str, str]:
         if not data:
             raise rospy.exceptions.TransportInitError("the publisher closed before its header")
         b.write(data)
+        if b.tell() >= 4 and _length(b.getvalue()[:4])[0] > MAX_HEADER_BYTES:
+            raise rospy.exceptions.TransportInitError(
+                f"the publisher announces a header of over {MAX_HEADER_BYTES} bytes"
+            )
     received = b.getvalue()
     end = 4 + _length(received)[0]
     b.seek(0)

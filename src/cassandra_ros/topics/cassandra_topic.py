@@ -138,10 +138,10 @@ class CassandraTopic:
         if nearest is not None and nearest not in _NEAREST:
             raise InvalidKey(f"nearest={nearest!r} is none of {', '.join(_NEAREST)}")
         if nearest is None:
-            if isinstance(key, Stamp) and key.table and key.seq is not None:
+            if isinstance(key, Stamp) and key.table and nodeID in (None, key.node):
                 table = self._keyspace.tables.byName(key.table)
                 if table is not None and table.metadata.topic == self.name:
-                    return self._keyspace.rows.exact(table, t, key.node or "", key.seq)
+                    return self._keyspace.rows.exact(table, t, key.node or "", key.seq or 0)
             return self._keyspace.rows.at(self._stored(), t, _nodes(nodeID))
         before = after = None
         if nearest != "after":
@@ -241,8 +241,10 @@ class CassandraTopic:
             MessageNotFound: There is no message at key (without to_key).
         """
         low = toNs(key)
-        row = self.getRow(key) if to_key is None and isinstance(key, Stamp) and key.table else None
-        if row is not None:
+        if to_key is None and isinstance(key, Stamp) and key.table and nodeID in (None, key.node):
+            row = self.getRow(key)
+            if row is None:
+                raise MessageNotFound(self._absent(key, None, nodeID))
             return self._keyspace.rows.deleteRow(row)
         high = low if to_key is None else toNs(to_key)
         count = self._keyspace.rows.delete(self._stored(), low, high, _nodes(nodeID))

@@ -20,6 +20,7 @@ from cassandra_ros.metadata import TopicMetadata, checkTopicName
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.wish import Wish
 
 _log = logging.getLogger(__name__)
@@ -106,6 +107,16 @@ class Catalog:
                     del self._pending[name]  # its first message has come
             return {metadata.topic for metadata in tables.values()} | set(self._pending)
 
+    def readableTables(self) -> list[TopicTable]:
+        """List the tables of all topics; one whose definition is unusable is left out, and said."""
+        found: list[TopicTable] = []
+        for topic in self.all(None):
+            try:
+                found.extend(topic.tables)
+            except DefinitionError as exc:
+                _log.error("topic %s is left out, it cannot be read here: %s", topic.name, exc)
+        return found
+
     def remove(self, topic: str) -> None:
         """Drop a topic with all its messages."""
         name = self.get(topic).name
@@ -125,11 +136,12 @@ class Catalog:
     def _topic(self, name: str) -> CassandraTopic:
         with self._mutex:
             wish = self._pending.get(name)
-        tables = self._keyspace.tables.ofTopic(name)
+        # By the comments alone: one table that cannot be read must not hide the other topics.
+        tables = [m for _, m in sorted(self._keyspace.schema.tables().items()) if m.topic == name]
         if wish is None and not tables:
             raise TopicNotFound(f"topic {name} was removed from keyspace {self._keyspace.name}")
         if wish is None:
-            stored = tables[0].metadata
+            stored = tables[0]
             wish = Wish(stored.format, stored.nodeID, stored.ttl, stored.comment, asked=False)
         wish = replace(wish, pending=not tables)
         return CassandraTopic(self._keyspace, self._adder, name, wish)

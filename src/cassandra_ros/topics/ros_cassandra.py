@@ -218,9 +218,10 @@ class RosCassandra:
         return self.parts.rows.read(self._tables(topics), low, high, nodes=nodes)
 
     def _tables(self, topics: Optional[Iterable[str]]) -> list[TopicTable]:
-        chosen = self.getAllTopics() if topics is None else [self.getTopic(t) for t in topics]
+        if topics is None:
+            return _connected(self._catalog).readableTables()
         # A topic may be named twice: with and without its leading slash.
-        named = {topic.name: topic for topic in chosen}
+        named = {topic.name: topic for topic in map(self.getTopic, topics)}
         return [table for topic in named.values() for table in topic.tables]
 
     def connection(self, table: str, conn: int) -> Connection:

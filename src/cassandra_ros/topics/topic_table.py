@@ -77,7 +77,5 @@ def _definition(metadata: TopicMetadata) -> Optional[Definition]:
     try:
         return parseDefinition(metadata.msg_type, metadata.definition, metadata.md5sum)
     except DefinitionError as exc:
-        if metadata.format != "binary":
-            raise
         _log.debug("topic %s has no usable definition: %s", metadata.topic, exc)
         return None

@@ -24,7 +24,7 @@ def add_server_options(parser: argparse.ArgumentParser) -> None:
     add_directory(parser)
     parser.add_argument(
         "--nodes",
-        type=int,
+        type=_number_or_nothing,
         metavar="N",
         help="number of nodes, 1 to 3, on following addresses; fixed once there are data "
         "(default: 1)",
@@ -44,6 +44,11 @@ def add_server_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _number_or_nothing(text: str) -> int | None:
+    # A launch file cannot leave an option out, but it can give an empty one.
+    return int(text) if text else None
+
+
 def open_cluster(options: argparse.Namespace) -> LocalCluster:
     """Return the cluster that the options describe; it tells its steps on the terminal."""
     return LocalCluster(
@@ -51,7 +56,7 @@ def open_cluster(options: argparse.Namespace) -> LocalCluster:
         nodes=getattr(options, "nodes", None),
         host=getattr(options, "host", None),
         port=getattr(options, "port", None),
-        heap=getattr(options, "heap", None),
+        heap=getattr(options, "heap", None) or None,
         say=say,
         progress=show_progress,
     )
