@@ -13,6 +13,7 @@ import logging
 import threading
 import time
 import weakref
+from functools import partial
 from typing import Any, Callable, Mapping, Optional
 
 from cassandra_ros.bag.recorder_buffer import Buffer, Item
@@ -247,13 +248,10 @@ class Recorder:
         """Stop, close the buckets, note the end of the run; return the final report."""
         self.stop()
         for writer in self._writers:
-            writer.flush()
+            _tryTo(writer.flush)
         lost = {report.topic: report.lost for report in self.reports(final=True) if report.lost}
         for writer in self._writers:
-            try:
-                writer.close(lost)
-            except CassandraRosError as exc:
-                _log.error("the recording could not be closed properly: %s", exc)
+            _tryTo(partial(writer.close, lost))
         return self.reports(final=True)
 
     def reports(self, final: bool = False) -> list[TopicReport]:
@@ -267,3 +265,11 @@ class Recorder:
             for topic, part in writer.stats().items():
                 stored[topic] = stored.get(topic, 0) + part.stored
         return self._counts.reports(stored, final)
+
+
+def _tryTo(work: Callable[[], None]) -> None:
+    # The closing table must come whatever happens: it is where losses are told.
+    try:
+        work()
+    except CassandraRosError as exc:
+        _log.error("the recording could not be closed properly: %s", exc)
