@@ -19,7 +19,7 @@ GROUND = {"errors", "keys", "metadata"}
 BELOW = {
     "errors": set(),
     "keys": {"errors", "messages"},  # a row key is a Stamp
-    "metadata": {"errors"},
+    "metadata": {"errors", "keys"},
     "messages": set(),
     "formats": {"messages"},
     "store": set(),

@@ -13,9 +13,12 @@ from typing import NamedTuple
 from cassandra_ros.errors import InvalidKey
 
 KEY_FORMATS = ("time", "msg_part", "hash", "manual")
+NAMED_FORMATS = ("hash", "manual")
+"""Key formats whose rows are found by a text, not by their time."""
 MAX_NS = (2**32 - 1) * 10**9 + 999_999_999
 """The largest key: ROS 1 counts seconds in 32 bits (February 2106)."""
 
+_KINDS = [int, str, int, str]
 WRITER_BITS = 31
 COUNTER_BITS = 32
 
@@ -30,6 +33,31 @@ class Position(NamedTuple):
     seq: int
     """Writer id << 32 | counter."""
     table: str
+    name: str = ""
+    """Key of a row that is found by name, else ''."""
+
+
+class RowName(str):
+    """The key of a message that is kept under a name (key formats ``manual`` and ``hash``).
+
+    It is that text; besides it knows the one row that it was given for, so that ``getData`` of
+    it gives this version, and ``getData`` of the plain text the newest.
+    """
+
+    __slots__ = ("node", "seq", "t", "table")
+
+    t: int
+    """When this version was stored, ns."""
+    node: str
+    seq: int
+    table: str
+
+    @classmethod
+    def of(cls, position: Position) -> RowName:
+        """Return the name of a row."""
+        name = cls(position.name)
+        name.t, name.node, name.seq, name.table = position[:4]
+        return name
 
 
 def newWriterId() -> int:
@@ -65,7 +93,8 @@ def splitSeq(seq: int) -> tuple[int, int]:
 
 def encodeCursor(position: Position) -> str:
     """Write a position as a short text without spaces."""
-    text = json.dumps(list(position), separators=(",", ":"), ensure_ascii=False)
+    parts = list(position) if position.name else list(position[:4])
+    text = json.dumps(parts, separators=(",", ":"), ensure_ascii=False)
     return base64.urlsafe_b64encode(text.encode("utf-8", "surrogateescape")).decode("ascii")
 
 
@@ -80,7 +109,8 @@ def decodeCursor(text: str) -> Position:
         parts = json.loads(raw.decode("utf-8", "surrogateescape"))
     except (ValueError, binascii.Error, RecursionError) as exc:
         raise InvalidKey(f"{text[:80]!r} is not a cursor of this package") from exc
-    if not (isinstance(parts, list) and [type(p) for p in parts] == [int, str, int, str]):
+    kinds = [type(p) for p in parts] if isinstance(parts, list) else []
+    if kinds not in (_KINDS, [*_KINDS, str]):
         raise InvalidKey(f"{text[:80]!r} is not a cursor of this package")
     position = Position(*parts)
     if not (0 <= position.t <= MAX_NS and 0 <= position.seq < 2**63):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Mapping
 
 from cassandra_ros.errors import InvalidName, UnsupportedSchema
+from cassandra_ros.keys import NAMED_FORMATS
 
 SCHEMA_VERSION = 1
 
@@ -44,6 +45,22 @@ class TopicMetadata:
     user: Mapping[str, Any] = field(default_factory=dict)
     """The user's own keys (setMeta)."""
     version: int = SCHEMA_VERSION
+
+    @property
+    def named(self) -> bool:
+        """Whether rows are found by a name, not by their time."""
+        return self.key_format in NAMED_FORMATS
+
+    @property
+    def partition(self) -> str:
+        """Name of the second column of the partition key: a name, or a stretch of time."""
+        return "_key" if self.named else "_bucket"
+
+    @property
+    def ownTime(self) -> bool:
+        """Whether the key is not the receive time, which then has a column of its own."""
+        by_field = self.key_format == "msg_part" and self.key_part not in self.indexes
+        return by_field or self.key_format == "hash"
 
     def toComment(self) -> str:
         """Write the metadata as the JSON text of a table comment."""
@@ -88,6 +105,33 @@ def fromComment(comment: str, table: str) -> TopicMetadata | None:
         return TopicMetadata(**kept)
     except TypeError:
         return None  # as above: our version, but not our keys
+
+
+FACTS = (
+    "topic msg_type msg_class msg_package md5sum definition key_format key_part format nodeID "
+    "nodeIDs comment date ttl indexes"
+).split()
+"""Keys of getMeta that are not the user's own."""
+
+
+def checkUserKeys(keys: Mapping[str, Any]) -> dict[str, Any]:
+    """Return metadata of the user's own as JSON gives them back (a tuple becomes a list).
+
+    Raises:
+        InvalidName: A key is taken by a fact, or JSON cannot hold a key or value.
+    """
+    for name in keys:
+        if not isinstance(name, str) or not name or name in FACTS:
+            raise InvalidName(
+                f"{name!r} cannot be set as metadata: it is no text, or one of {', '.join(FACTS)}"
+            )
+    try:
+        text = json.dumps(dict(keys), allow_nan=False)
+        text.encode("utf-8")
+    except (TypeError, ValueError, RecursionError) as exc:
+        raise InvalidName(f"metadata {dict(keys)!r:.200} cannot be kept as JSON: {exc}") from exc
+    found: dict[str, Any] = json.loads(text)
+    return found
 
 
 def checkTopicName(topic: str) -> str:

@@ -38,7 +38,7 @@ def filled(rosCas):
                 text = f"{node}{counter}"
                 is_text = handle.connection.type == "std_msgs/String"
                 wire = serialize(String(data=text) if is_text else UInt32(data=counter))
-                seq = writer.write(handle, t, counter, wire)
+                seq = writer.write(handle, t, counter, wire).seq
                 wanted.append((Position(t, node, seq, handle.table.name), handle.topic, wire))
     return rosCas, sorted(wanted)
 

@@ -235,6 +235,11 @@ def _iso_to_ns(match: re.Match[str]) -> int:
     return seconds * SECOND_NS + int((match["fraction"] or "").ljust(9, "0"))
 
 
+def isTime(value: object) -> bool:
+    """Say whether a value is a genpy.Time or a Stamp (not a number or text that means one)."""
+    return isinstance(value, genpy.Time)
+
+
 def isoTime(ns: int) -> str:
     """Return the UTC time as ISO 8601 with 9 digits, like 2013-05-08T14:06:20.123456789Z.
 

@@ -122,6 +122,29 @@ class WirePlan:
             self._readers[key] = self._compile_reader(key)
         return self._readers[key]
 
+    def picker(self, name: str) -> Callable[[bytes], bytes | None]:
+        """Return a function that takes one column out of a serialised message.
+
+        Args:
+            name: Name of one of ``all_columns``.
+
+        Returns:
+            A function from wire bytes to the column in CQL's encoding, None where it cannot hold
+            the field exactly or the bytes are no message.
+
+        Raises:
+            InvalidExpression: There is no such field.
+        """
+        if name not in {column.name for column in self.all_columns}:
+            raise InvalidExpression(f"{self.definition.type} has no field {name!r}")
+        steps = compileWalk(self._segments, True, (name,))
+
+        def pick(wire: bytes) -> bytes | None:
+            out, _, end = _walk(steps, wire)
+            return out[0] if end >= 0 else None
+
+        return pick
+
     def _compile_reader(self, names: tuple[str, ...]) -> Callable[[bytes], list[Any]]:
         found = [c for c in self.all_columns if c.name in names]
         order = {column.name: i for i, column in enumerate(found)}

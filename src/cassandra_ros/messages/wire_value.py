@@ -14,7 +14,7 @@ from cassandra_ros.messages.wire_skip import fixedSize
 
 Decoder = Callable[[bytes], Any]
 
-_CODES = {
+CODES = {
     "bool": "?",
     "int8": "b",
     "byte": "b",
@@ -31,7 +31,7 @@ _CODES = {
     "time": "Q",
     "duration": "q",
 }
-_CQL_CODES = {
+CQL_CODES = {
     "tinyint": ">b",
     "smallint": ">h",
     "int": ">i",
@@ -69,7 +69,7 @@ def _element(column: Column, specs: Mapping[str, MessageSpec]) -> Decoder:
     if column.field_type == "uint64":
         return lambda raw: int.from_bytes(raw, "big", signed=True)
     cql_type = column.cql_type.replace("frozen<list<", "").rstrip(">")
-    unpack = struct.Struct(_CQL_CODES[cql_type]).unpack
+    unpack = struct.Struct(CQL_CODES[cql_type]).unpack
     return lambda raw: unpack(raw)[0]
 
 
@@ -80,7 +80,7 @@ def _text(raw: bytes) -> str:
 def _numbers(type_: str, raw: bytes) -> Any:
     if type_ in ("uint8", "char"):
         return raw
-    code = _CODES[type_]
+    code = CODES[type_]
     values = struct.unpack(f"<{len(raw) // struct.calcsize('<' + code)}{code}", raw)
     if type_ == "time":
         return [timeToNs(value) for value in values]
@@ -98,8 +98,8 @@ def _read_field(
     if count is None:
         (count,) = _length(wire, at)
         at += 4
-    if field.type in _CODES:
-        end = at + count * struct.calcsize("<" + _CODES[field.type])
+    if field.type in CODES:
+        end = at + count * struct.calcsize("<" + CODES[field.type])
         return _numbers(field.type, wire[at:end]), end
     if not field.is_primitive and fixedSize(field.type, specs) == 0:
         return count, at
@@ -118,10 +118,10 @@ def _read_one(
         end = at + 4 + _length(wire, at)[0]
         return _text(wire[at + 4 : end]), end
     if field.is_primitive:
-        (value,) = struct.unpack_from("<" + _CODES[field.type], wire, at)
+        (value,) = struct.unpack_from("<" + CODES[field.type], wire, at)
         if field.type in ("time", "duration"):
             value = timeToNs(value) if field.type == "time" else durationToNs(value)
-        return value, at + struct.calcsize("<" + _CODES[field.type])
+        return value, at + struct.calcsize("<" + CODES[field.type])
     values: dict[str, Any] = {}
     for inner in specs[field.type].fields:
         values[inner.name], at = _read_field(wire, at, inner, specs)

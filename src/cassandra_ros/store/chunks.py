@@ -17,7 +17,6 @@ from cassandra_ros.store.row_table import (
     TableRow,
     bind,
     encodeInt,
-    encodeLong,
 )
 
 _PAGE_CHUNKS = 4
@@ -51,11 +50,7 @@ def readChunks(cassandra: Cassandra, table: RowTable, row: TableRow) -> bytes:
     Raises:
         CorruptMessage: Chunks are missing, or size or checksum do not agree with the row.
     """
-    key = (
-        *(row.node.encode(), encodeLong(table.bucketOf(row.t))),
-        *(encodeLong(row.t), encodeLong(row.seq)),
-    )
-    bound = bind(table.selectChunks(), key)
+    bound = bind(table.selectChunks(), table.keyOf(row))
     bound.fetch_size = _PAGE_CHUNKS
     parts = _parts(cassandra, bound, table, row)
     wire = b"".join(parts)

@@ -20,7 +20,10 @@ from cassandra_ros.store.patience import RETRY_SEC
 STALE_SEC = 60.0
 """An open bucket whose heartbeat is older than this has no living writer."""
 HEARTBEAT_SEC = 10.0
-TTL_MARGIN_SEC = 3600
+TTL_MARGIN_SEC = 900
+"""How much longer than its rows a bucket is listed: so long a row may be tried."""
+CLOCKS_SEC = 2.0
+"""How far the clocks of two servers may be apart."""
 
 
 class BucketRow(NamedTuple):
@@ -30,6 +33,7 @@ class BucketRow(NamedTuple):
     bucket: int
     writer: int
     closed: bool
+    """The values hold."""
     heartbeat: Any
     rows: int
     bytes: int
@@ -40,6 +44,13 @@ class BucketRow(NamedTuple):
     odd: int
     age_sec: float
     """Seconds since the heartbeat, by the server's clock."""
+
+    def expired(self, ttl: int) -> bool:
+        """Say whether all rows of this writer in the bucket have outlived their ttl, seconds."""
+        # A bucket is closed behind its last row; while it is open rows may come that were tried
+        # for minutes.
+        margin = CLOCKS_SEC if self.closed else TTL_MARGIN_SEC
+        return self.age_sec > ttl + margin
 
 
 @dataclass
@@ -86,7 +97,8 @@ class Directory:
         )
         self._recount = (
             f"UPDATE {space}.cr_bucket USING TTL ? SET state = 'closed', n = ?, bytes = ?, "
-            "largest = ?, t_min = ?, t_max = ?, odd = ?, deleted = false "
+            "largest = ?, t_min = ?, t_max = ?, odd = ?, deleted = false, "
+            "heartbeat = toTimestamp(now()) "
             "WHERE tbl = ? AND node = ? AND slot = ? AND bucket = ? AND writer = ? "
             "IF heartbeat = ?"
         )
@@ -108,12 +120,18 @@ class Directory:
         return [(row[0], row[1]) for row in rows]
 
     def buckets(
-        self, table: str, first: int, last: int, nodes: Sequence[str] | None = None
+        self,
+        table: str,
+        first: int,
+        last: int,
+        nodes: Sequence[str] | None = None,
+        ttl: int = 0,
     ) -> list[BucketRow]:
         """List the buckets of a table in [first, last], one row for each writer.
 
         Args:
             nodes: Only these nodeIDs; None = all.
+            ttl: Of the table's rows, seconds: buckets in which all have expired are left out.
         """
         found = [
             (slot, node)
@@ -125,7 +143,8 @@ class Directory:
             [(table, node, slot, first, last) for slot, node in found],
             what="reading the directory of buckets",
         )
-        return [_bucketRow(node, row) for (_, node), rows in zip(found, answers) for row in rows]
+        every = [_bucketRow(node, row) for (_, node), rows in zip(found, answers) for row in rows]
+        return every if not ttl else [row for row in every if not row.expired(ttl)]
 
     def find(self, table: str, node: str, bucket: int) -> list[BucketRow]:
         """List the writers of one bucket."""

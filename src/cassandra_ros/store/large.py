@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from typing import Callable, Deque, Sequence
+from typing import Callable, Deque
 
 from cassandra_ros.store.chunks import checksum, chunkCount, pieces
 from cassandra_ros.store.flight import Flight, Outcome
 from cassandra_ros.store.open_bucket import OpenBucket
-from cassandra_ros.store.row_table import INLINE_COLUMN_BYTES, RowTable, bind, encodeInt
+from cassandra_ros.store.row_table import INLINE_COLUMN_BYTES, NewRow, RowTable, bind, encodeInt
 from cassandra_ros.store.schema import Schema
 
 
@@ -40,22 +40,17 @@ class LargeMessages:
         self._count = 0
         self._changed = threading.Condition()
 
-    def send(
-        self,
-        bucket: OpenBucket,
-        t: int,
-        seq: int,
-        conn: int,
-        wire: bytes,
-        columns: Sequence[bytes | None],
-    ) -> None:
+    def send(self, bucket: OpenBucket, new: NewRow) -> None:
         """Send the chunks of a message; its row follows by commit, when all of them are stored."""
         table = bucket.table
         if not table.has_chunks:
-            self._schema.ensureChunkTable(table.name, table.metadata.ttl)
+            self._schema.ensureChunkTable(table.name, table.metadata)
             table.has_chunks = True
-        small = [c if c is not None and len(c) <= INLINE_COLUMN_BYTES else None for c in columns]
-        size, own = len(wire), (chunkCount(len(wire)), checksum(wire), None in small, None)
+        small = [
+            c if c is not None and len(c) <= INLINE_COLUMN_BYTES else None for c in new.columns
+        ]
+        wire, odd = new.wire, new.odd or None in small
+        own = (chunkCount(len(wire)), checksum(wire), odd, None)
 
         def row() -> None:
             # Alone in its batch: its size is not one of a row with the message inside.
@@ -63,16 +58,16 @@ class LargeMessages:
                 self._send(bucket, False)
             with bucket.mutex:
                 bucket.in_air -= 1
-            bucket.add(t, seq, conn, size, small, own)
+            bucket.add(new, small, own)
             self._send(bucket, True)
 
         table.insertChunk()  # prepared before anything is counted: it may fail
-        outcome = self._outcome(bucket, chunkCount(size), row)
+        outcome = self._outcome(bucket, chunkCount(len(wire)), row)
         with bucket.mutex:
             bucket.in_air += 1
         with self._changed:
             self._count += 1
-        self._sendChunks(table, bucket.key(t, seq), wire, outcome)
+        self._sendChunks(table, bucket.key(new.t, new.seq), wire, outcome)
         self.commit()
 
     def _sendChunks(

@@ -15,7 +15,7 @@ from cassandra_ros.store.row_table import MAX_SEQ, MIN_SEQ, RowTable, TableRow, 
 
 
 def rowAt(cassandra: Cassandra, table: RowTable, t: int, node: str, seq: int) -> TableRow | None:
-    """Read the row of a whole key: one SELECT."""
+    """Read the row of a whole key of a table in the order of time: one SELECT."""
     return _first(
         cassandra, _ask(cassandra, table, t, node, (seq, seq)), table, t, node, (seq, seq)
     )

@@ -11,7 +11,14 @@ from typing import Any, Sequence
 from cassandra.query import BatchStatement, BatchType, BoundStatement
 
 from cassandra_ros.store.directory import Totals
-from cassandra_ros.store.row_table import UNSET, RowTable, encodeInt, encodeLong, encodeOwn
+from cassandra_ros.store.row_table import (
+    UNSET,
+    NewRow,
+    RowTable,
+    encodeInt,
+    encodeLong,
+    encodeOwn,
+)
 
 BATCH_ROWS = 200
 BATCH_BYTES = 64 * 1024
@@ -33,12 +40,16 @@ class Batch:
 
 
 class OpenBucket:
-    """State of one (table, node, bucket) of one writer; guarded by the writer's lock.
+    """State of one partition of one writer; guarded by the writer's lock.
+
+    Of a table whose rows are found by name it is made for one row, and the directory knows none.
 
     ``totals`` and ``in_air`` also change on the driver's thread, under ``self.mutex``.
     """
 
-    def __init__(self, table: RowTable, node: str, bucket: int, known: bool) -> None:
+    def __init__(
+        self, table: RowTable, node: str, bucket: int, known: bool, name: str = ""
+    ) -> None:
         self.table = table
         self.node = node
         self.bucket = bucket
@@ -51,7 +62,7 @@ class OpenBucket:
         self.touched = self.marked = time.monotonic()
         self.changed = False
         self._node_bytes = node.encode("utf-8")
-        self._bucket_bytes = encodeLong(bucket)
+        self._partition = name.encode("utf-8") if table.named else encodeLong(bucket)
         plain, full = table.insertPlain(), table.insertFull()
         self._plain_id, self._full_id = plain.query_id, full.query_id
         # Found from the values by the first row, then the same for all of the bucket.
@@ -60,33 +71,33 @@ class OpenBucket:
 
     def key(self, t: int, seq: int) -> tuple[bytes, ...]:
         """Encode the primary key of a row in this bucket."""
-        return (self._node_bytes, self._bucket_bytes, encodeLong(t), encodeLong(seq))
+        return (self._node_bytes, self._partition, encodeLong(t), encodeLong(seq))
 
-    def add(
-        self, t: int, seq: int, conn: int, size: int, columns: Sequence[bytes | None], own: Any
-    ) -> None:
+    def add(self, row: NewRow, columns: Sequence[bytes | None], own: Any) -> None:
         """Add a row to the batch.
 
         Args:
+            row: The message.
             columns: Encoded values; None where a column stays unset.
             own: None for a plain row, else (nchunks, crc, odd, raw), each a value or None.
         """
+        size = len(row.wire)
         batch = self.batch
         if not batch.rows:
             batch.since = time.monotonic()
-        head = encodeOwn(t, seq, conn, size)
+        head = encodeOwn(row.t, row.seq, row.conn, size)
         if own is None:
-            values: Any = (self._node_bytes, self._bucket_bytes, *head, *columns)
+            values: Any = (self._node_bytes, self._partition, *head, *columns)
             batch.rows.append((True, self._plain_id, values))
             batch.nbytes += size + _ROW_OVERHEAD
         else:
-            values = (self._node_bytes, self._bucket_bytes, *head, *_ownValues(*own))
+            values = (self._node_bytes, self._partition, *head, *_ownValues(*own))
             values += tuple(UNSET if c is None else c for c in columns)
             batch.rows.append((True, self._full_id, values))
             batch.nbytes += _ROW_OVERHEAD + sum(len(v) for v in values if v is not UNSET)
             batch.odd_rows += bool(own[2])
         batch.sizes.append(size)
-        batch.times.append(t)
+        batch.times.append(row.t)
 
     def isFull(self) -> bool:
         """Say whether the batch should be sent now."""

@@ -102,7 +102,8 @@ def _pieces(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> lis
     groups: list[tuple[RowTable, list[BucketRow]]] = []
     streams: set[tuple[str, str]] = set()
     for table in tables:
-        rows = directory.buckets(table.name, table.bucketOf(low), table.bucketOf(high), scan.nodes)
+        ends = (table.bucketOf(low), table.bucketOf(high))
+        rows = directory.buckets(table.name, *ends, scan.nodes, table.metadata.ttl)
         groups.append((table, rows))
         streams.update((table.name, row.node) for row in rows)
     page_bytes = min(PAGE_BYTES, max(64 * 1024, ALL_PAGES_BYTES // max(1, 2 * len(streams))))

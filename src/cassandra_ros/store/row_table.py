@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Sequence
 from cassandra.query import UNSET_VALUE, BoundStatement, PreparedStatement
 
 from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.keys import Position
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.names import chunkTableName, quoteName
@@ -43,6 +44,31 @@ class TableRow(NamedTuple):
     odd: bool
     raw: bytes | None
     columns: tuple[bytes | None, ...]
+    name: str = ""
+    """Key of a row that is found by name."""
+    received: int = -1
+    """When the message was received, ns; -1 = that is its key time."""
+
+    @property
+    def position(self) -> Position:
+        """Its place in the order of all reads."""
+        return Position(self.t, self.node, self.seq, self.table, self.name)
+
+
+class NewRow(NamedTuple):
+    """A message on its way into a table."""
+
+    t: int
+    """Key time, ns; 0 where equal messages are kept once."""
+    seq: int
+    """Writer id << 32 | counter, fixed before the first attempt; 0 as above."""
+    conn: int
+    wire: bytes
+    columns: Sequence[bytes | None]
+    """Encoded values of the format's columns and of the table's extra ones; None = unset."""
+    odd: bool
+    raw: bytes | None
+    name: str = ""
 
 
 class RowTable:
@@ -54,6 +80,13 @@ class RowTable:
         name: The table's name.
         metadata: What its comment says.
         columns: Names of the format's columns, in the format's order.
+        shadows: Names of the columns that carry an index.
+
+    Attributes:
+        named: Rows are found by a name, not by their time.
+        partition: Name of the second column of the partition key.
+        extra: Columns besides our own and the format's: the receive time where it is not the
+            key, and the shadow columns.
     """
 
     def __init__(
@@ -63,12 +96,18 @@ class RowTable:
         name: str,
         metadata: TopicMetadata,
         columns: Sequence[str],
+        shadows: Sequence[str] = (),
     ) -> None:
         self._cassandra = cassandra
         self._space = quoteName(keyspace)
         self.name = name
         self.metadata = metadata
         self.columns = tuple(columns)
+        self.named = metadata.named
+        self.partition = metadata.partition
+        self._has_received = metadata.ownTime
+        self._once = metadata.key_format == "hash"
+        self.extra = ("_recv",) * self._has_received + tuple(shadows)
         self.known_nodes: set[str] = set()
         """nodeIDs that have been seen to write the table; more may."""
         self.has_chunks = False
@@ -86,10 +125,23 @@ class RowTable:
         """Return the bucket of a key time."""
         return t_ns // self.metadata.bucket_ns
 
+    def partitionOf(self, t_ns: int, name: str) -> bytes:
+        """Encode the second part of a row's partition key."""
+        return name.encode("utf-8") if self.named else encodeLong(self.bucketOf(t_ns))
+
+    def storedTime(self, t: int) -> int:
+        """Return the ``_t`` of a row; where equal messages are kept once it is 0."""
+        return 0 if self._once else t
+
+    def keyOf(self, row: TableRow) -> tuple[bytes, ...]:
+        """Encode the primary key of a stored row."""
+        place = (row.node.encode("utf-8"), self.partitionOf(row.t, row.name))
+        return (*place, encodeLong(self.storedTime(row.t)), encodeLong(row.seq))
+
     # ---------------------------------------------------------------- statements
 
     def _insert(self, own: Sequence[str]) -> PreparedStatement:
-        names = ["_node", "_bucket", *own, *self.columns]
+        names = ["_node", self.partition, *own, *self.columns, *self.extra]
         listing = ", ".join(quoteName(n) for n in names)
         marks = ", ".join("?" * len(names))
         return self._cassandra.prepare(
@@ -107,23 +159,24 @@ class RowTable:
     def insertChunk(self) -> PreparedStatement:
         """INSERT of one piece of a large message."""
         return self._cassandra.prepare(
-            f'INSERT INTO {self._chunks} ("_node", "_bucket", "_t", "_seq", "_chunk", "_data") '
-            "VALUES (?, ?, ?, ?, ?, ?)"
+            f'INSERT INTO {self._chunks} ("_node", "{self.partition}", "_t", "_seq", "_chunk", '
+            '"_data") VALUES (?, ?, ?, ?, ?, ?)'
         )
 
     def selectChunks(self) -> PreparedStatement:
         """SELECT of all pieces of one large message, in order."""
         return self._cassandra.prepare(
             f'SELECT "_chunk", "_data" FROM {self._chunks} '
-            'WHERE "_node" = ? AND "_bucket" = ? AND "_t" = ? AND "_seq" = ?'
+            f'WHERE "_node" = ? AND "{self.partition}" = ? AND "_t" = ? AND "_seq" = ?'
         )
 
     def selectRange(self, columns: Sequence[str], *, reverse: bool = False) -> PreparedStatement:
-        """SELECT of (node, bucket) from (t, seq) to (t, seq), both included."""
-        names = ", ".join(quoteName(n) for n in (*_OWN, *columns))
+        """SELECT of one partition from (t, seq) to (t, seq), both included."""
+        received = ("_recv",) * self._has_received
+        names = ", ".join(quoteName(n) for n in (*_OWN, *received, *columns))
         order = ' ORDER BY "_t" DESC, "_seq" DESC' if reverse else ""
         return self._cassandra.prepare(
-            f'SELECT {names} FROM {self._qualified} WHERE "_node" = ? AND "_bucket" = ? '
+            f'SELECT {names} FROM {self._qualified} WHERE "_node" = ? AND "{self.partition}" = ? '
             f'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?){order}'
         )
 
@@ -135,23 +188,39 @@ class RowTable:
             'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
         )
 
+    def selectNames(self) -> PreparedStatement:
+        """SELECT of the keys of all rows of a table that is read by name; in no order."""
+        received = ', "_recv"' * self._has_received
+        return self._cassandra.prepare(
+            'SELECT "_node", "_key", "_t", "_seq", "_size", "_nchunks", "_odd"'
+            f"{received} FROM {self._qualified}"
+        )
+
+    def selectShadow(self, shadow: str, *, bucket: bool) -> PreparedStatement:
+        """SELECT of the keys of rows by an indexed column, in one bucket (in order) or in all."""
+        where = '"_node" = ? AND "_bucket" = ? AND ' if bucket else ""
+        return self._cassandra.prepare(
+            f'SELECT "_node", "_t", "_seq" FROM {self._qualified} '
+            f"WHERE {where}{quoteName(shadow)} = ?"
+        )
+
     def deleteRange(self) -> str:
-        """DELETE of a stretch of one bucket, both ends included."""
+        """DELETE of a stretch of one partition, both ends included."""
         return (
-            f'DELETE FROM {self._qualified} WHERE "_node" = ? AND "_bucket" = ? '
+            f'DELETE FROM {self._qualified} WHERE "_node" = ? AND "{self.partition}" = ? '
             'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
         )
 
     def deleteChunks(self) -> str:
         """DELETE of the pieces of one large message."""
         return (
-            f'DELETE FROM {self._chunks} WHERE "_node" = ? AND "_bucket" = ? '
+            f'DELETE FROM {self._chunks} WHERE "_node" = ? AND "{self.partition}" = ? '
             'AND "_t" = ? AND "_seq" = ?'
         )
 
     # ---------------------------------------------------------------- values
 
-    def rowFromValues(self, node: str, values: Sequence[bytes | None]) -> TableRow:
+    def rowFromValues(self, node: str, values: Sequence[bytes | None], name: str = "") -> TableRow:
         """Read the undecoded values of a selectRange row.
 
         Raises:
@@ -165,16 +234,38 @@ class RowTable:
                 "size: something else than this package wrote or updated it"
             ) from exc
         nchunks, crc, odd, raw = values[4:8]
+        if self._has_received or self.named:
+            return self._otherRow(node, values, name, (t, seq, conn, size))
         if nchunks is None and odd is None:
             return TableRow(t, node, seq, self.name, conn, size, 0, 0, False, raw, values[8:])  # type: ignore[arg-type]
         return TableRow(
             *(t, node, seq, self.name, conn, size),
-            _INT.unpack(nchunks)[0] if nchunks else 0,
-            _LONG.unpack(crc)[0] if crc else 0,
-            odd == b"\x01",
-            raw,
+            *_flags(nchunks, crc, odd, raw),
             tuple(values[8:]),
         )
+
+    def _otherRow(
+        self, node: str, values: Sequence[bytes | None], name: str, own: tuple[int, ...]
+    ) -> TableRow:
+        t, seq, conn, size = own
+        received = -1
+        if self._has_received:
+            received = _LONG.unpack(values[8] or encodeLong(t))[0]
+        columns = tuple(values[8 + self._has_received :])
+        return TableRow(
+            *(received if self._once else t, node, seq, self.name, conn, size),
+            *_flags(*values[4:8]),
+            *(columns, name, received),
+        )
+
+
+def _flags(nchunks: Any, crc: Any, odd: Any, raw: Any) -> tuple[int, int, bool, bytes | None]:
+    return (
+        _INT.unpack(nchunks)[0] if nchunks else 0,
+        _LONG.unpack(crc)[0] if crc else 0,
+        odd == b"\x01",
+        raw,
+    )
 
 
 def encodeOwn(t: int, seq: int, conn: int, size: int) -> tuple[bytes, ...]:

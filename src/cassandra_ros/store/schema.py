@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Mapping
+from typing import Callable, Iterable, Mapping
 
 from cassandra_ros.errors import SchemaConflict, TopicNotFound
 from cassandra_ros.metadata import TopicMetadata, fromComment
@@ -17,7 +17,6 @@ from cassandra_ros.store.names import chunkTableName, quoteName, quoteText, tabl
 
 _log = logging.getLogger(__name__)
 
-KEY_COLUMNS = {"_node": "text", "_bucket": "bigint", "_t": "bigint", "_seq": "bigint"}
 OWN_COLUMNS = {
     "_conn": "bigint",
     "_size": "int",
@@ -26,6 +25,8 @@ OWN_COLUMNS = {
     "_odd": "boolean",
     "_raw": "blob",
 }
+KEY_TYPES = {"_bucket": "bigint", "_key": "text"}
+"""Second part of the partition key: a stretch of time, or the name of a message."""
 CHUNK_TTL_MARGIN_SEC = 86_400
 _WINDOWS = 25
 CACHE_SEC = 2.0
@@ -87,12 +88,15 @@ class Schema:
                 return name
         return None
 
-    def ensureTable(self, wanted: TopicMetadata, columns: Mapping[str, str]) -> str:
+    def ensureTable(
+        self, wanted: TopicMetadata, columns: Mapping[str, str], shadows: Mapping[str, str]
+    ) -> str:
         """Make the table of a topic, or find the one that somebody made before.
 
         Args:
             wanted: What its comment will say; the generation is chosen here.
             columns: The format's own columns, name → CQL type.
+            shadows: Further columns, each with an index, name → CQL type.
 
         Returns:
             The table's name.
@@ -111,41 +115,64 @@ class Schema:
                 return name
             wanted = wanted.with_(generation=time.time_ns())
             name = tableName(*key, wanted.generation)
-            lock.renew()
-            self._create(name, wanted, columns)
-        self._check(name, wanted, columns)
+            every = {**_ownColumns(wanted), **columns, **shadows}
+            self._createAll(name, wanted, every, shadows, lock)
+        self._check(name, wanted, every)
         self.tables(fresh=True)
         return name
 
+    def _createAll(
+        self,
+        name: str,
+        wanted: TopicMetadata,
+        columns: Mapping[str, str],
+        shadows: Iterable[str],
+        lock: SchemaLock,
+    ) -> None:
+        lock.renew()
+        self._create(name, wanted, columns)
+        for shadow in shadows:
+            lock.renew()
+            self._createIndex(name, shadow)
+
     def _create(self, name: str, wanted: TopicMetadata, columns: Mapping[str, str]) -> None:
-        every = {**KEY_COLUMNS, **OWN_COLUMNS, **columns}
-        listing = ", ".join(f"{quoteName(c)} {cql}" for c, cql in every.items())
+        listing = ", ".join(f"{quoteName(c)} {cql}" for c, cql in columns.items())
         self._cassandra.schemaChange(
             f"CREATE TABLE {self.qualified(name)} ({listing}, "
-            f'PRIMARY KEY (("_node", "_bucket"), "_t", "_seq")) '
+            f'PRIMARY KEY (("_node", "{wanted.partition}"), "_t", "_seq")) '
             f"WITH comment = {quoteText(wanted.toComment())} AND {_storage(wanted.ttl, 0)} "
             f"AND compression = {{'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}}",
             what=f"making the table of topic {wanted.topic}",
         )
 
-    def _check(self, name: str, wanted: TopicMetadata, columns: Mapping[str, str]) -> None:
-        rows = self._cassandra.execute(
-            "SELECT column_name, type FROM system_schema.columns "
-            "WHERE keyspace_name = ? AND table_name = ?",
-            (self.keyspace, name),
-            what=f"reading the columns of {name}",
+    def _createIndex(self, table: str, shadow: str) -> None:
+        self._cassandra.schemaChange(
+            f"CREATE INDEX {quoteName(table + shadow)} ON {self.qualified(table)} "
+            f"({quoteName(shadow)}) USING 'sai'",
+            what=f"making an index of table {table}",
         )
-        every = {**KEY_COLUMNS, **OWN_COLUMNS, **columns}
+
+    def _check(self, name: str, wanted: TopicMetadata, columns: Mapping[str, str]) -> None:
         comment = self._read().get(name)
-        if dict(rows) != every or comment != wanted:
+        if self._columns(name) != dict(columns) or comment != wanted:
             raise SchemaConflict(
                 f"table {self.keyspace}.{name} of topic {wanted.topic} is not what was asked "
                 "for (columns or comment differ): another client changed it at the same time; "
                 "remove the topic and try again"
             )
 
-    def ensureChunkTable(self, table: str, ttl: int) -> str:
+    def _columns(self, table: str) -> dict[str, str]:
+        rows = self._cassandra.execute(
+            "SELECT column_name, type FROM system_schema.columns "
+            "WHERE keyspace_name = ? AND table_name = ?",
+            (self.keyspace, table),
+            what=f"reading the columns of {table}",
+        )
+        return dict(rows)
+
+    def ensureChunkTable(self, table: str, metadata: TopicMetadata) -> str:
         """Make the table for a topic's large messages where it is missing; return its name."""
+        partition = metadata.partition
         name = chunkTableName(table)
         if self._exists(name):
             return name
@@ -158,11 +185,12 @@ class Schema:
             if not self._exists(name):
                 lock.renew()
                 self._cassandra.schemaChange(
-                    f'CREATE TABLE {self.qualified(name)} ("_node" text, "_bucket" bigint, '
+                    f'CREATE TABLE {self.qualified(name)} ("_node" text, '
+                    f'"{partition}" {KEY_TYPES[partition]}, '
                     '"_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
-                    'PRIMARY KEY (("_node", "_bucket", "_t", "_seq"), "_chunk")) '
+                    f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
                     f"WITH comment = {quoteText(f'cassandra_ros chunks of {table}')} "
-                    f"AND {_storage(ttl, CHUNK_TTL_MARGIN_SEC)} "
+                    f"AND {_storage(metadata.ttl, CHUNK_TTL_MARGIN_SEC)} "
                     "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
                     "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'",
                     what=f"making the table for large messages {name}",
@@ -179,21 +207,51 @@ class Schema:
             )
         )
 
-    def alterComment(self, table: str, metadata: TopicMetadata) -> None:
-        """Replace the comment of a table, under the lock."""
+    def changeTopic(
+        self,
+        topic: str,
+        change: Callable[[TopicMetadata], TopicMetadata],
+        check: Callable[[Mapping[str, TopicMetadata]], None] = lambda tables: None,
+    ) -> None:
+        """Change what the comments of a topic's tables say, under the lock.
+
+        Args:
+            topic: Its name.
+            change: Makes the new metadata of a table from those it has now.
+            check: Looks at all tables first, under the lock, and may raise.
+
+        Raises:
+            TopicNotFound: The topic is gone.
+        """
         with SchemaLock(self._cassandra, self.keyspace) as lock:
-            lock.renew()
-            self._cassandra.schemaChange(
-                f"ALTER TABLE {self.qualified(table)} "
-                f"WITH comment = {quoteText(metadata.toComment())}",
-                what=f"changing the metadata of topic {metadata.topic}",
-            )
+            tables = self._read()
+            check(tables)
+            mine = {name: m for name, m in tables.items() if m.topic == topic}
+            if not mine:
+                raise TopicNotFound(f"topic {topic} is not stored in {self.keyspace} any more")
+            for name, metadata in mine.items():
+                lock.renew()
+                self._cassandra.schemaChange(
+                    f"ALTER TABLE {self.qualified(name)} "
+                    f"WITH comment = {quoteText(change(metadata).toComment())}",
+                    what=f"changing the metadata of topic {topic}",
+                )
         self.tables(fresh=True)
 
-    def dropTopic(self, topic: str) -> list[str]:
-        """Drop all tables of a topic and what belongs to them; return their names."""
+    def dropTopic(self, topic: str, *, renew: bool = False) -> list[str]:
+        """Drop all tables of a topic and what belongs to them; return their names.
+
+        Args:
+            topic: Its name.
+            renew: Make empty tables in their place first.
+        """
         with SchemaLock(self._cassandra, self.keyspace) as lock:
-            tables = [name for name, m in self._read().items() if m.topic == topic]
+            tables = {name: m for name, m in self._read().items() if m.topic == topic}
+            if renew:
+                # Made anew under other names: a writer that has not heard of it must not go on.
+                one_each = {(m.md5sum, m.format): (name, m) for name, m in tables.items()}
+                for name, metadata in one_each.values():
+                    self._createEmpty(name, metadata, lock)
             for table in tables:
                 for name in (table, chunkTableName(table)):
                     lock.renew()
@@ -203,7 +261,24 @@ class Schema:
                     )
                 self._cassandra.forget(table)
         self.tables(fresh=True)
-        return tables
+        return list(tables)
+
+    def _createEmpty(self, table: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
+        metadata = metadata.with_(generation=time.time_ns())
+        key = (metadata.topic, metadata.md5sum, metadata.format)
+        name = tableName(*key, metadata.generation)
+        shadows = metadata.indexes.values()
+        self._createAll(name, metadata, self._columns(table), shadows, lock)
+
+
+def _ownColumns(metadata: TopicMetadata) -> dict[str, str]:
+    partition = metadata.partition
+    received = {"_recv": "bigint"} if metadata.ownTime else {}
+    return {
+        **{"_node": "text", partition: KEY_TYPES[partition], "_t": "bigint", "_seq": "bigint"},
+        **OWN_COLUMNS,
+        **received,
+    }
 
 
 def _storage(ttl: int, margin: int) -> str:

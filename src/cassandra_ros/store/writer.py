@@ -7,7 +7,6 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Sequence
 
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound, WriteFailed
 from cassandra_ros.store.buckets import slotOf
@@ -19,7 +18,7 @@ from cassandra_ros.store.driver_errors import isTableGone, translate
 from cassandra_ros.store.flight import Flight
 from cassandra_ros.store.large import LargeMessages
 from cassandra_ros.store.open_bucket import Batch, OpenBucket
-from cassandra_ros.store.row_table import RowTable
+from cassandra_ros.store.row_table import NewRow, RowTable
 from cassandra_ros.store.schema import Schema
 from cassandra_ros.store.write_stats import LossCallback, WriteStats
 
@@ -79,26 +78,8 @@ class RowWriter:
 
     # ---------------------------------------------------------------- rows in
 
-    def add(
-        self,
-        table: RowTable,
-        node: str,
-        t: int,
-        seq: int,
-        conn: int,
-        wire: bytes,
-        columns: Sequence[bytes | None],
-        odd: bool,
-        raw: bytes | None,
-    ) -> None:
+    def add(self, table: RowTable, node: str, row: NewRow) -> None:
         """Take one row; blocks while too much is in the air.
-
-        Args:
-            t: Key time, ns.
-            seq: Writer id << 32 | counter, fixed before the first attempt.
-            conn: Connection id.
-            wire: The serialised message.
-            columns, odd, raw: What the format made of it.
 
         Raises:
             WriteFailed: Earlier rows were given up (only without on_loss).
@@ -106,19 +87,34 @@ class RowWriter:
         with self._lock:
             self._raiseError()
             try:
-                bucket = self._bucket(table, node, table.bucketOf(t))
-                if not isLarge(len(wire)):
+                if table.named:
+                    bucket = self._nameBucket(table, node, row.name)
+                else:
+                    bucket = self._bucket(table, node, table.bucketOf(row.t))
+                if not isLarge(len(row.wire)):
+                    odd, raw = row.odd, row.raw
                     own = (None, None, odd, raw) if odd or raw is not None else None
-                    bucket.add(t, seq, conn, len(wire), columns, own)
-                    if bucket.isFull():
+                    bucket.add(row, row.columns, own)
+                    if table.named or bucket.isFull():
                         self._send(bucket)
                     return
                 if bucket.batch.rows:
                     self._send(bucket)
-                self._large.send(bucket, t, seq, conn, wire, columns)
+                self._large.send(bucket, row)
             except TopicNotFound:
                 self.gone.add(table.name)
                 raise
+
+    def _nameBucket(self, table: RowTable, node: str, name: str) -> OpenBucket:
+        # The directory only tells which nodes there are: the table itself lists its names.
+        self._addNode((table.name, 0, node))
+        self.stats.setdefault(table.name, WriteStats())
+        return OpenBucket(table, node, 0, True, name)
+
+    def _addNode(self, slot: tuple[str, int, str]) -> None:
+        if slot not in self._slots:
+            self._directory.addNode(*slot)
+            self._slots.add(slot)
 
     def _bucket(self, table: RowTable, node: str, number: int) -> OpenBucket:
         key = (table.name, node, number)
@@ -134,10 +130,7 @@ class RowWriter:
         return bucket
 
     def _open(self, table: RowTable, node: str, number: int) -> OpenBucket:
-        slot = (table.name, slotOf(number), node)
-        if slot not in self._slots:
-            self._directory.addNode(*slot)
-            self._slots.add(slot)
+        self._addNode((table.name, slotOf(number), node))
         rows = self._directory.find(table.name, node, number)
         known = any(row.writer == self._writer_id for row in rows)
         self._directory.open(table.name, node, number, self._writer_id, table.metadata.ttl)

@@ -39,3 +39,21 @@ def absentText(
             f"{{secs: {secs}, nsecs: {nsecs}}}, for a number goes through a float"
         )
     return text + f"; the nearest lies at {isoTime(near_ns)} ({near_ns} ns)"
+
+
+def absentName(topic: str, key: Any, nodeID: Optional[str], named: bool) -> str:
+    """Say that a topic has no message under a name, or none with a value.
+
+    Args:
+        topic: Its name.
+        key: As it was asked for.
+        nodeID: The node that was asked for, or None.
+        named: Whether it is a name.
+    """
+    whose = f" of node {nodeID}" if nodeID is not None else ""
+    if not named:
+        return f"topic {topic} has no message{whose} whose key field is {key!r:.80}"
+    return (
+        f"topic {topic} has no message{whose} under the name {str(key)[:80]!r}; "
+        "items() lists the names that there are"
+    )

@@ -10,7 +10,7 @@ import threading
 from typing import Any, Optional
 
 from cassandra_ros.errors import WriteFailed
-from cassandra_ros.keys import newWriterId
+from cassandra_ros.keys import Position, RowName, newWriterId
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
@@ -19,6 +19,7 @@ from cassandra_ros.store.writer import RowWriter
 from cassandra_ros.topics.clock import Clock, nowNs
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import MessageWriter
+from cassandra_ros.topics.stored_row import Key
 from cassandra_ros.topics.topic_table import TopicTable
 
 
@@ -41,8 +42,8 @@ class Adder:
         """Tell the time, ns."""
         return nowNs(self._clock)
 
-    def add(self, table: TopicTable, msg: Any, t: int, node: str) -> Stamp:
-        """Store a message of the table's type; return when it is acknowledged."""
+    def add(self, table: TopicTable, msg: Any, t: int, node: str, name: str = "") -> Key:
+        """Store a message of the table's type; return its key when it is acknowledged."""
         wire = serialize(msg)
         connection = apiConnection(table.metadata.topic, definitionOf(type(msg)), _callerid())
         # One at a time: a failure is raised to whoever flushes, and must be that message's.
@@ -50,17 +51,21 @@ class Adder:
             writer = self._open()
             handle = writer.connect(connection, format=table.metadata.format, nodeID=node)
             counter = next(self._counter)
-            seq = writer.write(handle, t, counter, wire)
+            row = writer.write(handle, t, counter, wire, name)
             try:
                 writer.flush()
             except WriteFailed:
                 if writer.current(handle) is handle:
                     raise
                 # Another client removed the topic while this was on its way.
-                writer.write(handle, t, counter, wire)
+                row = writer.write(handle, t, counter, wire, name)
                 writer.flush()
-            name = writer.current(handle).table.name
-        return Stamp.fromNs(t, node=node, seq=seq, table=name)
+            stored = writer.current(handle).table
+        if row is None:
+            raise AssertionError("a writer without on_loss raises what it refuses")
+        if stored.named:
+            return RowName.of(Position(t, node, row.seq, stored.name, row.name))
+        return Stamp.fromNs(row.t, node=node, seq=row.seq, table=stored.name)
 
     def _open(self) -> MessageWriter:
         if self._writer is None:

@@ -9,9 +9,15 @@ import logging
 import re
 import threading
 from dataclasses import replace
-from typing import Optional
+from typing import Mapping, Optional
 
-from cassandra_ros.errors import DefinitionError, InvalidName, TopicExists, TopicNotFound
+from cassandra_ros.errors import (
+    CassandraRosError,
+    DefinitionError,
+    InvalidName,
+    TopicExists,
+    TopicNotFound,
+)
 from cassandra_ros.formats.table import formatClass
 from cassandra_ros.messages.classes import installedDefinition
 from cassandra_ros.messages.definition import Definition
@@ -20,6 +26,7 @@ from cassandra_ros.metadata import TopicMetadata, checkTopicName
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.selection import checkKeyFormat
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.wish import Wish
 
@@ -42,6 +49,7 @@ class Catalog:
         """Make a topic, or find it; see RosCassandra.addTopic."""
         checkTopicName(topic)
         formatClass(wish.format)
+        checkKeyFormat(wish.key_format, wish.key_part)
         self._keyspace.schema.tables(fresh=True)
         stored = self._keyspace.tables.ofTopic(topic)
         definition = self._definitionFor(topic, msg_type, known=bool(stored))
@@ -53,7 +61,12 @@ class Catalog:
             with self._mutex:
                 self._pending[topic] = wish
         if definition is not None:
-            found.makeTable(definition)
+            try:
+                found.makeTable(definition)
+            except CassandraRosError:
+                with self._mutex:
+                    self._pending.pop(topic, None)
+                raise
         return found
 
     def _definitionFor(
@@ -120,13 +133,45 @@ class Catalog:
     def remove(self, topic: str) -> None:
         """Drop a topic with all its messages."""
         name = self.get(topic).name
-        self._adder.close()
-        space = self._keyspace
-        for table in space.schema.dropTopic(name):
-            space.directory.forget(table)
-            space.registry.forget(table)
+        self._drop(name, renew=False)
         with self._mutex:
             self._pending.pop(name, None)
+
+    def truncate(self, topic: str) -> None:
+        """Remove all messages of a topic, but not the topic."""
+        self._drop(self.get(topic).name, renew=True)
+
+    def _drop(self, name: str, renew: bool) -> None:
+        self._adder.close()
+        space = self._keyspace
+        for table in space.schema.dropTopic(name, renew=renew):
+            space.directory.forget(table)
+            space.registry.forget(table)
+
+    def rename(self, topic: str, new_name: str) -> None:
+        """Give a topic another name."""
+        name = self.get(topic).name
+        checkTopicName(new_name)
+
+        def check(tables: Mapping[str, TopicMetadata]) -> None:
+            taken = new_name in self._pending or any(m.topic == new_name for m in tables.values())
+            if taken:
+                raise TopicExists(
+                    f"topic {name} cannot be renamed: {new_name} is stored already; remove or "
+                    "rename that first"
+                )
+
+        with self._mutex:
+            wish = self._pending.get(name)
+        if wish is None or self._keyspace.tables.ofTopic(name):
+            change = lambda metadata: metadata.with_(topic=new_name)  # noqa: E731
+            self._keyspace.schema.changeTopic(name, change, check)
+        else:
+            check(self._keyspace.schema.tables(fresh=True))
+        self._adder.close()
+        with self._mutex:
+            if self._pending.pop(name, None) is not None and wish is not None:
+                self._pending[new_name] = wish
 
     def _find(self, topic: str, fresh: bool) -> Optional[str]:
         names = self.names(fresh=fresh)
@@ -142,7 +187,11 @@ class Catalog:
             raise TopicNotFound(f"topic {name} was removed from keyspace {self._keyspace.name}")
         if wish is None:
             stored = tables[0]
-            wish = Wish(stored.format, stored.nodeID, stored.ttl, stored.comment, asked=False)
+            wish = Wish(
+                *(stored.format, stored.nodeID, stored.ttl, stored.comment),
+                *(stored.key_format, stored.key_part, stored.user),
+                asked=False,
+            )
         wish = replace(wish, pending=not tables)
         return CassandraTopic(self._keyspace, self._adder, name, wish)
 
@@ -151,6 +200,9 @@ def _checkSame(metadata: TopicMetadata, wish: Wish, definition: Optional[Definit
     wrong = []
     if definition is not None and definition.md5sum != metadata.md5sum:
         wrong.append(f"type {metadata.msg_type} [{metadata.md5sum}]")
+    key = (wish.key_format, wish.key_part)
+    if wish.key_format and key != (metadata.key_format, metadata.key_part):
+        wrong.append(f"key_format {metadata.key_format} {metadata.key_part}".rstrip())
     if wish.ttl and wish.ttl != metadata.ttl:
         wrong.append(f"ttl {metadata.ttl} s")
     if wrong:

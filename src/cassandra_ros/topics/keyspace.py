@@ -8,9 +8,10 @@ import logging
 from datetime import datetime, timezone
 from typing import Optional
 
-from cassandra_ros.errors import WriteFailed
+from cassandra_ros.errors import InvalidKey, WriteFailed
 from cassandra_ros.formats.table import formatClass
 from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.buckets import SECOND_NS, limitForTtl
 from cassandra_ros.store.connection import Cassandra
@@ -21,7 +22,9 @@ from cassandra_ros.store.schema import Schema
 from cassandra_ros.store.side_tables import makeKeyspace
 from cassandra_ros.topics.connections import Connections
 from cassandra_ros.topics.reading import Rows
+from cassandra_ros.topics.removal import Removal
 from cassandra_ros.topics.topic_table import TopicTable, TopicTables
+from cassandra_ros.topics.totals import TopicTotals
 
 _log = logging.getLogger(__name__)
 
@@ -37,7 +40,9 @@ class Keyspace:
         registry: Connections, definitions and runs as rows.
         connections: Connection headers, each read once.
         tables: The topic tables as objects.
-        rows: Reads, counts and deletes messages.
+        rows: Reads messages.
+        totals: Counts and describes them.
+        removal: Deletes them.
 
     Raises:
         InvalidName: The name is not 1 to 48 letters, digits and underscores.
@@ -53,15 +58,22 @@ class Keyspace:
         self.connections = Connections(self.registry)
         self.tables = TopicTables(cassandra, self.schema)
         self.rows = Rows(cassandra, self.directory, self.connections)
+        self.totals = TopicTotals(cassandra, self.directory)
+        self.removal = Removal(cassandra, self.directory)
 
     def makeTable(self, metadata: TopicMetadata, definition: Optional[Definition]) -> TopicTable:
         """Find the table for a topic, md5 and format, or make it.
 
         Args:
-            metadata: What its comment is to say; columns, date and bucket are completed here.
+            metadata: What its comment is to say; columns, date and bucket are completed here, and
+                what the topic's other tables say holds for this one.
             definition: The checked definition, or None.
+
+        Raises:
+            InvalidKey: The type has no such field as key_part, and the topic is new.
         """
-        for table in self.tables.ofTopic(metadata.topic):
+        stored = self.tables.ofTopic(metadata.topic)
+        for table in stored:
             if (table.metadata.md5sum, table.metadata.format) == (metadata.md5sum, metadata.format):
                 return table
             if table.metadata.md5sum != metadata.md5sum:
@@ -72,12 +84,15 @@ class Keyspace:
                     *(metadata.msg_type, metadata.md5sum),
                 )
         fmt = formatClass(metadata.format)(metadata.msg_type, metadata.md5sum, definition)
+        if stored:
+            metadata = _inherited(metadata, stored[0].metadata)
+        metadata, shadows = _indexed(metadata, definition, new=not stored)
         metadata = metadata.with_(
             bucket_ns=limitForTtl(metadata.bucket_ns, metadata.ttl),
             columns=tuple(fmt.describe()),
             date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         )
-        name = self.schema.ensureTable(metadata, fmt.getColValidationClasses())
+        name = self.schema.ensureTable(metadata, fmt.getColValidationClasses(), shadows)
         found = self.tables.byName(name)
         if found is None:
             raise WriteFailed(
@@ -85,6 +100,36 @@ class Keyspace:
                 "client removes this topic; try again"
             )
         return found
+
+
+def _inherited(metadata: TopicMetadata, other: TopicMetadata) -> TopicMetadata:
+    return metadata.with_(
+        key_format=other.key_format,
+        key_part=other.key_part,
+        nodeID=metadata.nodeID or other.nodeID,
+        comment=metadata.comment or other.comment,
+        user=metadata.user or other.user,
+    )
+
+
+def _indexed(
+    metadata: TopicMetadata, definition: Optional[Definition], new: bool
+) -> tuple[TopicMetadata, dict[str, str]]:
+    """Return the metadata with the index that key_part needs, and the columns that carry it."""
+    if metadata.key_format != "msg_part":
+        return metadata, {}
+    try:
+        if definition is None:
+            raise InvalidKey(f"{metadata.msg_type} has no usable definition to find a key field in")
+        part = KeyPart(definition, metadata.key_part)
+    except InvalidKey as exc:
+        if new:
+            raise
+        _log.warning("messages of topic %s: %s; these are found by time", metadata.topic, exc)
+        return metadata.with_(key_format="time", key_part=""), {}
+    if part.is_time:
+        return metadata, {}
+    return metadata.with_(indexes={part.field: "_ix0"}), {"_ix0": part.cql_type}
 
 
 def defaultBucket(definition: Optional[Definition]) -> int:

@@ -19,6 +19,7 @@ from cassandra_ros.keys import COUNTER_BITS, MAX_NS, joinSeq
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.metadata import TopicMetadata, checkTopicName
 from cassandra_ros.store.registry import Run
+from cassandra_ros.store.row_table import NewRow
 from cassandra_ros.store.write_stats import LossCallback, WriteStats
 from cassandra_ros.store.writer import RowWriter
 from cassandra_ros.topics.keyspace import Keyspace, defaultBucket
@@ -181,15 +182,18 @@ class MessageWriter:
 
     # ---------------------------------------------------------------- messages
 
-    def write(self, handle: Handle, t_ns: int, counter: int, wire: bytes) -> int:
+    def write(
+        self, handle: Handle, t_ns: int, counter: int, wire: bytes, name: str = ""
+    ) -> Optional[NewRow]:
         """Take one serialised message; blocks while too much is on its way.
 
         Args:
-            t_ns: Key time, ns, 0 to MAX_NS.
+            t_ns: When it was received, ns, 0 to MAX_NS.
             counter: Arrival order in this run (or position in the bag), 0 to 2**32 - 1.
+            name: Where the topic keeps messages under names: this one's; '' = the topic's.
 
         Returns:
-            The row's ``_seq``.
+            Its row; None where it was refused and on_loss told.
 
         Raises:
             InvalidKey: Time or counter is out of range.
@@ -203,20 +207,20 @@ class MessageWriter:
         seq = self._high | counter
         try:
             try:
-                self._put(self.current(handle), t_ns, seq, wire)
+                return self._put(self.current(handle), t_ns, seq, wire, name)
             except TopicNotFound:
                 # Another client removed the topic; it goes on in a new table.
-                self._put(self.current(handle), t_ns, seq, wire)
+                return self._put(self.current(handle), t_ns, seq, wire, name)
         except CassandraRosError as exc:
             if self._on_loss is None:
                 raise
             self._refuse(handle.table, exc)
-        return seq
+            return None
 
-    def _put(self, handle: Handle, t_ns: int, seq: int, wire: bytes) -> None:
-        table = handle.table
-        columns, odd, raw = table.format.encodeWire(wire)
-        self._rows.add(table, handle.node, t_ns, seq, handle.conn, wire, columns, odd, raw)
+    def _put(self, handle: Handle, t_ns: int, seq: int, wire: bytes, name: str) -> NewRow:
+        row = handle.table.newRow(t_ns, seq, handle.conn, wire, name)
+        self._rows.add(handle.table, handle.node, row)
+        return row
 
     def _refuse(self, table: TopicTable, exc: CassandraRosError) -> None:
         topic = table.metadata.topic

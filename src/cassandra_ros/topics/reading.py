@@ -1,50 +1,31 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Stored rows of any topics: read, counted, described, deleted. No message object is made."""
+"""Stored rows of any topics, by time, name or value. No message object is made."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Callable, Iterator, Optional, Sequence
+import heapq
+from itertools import islice
+from typing import Any, Callable, Iterable, Iterator, Optional, Sequence, Union
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.keys import Position
+from cassandra_ros.keys import Position, RowName
+from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.store.chunks import readChunks
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.counting import scanKeys, settle
-from cassandra_ros.store.directory import BucketRow, Directory
-from cassandra_ros.store.lookup import firstAt, rowAt
+from cassandra_ros.store.directory import Directory
+from cassandra_ros.store.fetch import Wanted, fetchRows
+from cassandra_ros.store.lookup import firstAt
+from cassandra_ros.store.named import listNames, versions
 from cassandra_ros.store.reader import Scan, readRows
 from cassandra_ros.store.row_table import RowTable, TableRow
+from cassandra_ros.store.shadow import keysByShadow
 from cassandra_ros.topics.connections import Connections
+from cassandra_ros.topics.selection import Named, Selection, Stretch, Valued
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
-LAST_NS = 2**63 - 1
-
-
-@dataclass(frozen=True)
-class TopicInfo:
-    """What is stored of one topic, in one table, by one node."""
-
-    topic: str
-    type: str
-    md5sum: str
-    format: str
-    node: str
-    count: int
-    bytes: int
-    """Serialised bytes of the messages."""
-    first_ns: Optional[int]
-    last_ns: Optional[int]
-    odd: int
-    """Messages with a field that is not held exactly in its column."""
-    buckets: int
-    bucket_ns: int
-    ttl: int
-    table: str
-    largest_bucket: int
-    """Messages in the fullest bucket."""
+Nodes = Optional[Sequence[str]]
 
 
 class Rows:
@@ -57,40 +38,117 @@ class Rows:
         self._directory = directory
         self._connections = connections
 
+    # ---------------------------------------------------------------- many
+
+    def select(
+        self,
+        tables: Sequence[TopicTable],
+        wanted: Selection,
+        *,
+        nodes: Nodes = None,
+        reverse: bool = False,
+        limit: Optional[int] = None,
+    ) -> Iterator[StoredRow]:
+        """Yield the rows that a selection means, in the order of time or newest first."""
+        if isinstance(wanted, Stretch):
+            return self.read(tables, *wanted, nodes=nodes, reverse=reverse, limit=limit)
+        if isinstance(wanted, Named):
+            rows = self._versions(tables, wanted.name, nodes, reverse)
+        else:
+            rows = self._valued(tables, wanted, nodes, reverse)
+        return islice(rows, limit)
+
     def read(
         self,
         tables: Sequence[TopicTable],
         low: int,
         high: int,
         *,
-        nodes: Optional[Sequence[str]] = None,
+        nodes: Nodes = None,
         after: Optional[Position] = None,
         reverse: bool = False,
         limit: Optional[int] = None,
         columns: Optional[Callable[[RowTable], Sequence[str]]] = None,
     ) -> Iterator[StoredRow]:
-        """Yield rows with t in [low, high] in the order (t, node, seq, table), lazily."""
+        """Yield rows with t in [low, high] in the order (t, node, seq, table), lazily.
+
+        Of topics whose messages lie under names all keys are listed first.
+        """
         scan = Scan(low, high, after, nodes, reverse, columns)
         by_name = {table.name: table for table in tables}
-        connection_of = self._connections.get
-        left = limit
-        for row in readRows(self._cassandra, self._directory, tables, scan):
-            if left is not None:
-                if left <= 0:
-                    return
-                left -= 1
-            yield StoredRow(row, by_name[row.table], self._wire, connection_of)
+        timed = [table for table in tables if not table.named]
+        rows: Iterable[TableRow] = readRows(self._cassandra, self._directory, timed, scan)
+        if len(timed) < len(tables):
+            named = self._named([t for t in tables if t.named], scan)
+            rows = heapq.merge(rows, named, key=lambda row: row.position, reverse=reverse)
+        for row in islice(rows, limit):
+            yield self._stored(row, by_name[row.table])
 
-    def exact(self, table: TopicTable, t: int, node: str, seq: int) -> Optional[StoredRow]:
-        """Read one row by its whole key: one SELECT."""
-        row = rowAt(self._cassandra, table, t, node, seq)
+    def _named(self, tables: Sequence[TopicTable], scan: Scan) -> Iterator[TableRow]:
+        keys = [
+            Wanted(table, key.position)
+            for table in tables
+            for key in listNames(self._cassandra, table, scan.nodes)
+            if scan.low <= key.position.t <= scan.high
+            and (scan.after is None or _isBehind(key.position, scan.after, scan.reverse))
+        ]
+        keys.sort(key=lambda key: key.position, reverse=scan.reverse)
+        return fetchRows(self._cassandra, keys)
+
+    def _versions(
+        self, tables: Sequence[TopicTable], name: str, nodes: Nodes, reverse: bool
+    ) -> Iterator[StoredRow]:
+        by_name = {table.name: table for table in tables if table.named}
+        streams = []
+        for table in by_name.values():
+            known = [node for _, node in self._directory.nodes(table.name, 0, 0)]
+            asked = sorted(known if nodes is None else set(known) & set(nodes))
+            streams.append(versions(self._cassandra, table, name, asked, reverse=reverse))
+        rows = heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
+        return (self._stored(row, by_name[row.table]) for row in rows)
+
+    def _valued(
+        self, tables: Sequence[TopicTable], wanted: Valued, nodes: Nodes, reverse: bool
+    ) -> Iterator[StoredRow]:
+        keys = [self._keysOf(table, wanted.value, nodes) for table in tables if table.valued]
+        merged: Iterable[Wanted] = heapq.merge(*keys, key=lambda key: key.position)
+        if reverse:
+            merged = reversed(list(merged))
+        by_name = {table.name: table for table in tables}
+        for row in fetchRows(self._cassandra, merged):
+            yield self._stored(row, by_name[row.table])
+
+    def _keysOf(self, table: TopicTable, value: Any, nodes: Nodes) -> Iterator[Wanted]:
+        part = table.key_part
+        wanted = None if part is None else part.encode(value)
+        if part is None or wanted is None:
+            return
+        index = part.index(wanted)
+        if index is not None:
+            shadow = table.metadata.indexes[part.field]
+            place = (self._cassandra, self._directory, table)
+            yield from keysByShadow(*place, shadow, index, nodes)
+            return
+        # A text that is too long for the index: its rows are marked, but not by a value.
+        for row in self.read([table], *Stretch(), nodes=nodes):
+            if row.odd and part.value(row.wire) == wanted:
+                yield Wanted(table, row.position)
+
+    # ---------------------------------------------------------------- one
+
+    def exact(self, table: TopicTable, key: Union[Stamp, RowName]) -> Optional[StoredRow]:
+        """Read one row by the key that the store gave: one SELECT."""
+        name = str(key) if isinstance(key, RowName) else ""
+        t = key.t if isinstance(key, RowName) else key.ns
+        position = Position(t, key.node or "", key.seq or 0, table.name, name)
+        rows = fetchRows(self._cassandra, [Wanted(table, position)], ahead=1)
+        row = next(rows, None)
         return None if row is None else self._stored(row, table)
 
-    def at(
-        self, tables: Sequence[TopicTable], t: int, nodes: Optional[Sequence[str]]
-    ) -> Optional[StoredRow]:
+    def at(self, tables: Sequence[TopicTable], t: int, nodes: Nodes) -> Optional[StoredRow]:
         """Read the first row with exactly this time."""
-        row = firstAt(self._cassandra, self._directory, tables, t, nodes)
+        timed = [table for table in tables if not table.named]
+        row = firstAt(self._cassandra, self._directory, timed, t, nodes)
         if row is None:
             return None
         return self._stored(row, next(table for table in tables if table.name == row.table))
@@ -109,113 +167,6 @@ class Rows:
             )
         return wire
 
-    # ---------------------------------------------------------------- counting
 
-    def count(
-        self, tables: Sequence[TopicTable], low: int, high: int, nodes: Optional[Sequence[str]]
-    ) -> int:
-        """Count rows with t in [low, high]: whole closed buckets by the directory."""
-        total = 0
-        for table in tables:
-            length = table.metadata.bucket_ns
-            rows = self._directory.buckets(
-                table.name, table.bucketOf(low), table.bucketOf(high), nodes
-            )
-            inner = [
-                r for r in rows if low <= r.bucket * length and (r.bucket + 1) * length - 1 <= high
-            ]
-            settled = settle(self._cassandra, self._directory, table, inner)
-            total += sum(row.rows for row in settled)
-            edges = {(r.node, r.bucket) for r in rows} - {(r.node, r.bucket) for r in inner}
-            for node, bucket in edges:
-                total += sum(1 for _ in scanKeys(self._cassandra, table, node, bucket, low, high))
-        return total
-
-    def info(self, tables: Sequence[TopicTable]) -> list[TopicInfo]:
-        """Describe what is stored, by table and node; counts come from the directory."""
-        found: list[TopicInfo] = []
-        for table in tables:
-            rows = self._directory.buckets(table.name, -(2**63), LAST_NS)
-            settled = settle(self._cassandra, self._directory, table, rows)
-            for node in sorted({row.node for row in settled}) or [table.metadata.nodeID]:
-                found.append(_describe(table, node, [r for r in settled if r.node == node]))
-        return found
-
-    # ---------------------------------------------------------------- deleting
-
-    def delete(
-        self, tables: Sequence[TopicTable], low: int, high: int, nodes: Optional[Sequence[str]]
-    ) -> int:
-        """Delete rows with t in [low, high], and their chunks; return how many there were."""
-        deleted = 0
-        for table in tables:
-            rows = self._directory.buckets(
-                table.name, table.bucketOf(low), table.bucketOf(high), nodes
-            )
-            for node, bucket in sorted({(row.node, row.bucket) for row in rows}):
-                writers = [r.writer for r in rows if (r.node, r.bucket) == (node, bucket)]
-                deleted += self._deleteBucket(table, node, bucket, writers, low, high)
-        return deleted
-
-    def deleteRow(self, row: StoredRow) -> int:
-        """Delete one message; return 1."""
-        table, node, bucket = row.table, row.node, row.table.bucketOf(row.t)
-        writers = [found.writer for found in self._directory.find(table.name, node, bucket)]
-        key = (row.t, row.seq)
-        self._deleteKeys(table, node, bucket, writers, [(*key, row.chunked)], key, key)
-        return 1
-
-    def _deleteBucket(
-        self, table: TopicTable, node: str, bucket: int, writers: list[int], low: int, high: int
-    ) -> int:
-        found = scanKeys(self._cassandra, table, node, bucket, low, high)
-        keys = [(t, seq, large) for t, seq, _, large, _ in found]
-        if keys:
-            ends = keys[0][:2], keys[-1][:2]
-            self._deleteKeys(table, node, bucket, writers, keys, *ends)
-        return len(keys)
-
-    def _deleteKeys(
-        self,
-        table: TopicTable,
-        node: str,
-        bucket: int,
-        writers: list[int],
-        keys: list[tuple[int, int, bool]],
-        first: tuple[int, int],
-        last: tuple[int, int],
-    ) -> None:
-        what = f"deleting from topic {table.metadata.topic}"
-        for writer in writers:
-            self._directory.markDeleted(table.name, node, bucket, writer, table.metadata.ttl)
-        params = (node, bucket, *first, *last)
-        self._cassandra.execute(table.deleteRange(), params, what=what)
-        # The row goes first: it is the commit mark of its chunks.
-        chunked = [(node, bucket, t, seq) for t, seq, large in keys if large]
-        if chunked:
-            self._cassandra.executeMany(table.deleteChunks(), chunked, what=what)
-
-
-def _describe(table: TopicTable, node: str, rows: list[BucketRow]) -> TopicInfo:
-    filled = [row for row in rows if row.rows]
-    metadata = table.metadata
-    by_bucket: dict[int, int] = {}
-    for row in filled:
-        by_bucket[row.bucket] = by_bucket.get(row.bucket, 0) + row.rows
-    return TopicInfo(
-        topic=metadata.topic,
-        type=metadata.msg_type,
-        md5sum=metadata.md5sum,
-        format=metadata.format,
-        node=node,
-        count=sum(row.rows for row in filled),
-        bytes=sum(row.bytes for row in filled),
-        first_ns=min((row.t_min for row in filled), default=None),
-        last_ns=max((row.t_max for row in filled), default=None),
-        odd=sum(row.odd for row in filled),
-        buckets=len(by_bucket),
-        bucket_ns=metadata.bucket_ns,
-        ttl=metadata.ttl,
-        table=table.name,
-        largest_bucket=max(by_bucket.values(), default=0),
-    )
+def _isBehind(position: Position, after: Position, reverse: bool) -> bool:
+    return position < after if reverse else position > after

@@ -4,32 +4,27 @@
 
 from __future__ import annotations
 
-from typing import Any, Iterable, Iterator, Optional, Sequence, TypeVar
+from typing import Any, Iterable, Iterator, Mapping, Optional, Sequence
 
-from cassandra_ros.errors import KeyspaceNotFound
 from cassandra_ros.formats.table import DEFAULT_FORMAT
 from cassandra_ros.keys import Position, newWriterId
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import toNs
-from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.metadata import checkUserKeys
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.write_stats import LossCallback
 from cassandra_ros.store.writer import RowWriter
-from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic, Time
-from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.clock import Clock
-from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.keyspace_connection import KeyspaceConnection
 from cassandra_ros.topics.message_writer import MessageWriter
-from cassandra_ros.topics.reading import LAST_NS, TopicInfo
+from cassandra_ros.topics.selection import LAST_NS
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.totals import TopicInfo
 from cassandra_ros.topics.wish import Wish
 
-_Part = TypeVar("_Part")
 
-
-class RosCassandra:
+class RosCassandra(KeyspaceConnection):
     """Keeps ROS topics in a Cassandra cluster. Safe to share between threads.
 
     Args:
@@ -45,61 +40,6 @@ class RosCassandra:
         ConnectionFailed: Nobody answers there; the text says how to start a server.
     """
 
-    def __init__(
-        self,
-        host: str = "127.0.0.1",
-        port: int = 9042,
-        *,
-        keyspace: Optional[str] = None,
-        clock: Optional[Clock] = None,
-        consistency: str = "LOCAL_QUORUM",
-        username: Optional[str] = None,
-        password: Optional[str] = None,
-        ssl_context: Any = None,
-    ) -> None:
-        login: Any = {"username": username, "password": password, "ssl_context": ssl_context}
-        self.cassandra = Cassandra(host, port, consistency=consistency, **login)
-        self._clock = clock
-        self._parts: Optional[Keyspace] = None
-        self._adder: Optional[Adder] = None
-        self._catalog: Optional[Catalog] = None
-        if keyspace is not None:
-            try:
-                self.connectToKeyspace(keyspace)
-            except BaseException:
-                self.cassandra.close()
-                raise
-
-    # ---------------------------------------------------------------- keyspace
-
-    def connectToKeyspace(self, keyspace: str) -> None:
-        """Work in this keyspace from now on; it is made when missing.
-
-        Topics that were got before stay in theirs until the next call or close.
-
-        Args:
-            keyspace: 1 to 48 letters, digits and underscores; case matters.
-
-        Raises:
-            InvalidName: It is not a keyspace name.
-        """
-        parts = Keyspace(self.cassandra, keyspace)
-        if self._adder is not None:
-            self._adder.close()
-        self._parts = parts
-        self._adder = Adder(parts, self._clock)
-        self._catalog = Catalog(parts, self._adder)
-
-    @property
-    def keyspace(self) -> Optional[str]:
-        """The connected keyspace's name, or None."""
-        return None if self._parts is None else self._parts.name
-
-    @property
-    def parts(self) -> Keyspace:
-        """The connected keyspace: schema, directory, registry, rows."""
-        return _connected(self._parts)
-
     # ---------------------------------------------------------------- topics
 
     def addTopic(
@@ -111,6 +51,9 @@ class RosCassandra:
         nodeID: str = "",
         ttl: int = 0,
         comment: str = "",
+        key_format: Optional[str] = None,
+        key_part: str = "",
+        metadata: Optional[Mapping[str, Any]] = None,
     ) -> CassandraTopic:
         """Make a topic, or find it where it is stored already in this format.
 
@@ -122,13 +65,20 @@ class RosCassandra:
             nodeID: The entity (robot) that produces its messages.
             ttl: Seconds until a message expires; 0 = never.
             comment: Free text.
+            key_format: What finds a message: 'time' (when it was received), 'msg_part' (a field
+                of it), 'hash' (its content) or 'manual' (a name that you give); None = as the
+                topic is stored, else 'time'. See CassandraTopic.
+            key_part: The field of 'msg_part', as 'header.stamp'.
+            metadata: Keys of your own, for getMeta; values that JSON can hold.
 
         Raises:
-            TopicExists: It is stored with another type, ttl or nodeID than given.
+            TopicExists: It is stored with another type, key_format or ttl than given.
+            InvalidKey: The type has no such field as key_part.
             UnknownFormat, InvalidName, DefinitionError.
         """
-        wish = Wish(format, nodeID, int(ttl), comment)
-        return _connected(self._catalog).add(topic, wish, msg_type)
+        user = checkUserKeys(metadata or {})
+        wish = Wish(format, nodeID, int(ttl), comment, key_format or "", key_part, user)
+        return self._topics.add(topic, wish, msg_type)
 
     def getTopic(self, topic: str) -> CassandraTopic:
         """Return a topic by its name, with or without the leading slash.
@@ -136,11 +86,11 @@ class RosCassandra:
         Raises:
             TopicNotFound: There is none; the text gives the nearest names.
         """
-        return _connected(self._catalog).get(topic)
+        return self._topics.get(topic)
 
     def existTopic(self, topic: str) -> bool:
         """Say whether getTopic would find the topic."""
-        return _connected(self._catalog).exists(topic)
+        return self._topics.exists(topic)
 
     def getAllTopics(self, pattern: Optional[str] = None) -> list[CassandraTopic]:
         """Return all topics, sorted by name.
@@ -151,7 +101,7 @@ class RosCassandra:
         Raises:
             InvalidName: The pattern is not a regular expression.
         """
-        return _connected(self._catalog).all(pattern)
+        return self._topics.all(pattern)
 
     def removeTopic(self, topic: str) -> None:
         """Drop a topic with all its messages.
@@ -159,7 +109,28 @@ class RosCassandra:
         Raises:
             TopicNotFound: There is none.
         """
-        _connected(self._catalog).remove(topic)
+        self._topics.remove(topic)
+
+    def truncateTopic(self, topic: str) -> None:
+        """Remove all messages of a topic; the topic and its metadata stay.
+
+        Raises:
+            TopicNotFound: There is none.
+        """
+        self._topics.truncate(topic)
+
+    def renameTopic(self, topic: str, new_name: str) -> None:
+        """Give a topic another name. Its messages stay where they are: this takes no time.
+
+        A recorder that is writing the topic goes on doing so, under the new name, until it is
+        started anew.
+
+        Raises:
+            TopicNotFound: There is none.
+            TopicExists: A topic has the new name already.
+            InvalidName: The new name is not one.
+        """
+        self._topics.rename(topic, new_name)
 
     # ---------------------------------------------------------------- messages of many topics
 
@@ -219,7 +190,7 @@ class RosCassandra:
 
     def _tables(self, topics: Optional[Iterable[str]]) -> list[TopicTable]:
         if topics is None:
-            return _connected(self._catalog).readableTables()
+            return self._topics.readableTables()
         # A topic may be named twice: with and without its leading slash.
         named = {topic.name: topic for topic in map(self.getTopic, topics)}
         return [table for topic in named.values() for table in topic.tables]
@@ -230,7 +201,7 @@ class RosCassandra:
 
     def info(self, topics: Optional[Iterable[str]] = None) -> list[TopicInfo]:
         """Describe what is stored: counts, sizes and times by topic, table and node."""
-        return self.parts.rows.info(self._tables(topics))
+        return self.parts.totals.info(self._tables(topics))
 
     def runs(self) -> list[Run]:
         """List the recordings and imports of the keyspace."""
@@ -274,25 +245,3 @@ class RosCassandra:
         from cassandra_ros.query import execute
 
         return execute(self, statement, params, nodeID=nodeID, limit=limit, after=after)
-
-    # ---------------------------------------------------------------- end
-
-    def close(self) -> None:
-        """Store what is on its way and close the connection. Twice is harmless."""
-        try:
-            if self._adder is not None:
-                self._adder.close()
-        finally:
-            self.cassandra.close()
-
-    def __enter__(self) -> RosCassandra:
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        self.close()
-
-
-def _connected(part: Optional[_Part]) -> _Part:
-    if part is None:
-        raise KeyspaceNotFound("no keyspace is connected: call connectToKeyspace('ros') first")
-    return part

@@ -5,10 +5,10 @@
 from __future__ import annotations
 
 import logging
-from typing import Any, Callable, Optional
+from typing import Any, Callable, Optional, Union
 
 from cassandra_ros.errors import DefinitionError
-from cassandra_ros.keys import Position
+from cassandra_ros.keys import Position, RowName
 from cassandra_ros.messages.classes import deserialize, messageClass, rawClass
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.definition import parseDefinition
@@ -17,6 +17,9 @@ from cassandra_ros.store.row_table import TableRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 _log = logging.getLogger(__name__)
+
+Key = Union[Stamp, RowName]
+"""What finds one stored message again: a time, or the name under which it is kept."""
 
 
 class StoredRow:
@@ -87,6 +90,16 @@ class StoredRow:
         return self._row.columns
 
     @property
+    def received(self) -> int:
+        """When the message was received, ns."""
+        return self._row.t if self._row.received < 0 else self._row.received
+
+    @property
+    def name(self) -> str:
+        """The name under which it is kept; '' where it is found by time."""
+        return self._row.name
+
+    @property
     def topic(self) -> str:
         """The topic under which it is stored."""
         return self.table.metadata.topic
@@ -94,12 +107,14 @@ class StoredRow:
     @property
     def position(self) -> Position:
         """Its place in the order of all reads."""
-        return Position(*self._row[:4])
+        return self._row.position
 
     @property
-    def key(self) -> Stamp:
-        """The row key: exact time, and where the row lies."""
+    def key(self) -> Key:
+        """The row key: exact time or name, and where the row lies."""
         row = self._row
+        if row.name:
+            return RowName.of(row.position)
         return Stamp.fromNs(row.t, node=row.node, seq=row.seq, table=row.table)
 
     @property

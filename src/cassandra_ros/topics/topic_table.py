@@ -4,17 +4,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import threading
 from typing import Optional
 
-from cassandra_ros.errors import DefinitionError
+from cassandra_ros.errors import DefinitionError, InvalidKey
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
 from cassandra_ros.formats.table import formatClass
+from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.definition import Definition, parseDefinition
+from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.row_table import RowTable
+from cassandra_ros.store.row_table import NewRow, RowTable, encodeLong
 from cassandra_ros.store.schema import Schema
 
 _log = logging.getLogger(__name__)
@@ -37,7 +40,50 @@ class TopicTable(RowTable):
             metadata.msg_type, metadata.md5sum, definition
         )
         columns = tuple(self.format.getColValidationClasses())
-        super().__init__(cassandra, keyspace, name, metadata, columns)
+        super().__init__(
+            cassandra, keyspace, name, metadata, columns, tuple(metadata.indexes.values())
+        )
+        self.key_part = _keyPart(metadata, definition)
+        """The field that is the key, where there is one."""
+
+    @property
+    def valued(self) -> bool:
+        """Whether rows are found by the value of a field that is no time."""
+        return self.key_part is not None and not self.key_part.is_time
+
+    def newRow(self, received: int, seq: int, conn: int, wire: bytes, name: str = "") -> NewRow:
+        """Make the row of a message: its columns, and its place by the topic's key format.
+
+        Args:
+            received: When it was received, ns.
+            seq: Writer id << 32 | counter.
+            conn: Number of its connection.
+            wire: The serialised message.
+            name: Where messages are kept under names: this one's; '' = the topic's.
+        """
+        metadata = self.metadata
+        columns, odd, raw = self.format.encodeWire(wire)
+        if metadata.key_format == "time":
+            return NewRow(received, seq, conn, wire, columns, odd, raw)
+        if metadata.key_format == "manual":
+            return NewRow(received, seq, conn, wire, columns, odd, raw, name or metadata.topic)
+        if metadata.key_format == "hash":
+            columns = (*columns, encodeLong(received))
+            digest = hashlib.md5(metadata.msg_type.encode("utf-8") + b"\0" + wire).hexdigest()
+            return NewRow(0, 0, conn, wire, columns, odd, raw, digest)
+        if not self.valued:
+            t = None if self.key_part is None else self.key_part.time(wire)
+            columns = (*columns, encodeLong(received))
+            # What has no time lies where it was received; nsecs may pass the end of time.
+            t = received if t is None else min(t, MAX_NS)
+            return NewRow(t, seq, conn, wire, columns, odd, raw)
+        index = self._index(wire)
+        return NewRow(received, seq, conn, wire, (*columns, index), odd or index is None, raw)
+
+    def _index(self, wire: bytes) -> Optional[bytes]:
+        part = self.key_part
+        value = None if part is None else part.value(wire)
+        return None if part is None or value is None else part.index(value)
 
 
 class TopicTables:
@@ -78,4 +124,14 @@ def _definition(metadata: TopicMetadata) -> Optional[Definition]:
         return parseDefinition(metadata.msg_type, metadata.definition, metadata.md5sum)
     except DefinitionError as exc:
         _log.debug("topic %s has no usable definition: %s", metadata.topic, exc)
+        return None
+
+
+def _keyPart(metadata: TopicMetadata, definition: Optional[Definition]) -> Optional[KeyPart]:
+    if metadata.key_format != "msg_part" or definition is None:
+        return None
+    try:
+        return KeyPart(definition, metadata.key_part)
+    except InvalidKey as exc:
+        _log.error("messages of topic %s are found by time only: %s", metadata.topic, exc)
         return None

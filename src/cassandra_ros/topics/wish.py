@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Optional
+from dataclasses import dataclass, field
+from typing import Any, Mapping, Optional
 
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.metadata import TopicMetadata
@@ -20,6 +20,10 @@ class Wish:
     nodeID: str = ""
     ttl: int = 0
     comment: str = ""
+    key_format: str = ""
+    """'' = as it is stored, else 'time'."""
+    key_part: str = ""
+    user: Mapping[str, Any] = field(default_factory=dict)
     asked: bool = True
     """addTopic named the format; else it is the one that is stored."""
     pending: bool = True
@@ -37,4 +41,7 @@ class Wish:
             ttl=self.ttl,
             nodeID=self.nodeID,
             comment=self.comment,
+            key_format=self.key_format or "time",
+            key_part=self.key_part,
+            user=self.user,
         )

@@ -17,7 +17,7 @@ from cassandra_ros.cli.table import format_bytes, format_length, format_table, f
 
 if TYPE_CHECKING:
     from cassandra_ros.store.registry import Run
-    from cassandra_ros.topics.reading import TopicInfo
+    from cassandra_ros.topics.totals import TopicInfo
 
 _RIGHT = ("messages", "size", "bucket")
 _RUNS_SHOWN = 20

@@ -1,0 +1,133 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a key stands for: a stretch of time, a name, or the value of a field."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Optional, Sequence, Union
+
+from cassandra_ros.errors import InvalidKey
+from cassandra_ros.keys import KEY_FORMATS, NAMED_FORMATS
+from cassandra_ros.messages.stamps import isTime, toNs
+from cassandra_ros.topics.topic_table import TopicTable
+
+LAST_NS = 2**63 - 1
+MAX_NAME_BYTES = 4096
+
+
+class Stretch(NamedTuple):
+    """All messages of a stretch of time, ns, both ends included."""
+
+    low: int = 0
+    high: int = LAST_NS
+
+
+class Named(NamedTuple):
+    """All messages under one name."""
+
+    name: str
+
+
+class Valued(NamedTuple):
+    """All messages whose key field has one value."""
+
+    value: Any
+
+
+Selection = Union[Stretch, Named, Valued]
+
+
+def checkKeyFormat(key_format: str, key_part: str) -> None:
+    """Check what addTopic was given.
+
+    Raises:
+        InvalidKey: There is no such key format, or key_part does not go with it.
+    """
+    if key_format and key_format not in KEY_FORMATS:
+        raise InvalidKey(
+            f"there is no key_format {key_format!r}; key formats are: {', '.join(KEY_FORMATS)}"
+        )
+    if (key_format == "msg_part") != bool(key_part):
+        raise InvalidKey(
+            "key_part names the field that is the key, as 'header.stamp', and goes with "
+            f"key_format='msg_part': given were key_format={key_format!r}, key_part={key_part!r}"
+        )
+
+
+def isNamed(key_format: str) -> bool:
+    """Say whether messages are kept under names."""
+    return key_format in NAMED_FORMATS
+
+
+def checkMessageName(topic: str, name: Any) -> str:
+    """Return a name under which a message can be kept.
+
+    Raises:
+        InvalidKey: It is none.
+    """
+    fits = isinstance(name, str) and bool(name)
+    try:
+        if fits and len(name.encode("utf-8")) <= MAX_NAME_BYTES:
+            return str(name)
+    except UnicodeEncodeError as exc:
+        raise InvalidKey(f"{name!r:.80} is no name: it is not valid Unicode") from exc
+    raise InvalidKey(
+        f"messages of topic {topic} are kept under names, and {name!r:.80} is none: give a text "
+        f"of 1 to {MAX_NAME_BYTES} bytes"
+    )
+
+
+def selectMany(
+    topic: str, key_format: str, tables: Sequence[TopicTable], key: Any, to_key: Any
+) -> Selection:
+    """Say what key and to_key mean as the ends of a stretch, or what key alone means.
+
+    Args:
+        topic: Its name, for error texts.
+        key_format: The topic's.
+        tables: Of the topic.
+        key, to_key: As the user gave them; None = open.
+
+    Raises:
+        InvalidKey: The keys of the topic have no order, or a key cannot be one.
+    """
+    if key is None and to_key is None:
+        return Stretch()
+    named = isNamed(key_format)
+    if named and to_key is not None:
+        raise InvalidKey(
+            f"messages of topic {topic} are kept under names (key_format {key_format}), and names "
+            "have no order: there is no stretch between two of them; give one key, or none for all"
+        )
+    if named:
+        return Named(checkMessageName(topic, key))
+    low_is_value, high_is_value = (_isValue(tables, end) for end in (key, to_key))
+    if to_key is None and low_is_value:
+        return Valued(key)
+    if low_is_value or high_is_value:
+        part = next(table.key_part for table in tables if table.valued)
+        raise InvalidKey(
+            f"the key of topic {topic} is its field {part.field if part else ''}, and its messages "
+            "lie in the order of time: a stretch goes from one genpy.Time to another; ask for a "
+            "range of values with executeCQL"
+        )
+    low = 0 if key is None else toNs(key)
+    return Stretch(low, LAST_NS if to_key is None else toNs(to_key))
+
+
+def selectOne(topic: str, key_format: str, tables: Sequence[TopicTable], key: Any) -> Selection:
+    """Say what a single key means: one time, one name, or one value.
+
+    Raises:
+        InvalidKey: It cannot be a key of the topic.
+    """
+    if isNamed(key_format):
+        return Named(checkMessageName(topic, key))
+    if _isValue(tables, key):
+        return Valued(key)
+    t = toNs(key)
+    return Stretch(t, t)
+
+
+def _isValue(tables: Sequence[TopicTable], key: Optional[Any]) -> bool:
+    return key is not None and not isTime(key) and any(table.valued for table in tables)

@@ -1,0 +1,135 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How much is stored: from the directory where that can be, else counted."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Optional, Sequence
+
+from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.counting import scanKeys, settle
+from cassandra_ros.store.directory import BucketRow, Directory
+from cassandra_ros.store.named import NamedKey, listNames
+from cassandra_ros.topics.topic_table import TopicTable
+
+_FIRST, _LAST = -(2**63), 2**63 - 1
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """What is stored of one topic, in one table, by one node."""
+
+    topic: str
+    type: str
+    md5sum: str
+    format: str
+    node: str
+    count: int
+    bytes: int
+    """Serialised bytes of the messages."""
+    first_ns: Optional[int]
+    last_ns: Optional[int]
+    odd: int
+    """Messages with a field that is not held exactly in its column."""
+    buckets: int
+    """Stretches of time, or names."""
+    bucket_ns: int
+    ttl: int
+    table: str
+    largest_bucket: int
+    """Messages in the fullest bucket, or under one name."""
+
+
+class TopicTotals:
+    """Counts and describes the rows of one keyspace."""
+
+    def __init__(self, cassandra: Cassandra, directory: Directory) -> None:
+        self._cassandra = cassandra
+        self._directory = directory
+
+    def count(
+        self, tables: Sequence[TopicTable], low: int, high: int, nodes: Optional[Sequence[str]]
+    ) -> int:
+        """Count rows with t in [low, high]: whole closed buckets by the directory."""
+        return sum(self._count(table, low, high, nodes) for table in tables)
+
+    def _count(self, table: TopicTable, low: int, high: int, nodes: Optional[Sequence[str]]) -> int:
+        if table.named:
+            keys = listNames(self._cassandra, table, nodes)
+            return sum(low <= key.position.t <= high for key in keys)
+        length = table.metadata.bucket_ns
+        rows = self._directory.buckets(
+            table.name, table.bucketOf(low), table.bucketOf(high), nodes, table.metadata.ttl
+        )
+        inner = [
+            r for r in rows if low <= r.bucket * length and (r.bucket + 1) * length - 1 <= high
+        ]
+        settled = settle(self._cassandra, self._directory, table, inner)
+        edges = {(r.node, r.bucket) for r in rows} - {(r.node, r.bucket) for r in inner}
+        return sum(row.rows for row in settled) + sum(
+            1
+            for node, bucket in edges
+            for _ in scanKeys(self._cassandra, table, node, bucket, low, high)
+        )
+
+    def info(self, tables: Sequence[TopicTable]) -> list[TopicInfo]:
+        """Describe what is stored, by table and node; counts come from the directory."""
+        found: list[TopicInfo] = []
+        for table in tables:
+            if table.named:
+                found.extend(self._infoOfNames(table))
+                continue
+            rows = self._directory.buckets(table.name, _FIRST, _LAST, ttl=table.metadata.ttl)
+            settled = settle(self._cassandra, self._directory, table, rows)
+            for node in sorted({row.node for row in settled}) or [table.metadata.nodeID]:
+                found.append(_describe(table, node, [r for r in settled if r.node == node]))
+        return found
+
+    def _infoOfNames(self, table: TopicTable) -> list[TopicInfo]:
+        by_node: dict[str, list[NamedKey]] = {}
+        for key in listNames(self._cassandra, table, None):
+            by_node.setdefault(key.position.node, []).append(key)
+        return [
+            _describe(table, node, [_asBucket(number, key) for number, key in _numbered(keys)])
+            for node, keys in sorted((by_node or {table.metadata.nodeID: []}).items())
+        ]
+
+
+def _numbered(keys: list[NamedKey]) -> list[tuple[int, NamedKey]]:
+    """Number the names as if they were buckets."""
+    numbers: dict[str, int] = {}
+    return [(numbers.setdefault(k.position.name, len(numbers)), k) for k in keys]
+
+
+def _asBucket(number: int, key: NamedKey) -> BucketRow:
+    t = key.position.t
+    return BucketRow(
+        *(key.position.node, number, 0, True, None, 1, key.size, key.size, t, t, int(key.odd), 0.0)
+    )
+
+
+def _describe(table: TopicTable, node: str, rows: list[BucketRow]) -> TopicInfo:
+    filled = [row for row in rows if row.rows]
+    metadata = table.metadata
+    by_bucket: Counter[int] = Counter()
+    for row in filled:
+        by_bucket[row.bucket] += row.rows
+    return TopicInfo(
+        topic=metadata.topic,
+        type=metadata.msg_type,
+        md5sum=metadata.md5sum,
+        format=metadata.format,
+        node=node,
+        count=sum(row.rows for row in filled),
+        bytes=sum(row.bytes for row in filled),
+        first_ns=min((row.t_min for row in filled), default=None),
+        last_ns=max((row.t_max for row in filled), default=None),
+        odd=sum(row.odd for row in filled),
+        buckets=len(by_bucket),
+        bucket_ns=metadata.bucket_ns,
+        ttl=metadata.ttl,
+        table=table.name,
+        largest_bucket=max(by_bucket.values(), default=0),
+    )
