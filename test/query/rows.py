@@ -12,7 +12,7 @@ import genpy
 from cassandra_ros.messages.definition import definitionOf
 
 Row = namedtuple("Row", "t node wire table odd columns key topic")
-Table = namedtuple("Table", "name definition metadata")
+Table = namedtuple("Table", "name definition metadata named", defaults=[False])
 Metadata = namedtuple("Metadata", "format topic")
 
 

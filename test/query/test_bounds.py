@@ -15,7 +15,7 @@ from cassandra_ros.query import Condition
 
 
 def bounds(text, params=(), node=None):
-    found = Condition(text, params, node).bounds
+    found = Condition(text, params, node).bounds()
     return found.low, found.high, found.node, found.empty, found.whole
 
 
@@ -69,7 +69,7 @@ CONDITIONS = st.recursive(
 def test_no_row_that_matches_lies_outside(text, t, node, data):
     row = row_of(Int64(data), t=t, node=node)
     condition = Condition(text)
-    found = condition.bounds
+    found = condition.bounds()
     inside = found.low <= t <= found.high and found.node in (None, node) and not found.empty
     matched = condition.test([row.table])(row)
     assert inside or not matched

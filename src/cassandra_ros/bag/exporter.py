@@ -45,7 +45,8 @@ def exportBag(
 ) -> ExportReport:
     """Write stored messages into a bag of format 2.0.
 
-    The messages are written in the order of their keys. Connections keep topic, header and
+    The messages are written in the order of their keys, with the times at which they were
+    received. Connections keep topic, header and
     number, so rosbag gives back the messages of an imported bag in their order: by time,
     connection, position.
 
@@ -77,7 +78,7 @@ def exportBag(
         for row in rows:
             number = numbers.of(row)
             wire = row.wire
-            writer.write(number, row.t, wire)
+            writer.write(number, row.received, wire)
             report.messages[row.topic] = report.messages.get(row.topic, 0) + 1
             report.bytes += len(wire)
             messages += 1

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import heapq
 from itertools import groupby
 from typing import Any, Dict, Iterable, Iterator, List, NamedTuple, Set, Tuple
 
@@ -24,6 +25,7 @@ from cassandra_ros.keys import splitSeq
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.topic_table import TopicTable
 
 _FOREIGN = 1 << 32
 """Rank of rows whose connection is none of the bag's."""
@@ -104,9 +106,7 @@ def _findImport(
         for topic in topics
         for table in parts.tables.ofTopic(topic)
         for row in parts.directory.buckets(
-            table.name,
-            table.bucketOf(reader.start_ns),
-            table.bucketOf(reader.end_ns),
+            *(table.name, *_bucketsOf(table, reader)),
             None if nodeID is None else (nodeID,),
         )
     }
@@ -118,6 +118,12 @@ def _findImport(
             f"{reader.path} was imported for the nodes {nodes}; choose one with --node-id"
         )
     return found[0] if found else None
+
+
+def _bucketsOf(table: TopicTable, reader: BagReader) -> Tuple[int, int]:
+    if table.metadata.ownTime:
+        return -(2**63), 2**63 - 1  # the times of the bag are not those of the keys
+    return table.bucketOf(reader.start_ns), table.bucketOf(reader.end_ns)
 
 
 def _describe(scope: Import | None, nodeID: str | None) -> str:
@@ -134,21 +140,28 @@ def _storedRows(
     scope: Import | None,
     nodeID: str | None,
 ) -> Iterator[StoredRow]:
-    names = sorted(topics)
-    if scope is None:
-        yield from rosCas.readMessages(topics=names, nodeID=nodeID)
-        return
-    for row in rosCas.readMessages(
-        topics=names, key=reader.start_ns, to_key=reader.end_ns, nodeID=scope.node
-    ):
-        if splitSeq(row.seq)[0] == scope.writer_id:
+    by_key = {
+        table.metadata.topic
+        for topic in topics
+        for table in rosCas.parts.tables.ofTopic(topic)
+        if table.metadata.ownTime
+    }
+    node = nodeID if scope is None else scope.node
+    # Rows that lie by something else than their receive time are put in its order in memory.
+    others = sorted(
+        rosCas.readMessages(topics=sorted(by_key), nodeID=node), key=lambda row: row.received
+    )
+    ends = (None, None) if scope is None else (reader.start_ns, reader.end_ns)
+    rows = rosCas.readMessages(sorted(topics - by_key), *ends, nodeID=node)
+    for row in heapq.merge(rows, others, key=lambda row: row.received):
+        if scope is None or splitSeq(row.seq)[0] in (scope.writer_id, 0):
             yield row
 
 
 def _inOrder(rows: Iterator[StoredRow], connections: List[Connection]) -> Iterator[_Seen]:
     """Put rows of equal time in the order of their connections."""
     ranks = _Ranks(connections)
-    for _, group in groupby(rows, lambda row: row.t):
+    for _, group in groupby(rows, lambda row: row.received):
         yield from sorted(map(ranks.see, group))
 
 
@@ -172,7 +185,9 @@ class _Ranks:
             rank = self._exact.get((c.topic, c.header, c.number), alike)
             self._known[key] = (rank, c.type)
         rank, msg_type = self._known[key]
-        return _Seen(row.t, rank, row.seq, rowFingerprint(row), row.topic, msg_type, row.md5sum)
+        return _Seen(
+            row.received, rank, row.seq, rowFingerprint(row), row.topic, msg_type, row.md5sum
+        )
 
 
 def _reporting(bag: Iterator[Ordered], progress: Progress | None) -> Iterator[Ordered]:

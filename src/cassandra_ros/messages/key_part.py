@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import difflib
 import hashlib
+import json
 import struct
 from typing import Any, Callable, Optional
 
@@ -85,6 +86,25 @@ class KeyPart:
                 f"{self._column.field_type}; {value!r:.80} is none"
             ) from exc
         return None if raw is None else self._normal(raw)
+
+    def fromText(self, text: str) -> Any:
+        """Read a value of the field that a person typed.
+
+        Raises:
+            InvalidKey: The text is none.
+        """
+        kind = "list" if self._digest else self._column.kind
+        try:
+            if kind == "bool":
+                return {"true": True, "false": False}[text.strip().lower()]
+            if kind == "text":
+                return text
+            return json.loads(text)
+        except (KeyError, ValueError, RecursionError) as exc:
+            raise InvalidKey(
+                f"{text!r:.80} is no value of the key field {self.field}, a "
+                f"{self._column.field_type}"
+            ) from exc
 
     def _normal(self, raw: bytes) -> bytes | None:
         if self._column.kind != "float" or self._digest:

@@ -61,7 +61,7 @@ class Services:
         """Answer GetData."""
         topic = self._rosCas.getTopic(request.topic)
         where = {"nearest": request.nearest or None, "nodeID": request.node_id or None}
-        key = _key(request)
+        key = topic.keyOfText(request.key_text) if request.key_text.strip() else request.key
         row = topic.getRow(key, **where)
         if row is None:
             topic.getData(key, **where)  # raises with what lies near
@@ -130,10 +130,3 @@ class Services:
             if not full or (result.direct and next(result, None) is None):
                 response.next_cursor = ""
         return response
-
-
-def _key(request: Any) -> Any:
-    text = request.key_text.strip()
-    if not text:
-        return request.key
-    return int(text) if text.isascii() and text.isdigit() and len(text) < 40 else text

@@ -18,10 +18,9 @@ YAML_BYTES = 1024 * 1024
 
 def pack(row: Any, omit_data: bool, omit_yaml: bool) -> Any:
     """Make a StoredMessage of a stored row."""
-    key = row.key
     return StoredMessage(
-        key=rospy.Time(key.secs, key.nsecs),
-        key_text=str(key.ns),
+        key=rospy.Time(*divmod(row.t, 10**9)),
+        key_text=clean(row.name) or str(row.t),
         node_id=clean(row.node),
         topic=clean(row.topic),
         type=clean(row.type),

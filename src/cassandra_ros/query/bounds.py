@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Iterator, Optional
 
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.query.literals import fitToNode, fitToTime
+from cassandra_ros.query.builder import StatementError
+from cassandra_ros.query.literals import fitToText, fitToTime
 from cassandra_ros.query.syntax import All, Compare, Expression, Key, Literal, Node, leaves
 
 _log = logging.getLogger(__name__)
@@ -31,6 +32,8 @@ class Bounds:
     """Greatest KEY, included, ns."""
     node: Optional[str] = None
     """The one nodeID, None = all."""
+    name: Optional[str] = None
+    """The one name, None = all; only where messages are kept under names."""
     empty: bool = False
     """No row can match."""
     whole: bool = True
@@ -49,20 +52,36 @@ class Bounds:
         return replace(found, empty=found.empty or found.low > found.high)
 
 
-def boundsOf(condition: Optional[Expression], node: Optional[str] = None) -> Bounds:
+def boundsOf(
+    condition: Optional[Expression], node: Optional[str] = None, named: bool = False
+) -> Bounds:
     """Find the bounds of a condition.
 
     Args:
         condition: Bound; None is always true.
         node: nodeID that was asked for besides, None = all.
+        named: The messages are kept under names: KEY is text.
 
     Raises:
-        StatementError: A value is no time, or NODE is compared with something else than text.
+        StatementError: A value is no time, or NODE is compared with something else than text, or
+            names are asked for their order.
     """
     bounds = Bounds().within(None, None, node)
     for part in _conjuncts(condition):
-        bounds = _narrowed(bounds, part)
+        bounds = _narrowed(bounds, part, named)
+    if named:
+        _refuseOrder(condition)
     return bounds
+
+
+def _refuseOrder(condition: Optional[Expression]) -> None:
+    for leaf in leaves(condition):
+        if isinstance(leaf.operand, Key) and isinstance(leaf, Compare):
+            if leaf.operator not in ("=", "!="):
+                raise StatementError(
+                    leaf.operand.position,
+                    "KEY is a name here, and names have no order; compare it with = or IN",
+                )
 
 
 def warnOfSeconds(condition: Optional[Expression]) -> None:
@@ -87,10 +106,16 @@ def _conjuncts(condition: Optional[Expression]) -> Iterator[Expression]:
         yield condition
 
 
-def _narrowed(bounds: Bounds, part: Expression) -> Bounds:
+def _narrowed(bounds: Bounds, part: Expression, named: bool) -> Bounds:
     if isinstance(part, Compare) and isinstance(part.value, Literal):
         if isinstance(part.operand, Node) and part.operator == "=":
-            return bounds.within(None, None, fitToNode(part.value))
+            return bounds.within(None, None, fitToText(part.value, "NODE"))
+        if isinstance(part.operand, Key) and part.operator == "=" and named:
+            name = fitToText(part.value, "KEY")
+            clash = bounds.name not in (None, name)
+            return replace(bounds, name=name, empty=bounds.empty or clash)
+        if named:
+            return replace(bounds, whole=False)
         if isinstance(part.operand, Key) and part.operator != "!=":
             ns = fitToTime(part.value)
             low = {"=": ns, ">=": ns, ">": ns + 1}.get(part.operator)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import logging
+from itertools import islice
 from typing import Any, Callable, Iterator, Optional, Sequence
 
 from cassandra_ros.errors import CorruptMessage, InvalidQuery
@@ -38,10 +39,21 @@ class Condition:
     def __init__(self, text: str, params: Sequence[Any] = (), nodeID: Optional[str] = None) -> None:
         self.text = text
         self._expression = parseCondition(text, params)
+        self._node = nodeID
+
+    def bounds(self, named: bool = False) -> Bounds:
+        """Return what of it the store can check.
+
+        Args:
+            named: The messages are kept under names.
+
+        Raises:
+            InvalidQuery: KEY or NODE is compared with what it cannot be.
+        """
         try:
-            self.bounds: Bounds = boundsOf(self._expression, nodeID)
+            return boundsOf(self._expression, self._node, named)
         except StatementError as exc:
-            raise InvalidQuery(text, exc.position, exc.reason) from None
+            raise InvalidQuery(self.text, exc.position, exc.reason) from None
 
     def test(self, tables: Sequence[Any]) -> Test:
         """Return a function that tells whether a stored row satisfies the condition.
@@ -54,12 +66,14 @@ class Condition:
                 compares one with a value of another kind.
         """
         findings = Findings(self.text)
-        tests = {t.name: _test(self._expression, Scope(t.definition, findings)) for t in tables}
+        tests = {
+            t.name: _test(self._expression, Scope(t.definition, findings, t.named)) for t in tables
+        }
         findings.check()
 
         def test(row: Any) -> bool:
             if row.table.name not in tests:  # made since
-                scope = Scope(row.table.definition, Findings(self.text))
+                scope = Scope(row.table.definition, Findings(self.text), row.table.named)
                 tests[row.table.name] = _test(self._expression, scope)
             return tests[row.table.name](row)
 
@@ -82,8 +96,9 @@ class Condition:
             after: Begin behind this row.
             reverse: Newest first.
         """
-        test = self.test(topic.tables)
-        bounds = self.bounds.within(key, to_key)
+        tables = topic.tables
+        test = self.test(tables)
+        bounds = self.bounds(any(t.named for t in tables)).within(key, to_key)
         return (row for row in boundedRows(topic, bounds, after, reverse) if test(row))
 
 
@@ -97,10 +112,20 @@ def boundedRows(
     """Walk through the rows of a topic inside of bounds."""
     if bounds.empty:
         return iter(())
-    rows: Iterator[Any] = topic.rows(
-        bounds.low, bounds.high, nodeID=bounds.node, after=after, reverse=reverse, limit=limit
-    )
-    return rows
+    if bounds.name is None:
+        rows: Iterator[Any] = topic.rows(
+            bounds.low, bounds.high, nodeID=bounds.node, after=after, reverse=reverse, limit=limit
+        )
+        return rows
+    every = topic.versions(bounds.name, nodeID=bounds.node, reverse=reverse)
+    found = (r for r in every if bounds.low <= r.t <= bounds.high and _isLeft(r, after, reverse))
+    return islice(found, limit)
+
+
+def _isLeft(row: Any, after: Optional[Position], reverse: bool) -> bool:
+    if after is None:
+        return True
+    return bool(row.position < after if reverse else row.position > after)
 
 
 def readable(row: Any, values: Iterator[Sequence[Any]], width: int) -> list[Sequence[Any]]:
@@ -109,7 +134,8 @@ def readable(row: Any, values: Iterator[Sequence[Any]], width: int) -> list[Sequ
         return list(values)
     except CorruptMessage as exc:
         _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
-        return [(row.t, row.node, *[None] * (width - 2))]
+        key = row.name if row.table.named else row.t
+        return [(key, row.node, *[None] * (width - 2))]
 
 
 def _test(expression: Expression, scope: Scope) -> Test:

@@ -62,8 +62,8 @@ def fitToTime(literal: Literal, name: str = "KEY") -> int:
         raise StatementError(literal.position, f"{name} is a time, but {exc}") from None
 
 
-def fitToNode(literal: Literal) -> str:
-    """Return the text that NODE is compared with.
+def fitToText(literal: Literal, name: str) -> str:
+    """Return the text that NODE, or the KEY of a topic with names, is compared with.
 
     Raises:
         StatementError: The value is not text.
@@ -71,7 +71,7 @@ def fitToNode(literal: Literal) -> str:
     if isinstance(literal.value, str):
         return literal.value
     raise StatementError(
-        literal.position, f"NODE is text; compare it with 'text', not {_shown(literal.value)}"
+        literal.position, f"{name} is text; compare it with 'text', not {_shown(literal.value)}"
     )
 
 

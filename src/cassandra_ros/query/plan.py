@@ -26,12 +26,17 @@ class TablePlan:
         select: The statement.
         definition: Of the table's messages, None where there is no usable one.
         findings: Collects what the statement names in vain.
+        named: Its rows are kept under names.
     """
 
     def __init__(
-        self, select: Select, definition: Optional[Definition], findings: Findings
+        self,
+        select: Select,
+        definition: Optional[Definition],
+        findings: Findings,
+        named: bool = False,
     ) -> None:
-        scope = Scope(definition, findings)
+        scope = Scope(definition, findings, named)
         self._groups = _groups(select, scope)
         self._check = compileCondition(select.condition, scope.locate, scope.fit)
         self._extractor = scope.extractor()

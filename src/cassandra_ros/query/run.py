@@ -8,6 +8,7 @@ from typing import Any, Generator, Iterator, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.errors import InvalidQuery, TopicNotFound
 from cassandra_ros.keys import Position
+from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.bounds import Bounds, boundsOf, warnOfSeconds
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.conditions import boundedRows
@@ -34,7 +35,9 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     ) -> None:
         findings = Findings(select.text)
         self._select = select
-        self._plans = {t.name: TablePlan(select, t.definition, findings) for t in topic.tables}
+        self._plans = {
+            t.name: TablePlan(select, t.definition, findings, t.named) for t in topic.tables
+        }
         findings.check()
         self._names = uniteColumns(select, list(self._plans.values()))
         self.columns = tuple(name for names in self._names for name in names)
@@ -101,15 +104,24 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         if bounds.empty:
             yield (0,)
         elif bounds.whole:
-            yield (topic.countTopicData(bounds.low, bounds.high, bounds.node),)
+            yield (self._countedByKey(topic, bounds),)
         else:
             rows = boundedRows(topic, bounds)
             yield (sum(len(self._plan(row.table).rows(row)) for row in rows),)
 
+    def _countedByKey(self, topic: Any, bounds: Bounds) -> int:
+        if bounds.name is not None:
+            return sum(1 for _ in boundedRows(topic, bounds))
+        if any(table.named for table in topic.tables):
+            return int(topic.countTopicData(nodeID=bounds.node))
+        ends = (Stamp.fromNs(bounds.low), Stamp.fromNs(bounds.high))
+        return int(topic.countTopicData(*ends, bounds.node))
+
     def _plan(self, table: Any) -> TablePlan:
         if table.name not in self._plans:  # made since the statement was planned
             select = self._select
-            self._plans[table.name] = TablePlan(select, table.definition, Findings(select.text))
+            findings = Findings(select.text)
+            self._plans[table.name] = TablePlan(select, table.definition, findings, table.named)
             self._plans[table.name].follow(self._names)
         return self._plans[table.name]
 
@@ -142,10 +154,12 @@ def execute(
     except TopicNotFound as exc:
         raise InvalidQuery(statement, select.topic_position, str(exc)) from exc
     try:
-        bounds = boundsOf(select.condition, nodeID)
+        named = any(table.named for table in topic.tables)
+        bounds = boundsOf(select.condition, nodeID, named)
     except StatementError as exc:
         raise InvalidQuery(statement, exc.position, exc.reason) from None
-    warnOfSeconds(select.condition)
+    if not named:
+        warnOfSeconds(select.condition)
     return QueryResult(select, topic, bounds, readPlace(after), limit)
 
 

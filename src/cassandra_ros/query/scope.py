@@ -15,7 +15,7 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.extract import Array, Extractor
 from cassandra_ros.query.fields import FieldRef, allFields, fieldOf, fieldsOf
-from cassandra_ros.query.literals import Comparable, fitToField, fitToNode, fitToTime
+from cassandra_ros.query.literals import Comparable, fitToField, fitToText, fitToTime
 from cassandra_ros.query.syntax import Key, Literal, Node, Operand, Path
 
 KEY_PLACE, NODE_PLACE = 0, 1
@@ -50,10 +50,14 @@ class Scope:
     Args:
         definition: None where the table has no usable one.
         findings: Collects problems.
+        named: The rows are kept under names: KEY is text.
     """
 
-    def __init__(self, definition: Optional[Definition], findings: Findings) -> None:
+    def __init__(
+        self, definition: Optional[Definition], findings: Findings, named: bool = False
+    ) -> None:
         self._definition = definition
+        self._named = named
         self._findings = findings
         self._refs: list[FieldRef] = []
         self._unnested: list[Array] = []
@@ -72,9 +76,9 @@ class Scope:
         fitted: Optional[Comparable] = None
         try:
             if isinstance(operand, Key):
-                fitted = fitToTime(literal)
+                fitted = fitToText(literal, "KEY") if self._named else fitToTime(literal)
             elif isinstance(operand, Node):
-                fitted = fitToNode(literal)
+                fitted = fitToText(literal, "NODE")
             else:
                 ref = self._field(operand)
                 fitted = None if ref is None else fitToField(literal, ref)
@@ -101,11 +105,12 @@ class Scope:
 
     def rows(self, row: Any, extractor: Optional[Extractor]) -> Iterator[Sequence[Any]]:
         """Yield the values of a stored row, KEY and NODE first."""
+        own = (row.name if self._named else row.t, row.node)
         if extractor is None:
-            yield (row.t, row.node)
+            yield own
             return
         for values in extractor.values(row):
-            yield (row.t, row.node, *values)
+            yield (*own, *values)
 
     @property
     def width(self) -> int:

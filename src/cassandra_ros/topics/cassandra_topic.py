@@ -156,6 +156,24 @@ class CassandraTopic(TopicFacts):
         key_format = tables[0].metadata.key_format if tables else self._wish.key_format
         return Finder(self._keyspace, self.name, key_format, tables, nodeID)
 
+    def keyOfText(self, text: str) -> AnyKey:
+        """Read a key that a person typed, by what the topic's keys are.
+
+        A name is the text itself; a time is integer nanoseconds or ISO 8601; the value of a
+        field is a number, true or false, or text, as the field is.
+
+        Raises:
+            InvalidKey: The text is no key of the topic.
+        """
+        tables = self._stored()
+        if any(table.named for table in tables):
+            return text
+        part = next((table.key_part for table in tables if table.valued), None)
+        if part is not None:
+            return part.fromText(text)
+        text = text.strip()
+        return int(text) if text.isascii() and text.isdigit() and len(text) < 40 else text
+
     def items(
         self,
         key: Optional[AnyKey] = None,
@@ -180,6 +198,12 @@ class CassandraTopic(TopicFacts):
         """
         for row in self._finder(nodeID).many(key, to_key, limit=limit, reverse=reverse):
             yield row.key, row.message()
+
+    def versions(
+        self, name: str, *, nodeID: Optional[str] = None, reverse: bool = False
+    ) -> Iterator[StoredRow]:
+        """Walk through the messages under one name, by time, without making objects."""
+        return self._finder(nodeID).many(name, None, reverse=reverse)
 
     def rows(
         self,

@@ -119,10 +119,12 @@ class Finder:
     def _near(self, key: Any, nearest: str) -> Optional[StoredRow]:
         if nearest not in NEAREST:
             raise InvalidKey(f"nearest={nearest!r} is none of {', '.join(NEAREST)}")
-        if isinstance(self._one(key), Named):
+        wanted = self._one(key)
+        if not isinstance(wanted, Stretch):
+            kind = "names" if isinstance(wanted, Named) else "values of a field"
             raise InvalidKey(
-                f"messages of topic {self._topic} are kept under names, and names have no order: "
-                "none is nearest; leave nearest out"
+                f"the keys of topic {self._topic} are {kind}, which have no order: none is "
+                "nearest; leave nearest out"
             )
         t, rows = toNs(key), self._keyspace.rows
         before = after = None
