@@ -1,0 +1,297 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""From wire bytes to a tree of plain values, as the text formats print it.
+
+A message is a dict by the definition's field names, a time or duration a dict of secs and nsecs,
+uint8[] and char[] are bytes, other arrays lists. What is too long for a text is never read: the
+tree has the words of ``rostopic echo --noarr`` in its place.
+"""
+
+from __future__ import annotations
+
+import struct
+from functools import lru_cache
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Sequence, Tuple
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, MessageSpec
+from cassandra_ros.messages.wire_skip import WIRE_ERRORS, compileFieldSkip, shortBuffer
+
+Tree = Dict[str, Any]
+
+NUMBER_CODES = {
+    "bool": "?",
+    "int8": "b",
+    "uint8": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
+"""struct codes of all primitive types (old names resolved) but string, time and duration."""
+
+TIME_CODES = {"time": "<II", "duration": "<ii"}
+TIME_NAMES = ("secs", "nsecs")
+
+# The least that things take in any text, in characters: what the budget is charged.
+_NUMBER = 2
+_FIELD = 4
+_TIME = 10
+
+
+class TooLong(Exception):  # noqa: N818 - not an error: the next limits are tried
+    """The text of a message would exceed the budget of its reader."""
+
+
+class Budget:
+    """What a tree may hold.
+
+    Args:
+        characters: Of the text; reading stops as soon as it must become longer.
+        elements: Longer arrays are not read, only counted.
+        text: Longer strings are not read, only counted; in bytes.
+    """
+
+    __slots__ = ("elements", "left", "shortened", "text")
+
+    def __init__(self, characters: int, elements: int, text: int) -> None:
+        self.left = characters
+        self.elements = elements
+        self.text = text
+        self.shortened = False
+
+    def charge(self, characters: int) -> None:
+        """Take characters off.
+
+        Raises:
+            TooLong: There are not so many left.
+        """
+        self.left -= characters
+        if self.left < 0:
+            raise TooLong
+
+
+class ReadTree(NamedTuple):
+    """A message as plain values."""
+
+    tree: Tree
+    shortened: bool
+    """Whether words stand in place of some array or string."""
+
+
+_Read = Callable[[bytes, int, Budget], Tuple[Any, int]]
+"""(wire bytes, offset, budget) -> value, offset behind it."""
+_Step = Callable[[Tree, bytes, int, Budget], int]
+"""(tree to fill, wire bytes, offset, budget) -> offset behind the fields."""
+_Memo = Dict[str, Tuple[_Read, int]]
+
+_length = struct.Struct("<I").unpack_from
+_CONTINUATION = bytes(range(0x80, 0xC0))
+
+
+class TreeReader:
+    """Reads messages of one type, compiled from its definition."""
+
+    def __init__(self, definition: Definition) -> None:
+        self.type = definition.type
+        self._read, self._weight = _message(definition.type, definition.specs, {})
+
+    def read(self, wire: bytes, characters: int, elements: int, text: int) -> ReadTree | None:
+        """Return the tree of a message; surplus bytes are ignored, bad UTF-8 becomes U+FFFD.
+
+        Args:
+            wire: Any bytes.
+            characters: What the text of the tree may take; it bounds memory and time.
+            elements: Longer arrays become words.
+            text: Longer strings, in bytes, become words.
+
+        Returns:
+            The tree, None where its text certainly has more characters.
+
+        Raises:
+            CorruptMessage: The bytes end before the message does.
+        """
+        budget = Budget(characters, elements, text)
+        try:
+            budget.charge(self._weight)
+            tree, _ = self._read(wire, 0, budget)
+        except TooLong:
+            return None
+        except WIRE_ERRORS as exc:
+            raise CorruptMessage(f"{len(wire)} bytes are no {self.type}: {exc}") from exc
+        return ReadTree(tree, budget.shortened)
+
+
+@lru_cache(maxsize=512)
+def treeReader(definition: Definition) -> TreeReader:
+    """Return the reader of a definition, compiled once per type and md5."""
+    return TreeReader(definition)
+
+
+def numberRuns(fields: Sequence[Field]) -> List[List[Field]]:
+    """Return fields in order, those together that one struct reads: numbers, or bools."""
+    runs: List[List[Field]] = []
+    for field in fields:
+        if runs and _is_number(field) and _is_number(runs[-1][-1]):
+            if (field.type == "bool") == (runs[-1][-1].type == "bool"):
+                runs[-1].append(field)
+                continue
+        runs.append([field])
+    return runs
+
+
+def runStruct(run: Sequence[Field]) -> struct.Struct | None:
+    """Return what reads a run of numbers, None where it is one field of another kind."""
+    if not _is_number(run[0]):
+        return None
+    return struct.Struct("<" + "".join(NUMBER_CODES[field.base] for field in run))
+
+
+def isBytes(field: Field) -> bool:
+    """Return whether a field's tree is bytes."""
+    return field.is_array and field.base == "uint8"
+
+
+def _is_number(field: Field) -> bool:
+    return not field.is_array and field.base in NUMBER_CODES
+
+
+def _message(name: str, specs: Mapping[str, MessageSpec], memo: _Memo) -> tuple[_Read, int]:
+    """Return the reader of a message and what its text takes at least, arrays aside."""
+    if name not in memo:
+        weight = 0
+        steps: list[_Step] = []
+        for run in numberRuns(specs[name].fields):
+            fixed = runStruct(run)
+            if fixed is not None:
+                weight += _FIELD * len(run)
+                steps.append(_numbers_step([field.name for field in run], fixed))
+            else:
+                read, least = _field(run[0], specs, memo)
+                weight += max(least, _FIELD)
+                steps.append(_field_step(run[0].name, read))
+        memo[name] = _fields(steps), max(weight, _FIELD)
+    return memo[name]
+
+
+def _fields(steps: Sequence[_Step]) -> _Read:
+    def read(wire: bytes, at: int, budget: Budget) -> tuple[Tree, int]:
+        tree: Tree = {}
+        for step in steps:
+            at = step(tree, wire, at, budget)
+        return tree, at
+
+    return read
+
+
+def _numbers_step(names: Sequence[str], fixed: struct.Struct) -> _Step:
+    unpack, size = fixed.unpack_from, fixed.size
+
+    def step(tree: Tree, wire: bytes, at: int, budget: Budget) -> int:
+        tree.update(zip(names, unpack(wire, at)))
+        return at + size
+
+    return step
+
+
+def _field_step(name: str, read: _Read) -> _Step:
+    def step(tree: Tree, wire: bytes, at: int, budget: Budget) -> int:
+        tree[name], at = read(wire, at, budget)
+        return at
+
+    return step
+
+
+def _field(field: Field, specs: Mapping[str, MessageSpec], memo: _Memo) -> tuple[_Read, int]:
+    if field.is_array:
+        return _array(field, specs, memo), 0
+    if field.type == "string":
+        return _string, 0
+    if field.type in TIME_CODES:
+        return _time(TIME_CODES[field.type]), _TIME
+    return _message(field.type, specs, memo)
+
+
+def _string(wire: bytes, at: int, budget: Budget) -> tuple[str, int]:
+    (size,) = _length(wire, at)
+    at += 4
+    end = at + size
+    if end > len(wire):
+        raise shortBuffer()
+    if size > budget.text:
+        budget.shortened = True
+        return f"<string length: {_characters(wire, at, end)}>", end
+    budget.charge(size)
+    return wire[at:end].decode("utf-8", "replace"), end
+
+
+def _characters(wire: bytes, at: int, end: int) -> int:
+    """Count characters piece by piece: a string may be as large as a message."""
+    pieces = (wire[i : min(i + 65536, end)] for i in range(at, end, 65536))
+    return sum(len(piece.translate(None, _CONTINUATION)) for piece in pieces)
+
+
+def _time(code: str) -> _Read:
+    unpack = struct.Struct(code).unpack_from
+
+    def read(wire: bytes, at: int, budget: Budget) -> tuple[Tree, int]:
+        secs, nsecs = unpack(wire, at)
+        return {"secs": secs, "nsecs": nsecs}, at + 8
+
+    return read
+
+
+_Elements = Callable[[bytes, int, int, Budget], Tuple[Any, int]]
+"""(wire bytes, offset, number of elements, budget) -> value, offset behind it."""
+
+
+def _array(field: Field, specs: Mapping[str, MessageSpec], memo: _Memo) -> _Read:
+    length, skip, read_elements = field.length, compileFieldSkip(field, specs), None
+    if field.base in NUMBER_CODES:
+        weight, read_elements = _NUMBER, _number_elements(field)
+    else:
+        element, least = _field(Field(field.name, field.type), specs, memo)
+        weight, read_elements = max(least, _NUMBER), _elements(element)
+
+    def read(wire: bytes, at: int, budget: Budget) -> tuple[Any, int]:
+        start, count = at, length
+        if count is None:
+            (count,) = _length(wire, at)
+            at += 4
+        if count > budget.elements:
+            budget.shortened = True
+            return f"<array type: {field.type}, length: {count}>", skip(wire, start)
+        budget.charge(count * weight)
+        return read_elements(wire, at, count, budget)
+
+    return read
+
+
+def _number_elements(field: Field) -> _Elements:
+    code, size = NUMBER_CODES[field.base], PRIMITIVE_SIZES[field.base]
+
+    def read(wire: bytes, at: int, count: int, budget: Budget) -> tuple[Any, int]:
+        end = at + count * size
+        if end > len(wire):
+            raise shortBuffer()
+        if code == "B":
+            return wire[at:end], end
+        return list(struct.unpack_from(f"<{count}{code}", wire, at)), end
+
+    return read
+
+
+def _elements(element: _Read) -> _Elements:
+    def read(wire: bytes, at: int, count: int, budget: Budget) -> tuple[Any, int]:
+        values = []
+        for _ in range(count):
+            value, at = element(wire, at, budget)
+            values.append(value)
+        return values, at
+
+    return read
