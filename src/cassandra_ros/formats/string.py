@@ -29,8 +29,8 @@ class CassandraTopic_string(TextFormat):
 
     def encodeWire(self, wire: bytes) -> EncodedMessage:
         """Print the message, and keep its bytes."""
-        text, _ = self.textOf(wire)
-        return EncodedMessage((text,), text is None, wire)
+        printed = self.printWire(wire)
+        return EncodedMessage((None if printed is None else printed[0],), printed is None, wire)
 
     def decodeWire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
         """Return the bytes that the row has beside its text.

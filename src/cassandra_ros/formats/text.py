@@ -10,7 +10,7 @@ from typing import Sequence
 from cassandra_ros.errors import CorruptMessage, DefinitionError
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.tree import Tree, treeReader
+from cassandra_ros.messages.tree import Budget, ReadTree, Tree, treeReader
 from cassandra_ros.messages.tree_build import plainBytes, treeBuilder
 
 MAX_TEXT_BYTES = 64 * 1024
@@ -33,6 +33,9 @@ class TextFormat(CassandraTopic_):
     ``rostopic echo --noarr --nostr`` prints of them.
     """
 
+    BYTE_CHARACTERS = 3
+    """The least that a byte of uint8[] or char[] takes in the text."""
+
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         super().__init__(msg_type, md5sum, definition)
         if definition is None:
@@ -51,24 +54,25 @@ class TextFormat(CassandraTopic_):
     def printTree(self, tree: Tree) -> str | None:
         """Return the text of a message, None where it cannot be made."""
 
-    def textOf(self, wire: bytes) -> tuple[bytes | None, bool]:
-        """Return the text of a message in UTF-8, and whether something in it was shortened.
+    def printWire(self, wire: bytes) -> tuple[bytes, ReadTree] | None:
+        """Return the text of a message in UTF-8, and the tree that it shows.
 
-        None: the bytes are no message, or even its shortest text is too long.
+        None: the bytes are no message, or even the shortest text is too long.
         """
         limits = _SHORTENED if len(wire) > MAX_TEXT_BYTES else (_WHOLE, *_SHORTENED)
         for elements, length in limits:
+            budget = Budget(MAX_TEXT_BYTES, self.BYTE_CHARACTERS, elements, length)
             try:
-                read = self._reader.read(wire, MAX_TEXT_BYTES, elements, length)
+                read = self._reader.read(wire, budget)
             except CorruptMessage:
-                return None, False
+                return None
             text = None if read is None else self.printTree(read.tree)
             if read is None or text is None:
                 continue
             data = text.encode()
             if len(data) <= MAX_TEXT_BYTES:
-                return data, read.shortened
-        return None, False
+                return data, read
+        return None
 
 
 class ParsedFormat(TextFormat):
@@ -88,6 +92,10 @@ class ParsedFormat(TextFormat):
         return plainBytes(value)
 
     @abstractmethod
+    def isFaithful(self, text: str) -> bool:
+        """Return whether a text of printTree certainly reads as its tree."""
+
+    @abstractmethod
     def parseOwn(self, text: str) -> object:
         """Return what a text says that printTree made; may raise anything of other texts."""
 
@@ -96,14 +104,17 @@ class ParsedFormat(TextFormat):
         return self.parseOwn(text)
 
     def encodeWire(self, wire: bytes) -> EncodedMessage:
-        """Print the message, and read the text again to see whether it is the whole truth."""
-        text, shortened = self.textOf(wire)
-        exact = text is not None and not shortened and self._isExact(text, wire)
+        """Print the message, and see whether the text is the whole truth."""
+        printed = self.printWire(wire)
+        if printed is None:
+            return EncodedMessage((None,), True, wire)
+        text, read = printed
+        exact = not read.shortened and self._isExact(text.decode(), read.tree, wire)
         return EncodedMessage((text,), not exact, None if exact else wire)
 
-    def _isExact(self, text: bytes, wire: bytes) -> bool:
+    def _isExact(self, text: str, tree: Tree, wire: bytes) -> bool:
         try:
-            return self._build(self.parseOwn(text.decode())) == wire
+            return self._build(tree if self.isFaithful(text) else self.parseOwn(text)) == wire
         except CorruptMessage:
             return False
 

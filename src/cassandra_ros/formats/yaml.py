@@ -33,6 +33,14 @@ class CassandraTopic_yaml(ParsedFormat):
             return None
         return text
 
+    def isFaithful(self, text: str) -> bool:
+        """Return whether there is no NaN, whose bits are lost, and no text in quotes.
+
+        What needs none reads as it was written, for writing asks the rules of reading.
+        """
+        quoted = '"' in text or "'" in text.replace("''\n", "\n")
+        return text.isascii() and not quoted and ".nan" not in text
+
     def parseOwn(self, text: str) -> object:
         """Return what the YAML says."""
         loader = yaml.CSafeLoader(text)

@@ -42,6 +42,8 @@ TIME_NAMES = ("secs", "nsecs")
 _NUMBER = 2
 _FIELD = 4
 _TIME = 10
+_MANY = 1024
+"""Numbers in an array from which it pays to look how long their text is."""
 
 
 class TooLong(Exception):  # noqa: N818 - not an error: the next limits are tried
@@ -53,14 +55,16 @@ class Budget:
 
     Args:
         characters: Of the text; reading stops as soon as it must become longer.
+        byte: What a byte of uint8[] or char[] takes at least, in characters.
         elements: Longer arrays are not read, only counted.
         text: Longer strings are not read, only counted; in bytes.
     """
 
-    __slots__ = ("elements", "left", "shortened", "text")
+    __slots__ = ("byte", "elements", "left", "shortened", "text")
 
-    def __init__(self, characters: int, elements: int, text: int) -> None:
+    def __init__(self, characters: int, byte: int, elements: int, text: int) -> None:
         self.left = characters
+        self.byte = byte
         self.elements = elements
         self.text = text
         self.shortened = False
@@ -101,14 +105,12 @@ class TreeReader:
         self.type = definition.type
         self._read, self._weight = _message(definition.type, definition.specs, {})
 
-    def read(self, wire: bytes, characters: int, elements: int, text: int) -> ReadTree | None:
+    def read(self, wire: bytes, budget: Budget) -> ReadTree | None:
         """Return the tree of a message; surplus bytes are ignored, bad UTF-8 becomes U+FFFD.
 
         Args:
             wire: Any bytes.
-            characters: What the text of the tree may take; it bounds memory and time.
-            elements: Longer arrays become words.
-            text: Longer strings, in bytes, become words.
+            budget: A new one; it bounds memory and time.
 
         Returns:
             The tree, None where its text certainly has more characters.
@@ -116,7 +118,6 @@ class TreeReader:
         Raises:
             CorruptMessage: The bytes end before the message does.
         """
-        budget = Budget(characters, elements, text)
         try:
             budget.charge(self._weight)
             tree, _ = self._read(wire, 0, budget)
@@ -253,7 +254,8 @@ _Elements = Callable[[bytes, int, int, Budget], Tuple[Any, int]]
 def _array(field: Field, specs: Mapping[str, MessageSpec], memo: _Memo) -> _Read:
     length, skip, read_elements = field.length, compileFieldSkip(field, specs), None
     if field.base in NUMBER_CODES:
-        weight, read_elements = _NUMBER, _number_elements(field)
+        weight = 0 if isBytes(field) else _NUMBER
+        read_elements = _number_elements(field)
     else:
         element, least = _field(Field(field.name, field.type), specs, memo)
         weight, read_elements = max(least, _NUMBER), _elements(element)
@@ -280,8 +282,12 @@ def _number_elements(field: Field) -> _Elements:
         if end > len(wire):
             raise shortBuffer()
         if code == "B":
+            budget.charge(count * budget.byte)
             return wire[at:end], end
-        return list(struct.unpack_from(f"<{count}{code}", wire, at)), end
+        values = list(struct.unpack_from(f"<{count}{code}", wire, at))
+        if count >= _MANY:  # JSON has no blanks behind its commas
+            budget.charge(len(str(values)) - count - count * _NUMBER)
+        return values, end
 
     return read
 
