@@ -17,7 +17,8 @@ from cassandra_ros.messages.tree_build import plainBytes
 class CassandraTopic_json(ParsedFormat):
     """Strict, compact JSON: uint8[] and char[] as base64, NaN and infinity as null.
 
-    A null is never read back: such a row also has the wire bytes.
+    A null is never read back: such a row also has the wire bytes. 64-bit integers are numbers, as
+    in rosbridge; JavaScript rounds them over 2**53.
     """
 
     NAME = "json"
@@ -52,6 +53,13 @@ def _refuse(name: str) -> None:
     raise ValueError(f"{name} is not JSON")
 
 
+def _float(text: str) -> float:
+    value = float(text)
+    if not isfinite(value):
+        raise ValueError(f"{text[:80]} is out of range")
+    return value
+
+
 def _finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _finite(inner) for name, inner in value.items()}
@@ -67,4 +75,4 @@ _encode = json.JSONEncoder(
     separators=(",", ":"),
     default=_base64,
 ).encode
-_decode = json.JSONDecoder(parse_constant=_refuse).decode
+_decode = json.JSONDecoder(parse_float=_float, parse_constant=_refuse).decode

@@ -64,9 +64,9 @@ class TextFormat(CassandraTopic_):
             budget = Budget(MAX_TEXT_BYTES, self.BYTE_CHARACTERS, elements, length)
             try:
                 read = self._reader.read(wire, budget)
-            except CorruptMessage:
+                text = None if read is None else self.printTree(read.tree)
+            except (CorruptMessage, RecursionError):
                 return None
-            text = None if read is None else self.printTree(read.tree)
             if read is None or text is None:
                 continue
             data = text.encode()
@@ -115,7 +115,7 @@ class ParsedFormat(TextFormat):
     def _isExact(self, text: str, tree: Tree, wire: bytes) -> bool:
         try:
             return self._build(tree if self.isFaithful(text) else self.parseOwn(text)) == wire
-        except CorruptMessage:
+        except (CorruptMessage, RecursionError):
             return False
 
     def decodeWire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:

@@ -19,7 +19,7 @@ _ONE_LINE = 1 << 30
 
 
 class CassandraTopic_yaml(ParsedFormat):
-    """Block style, arrays of numbers in one line; exact but for NaNs other than the usual one."""
+    """Block style, arrays of numbers in one line; exact but for NaNs other than Python's."""
 
     NAME = "yaml"
 
@@ -43,7 +43,7 @@ class CassandraTopic_yaml(ParsedFormat):
 
     def parseOwn(self, text: str) -> object:
         """Return what the YAML says."""
-        loader = yaml.CSafeLoader(text)
+        loader = _Loader(text)
         try:
             return loader.get_single_data()
         finally:
@@ -71,6 +71,12 @@ def _check(text: str) -> None:
                 raise ValueError(f"it is nested deeper than {MAX_DEPTH}")
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
+
+
+class _Loader(yaml.CSafeLoader):
+    """Reads ``.nan`` as the same bits everywhere: PyYAML's has the sign of the processor."""
+
+    nan_value = float("nan")
 
 
 class _Dumper(yaml.CSafeDumper):

@@ -15,7 +15,8 @@ import yaml
 
 from cassandra_ros.messages.definition import Definition, attributeName
 from cassandra_ros.messages.spec import Field, MessageSpec
-from cassandra_ros.messages.tree import NUMBER_CODES, TIME_CODES, Tree
+from cassandra_ros.messages.tree import Tree
+from cassandra_ros.messages.tree_fields import NUMBER_CODES, TIME_CODES
 
 _Print = Callable[[Any, str], str]
 """(value, indentation of the lines below) -> text behind 'name: '."""

@@ -11,32 +11,22 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Sequence, Tuple
+from typing import Any, Callable, Dict, Mapping, NamedTuple, Sequence, Tuple
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, MessageSpec
+from cassandra_ros.messages.tree_fields import (
+    NUMBER_CODES,
+    TIME_CODES,
+    TIME_NAMES,
+    isBytes,
+    numberRuns,
+    runStruct,
+)
 from cassandra_ros.messages.wire_skip import WIRE_ERRORS, compileFieldSkip, shortBuffer
 
 Tree = Dict[str, Any]
-
-NUMBER_CODES = {
-    "bool": "?",
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float32": "f",
-    "float64": "d",
-}
-"""struct codes of all primitive types (old names resolved) but string, time and duration."""
-
-TIME_CODES = {"time": "<II", "duration": "<ii"}
-TIME_NAMES = ("secs", "nsecs")
 
 # The least that things take in any text, in characters: what the budget is charged.
 _NUMBER = 2
@@ -134,34 +124,6 @@ def treeReader(definition: Definition) -> TreeReader:
     return TreeReader(definition)
 
 
-def numberRuns(fields: Sequence[Field]) -> List[List[Field]]:
-    """Return fields in order, those together that one struct reads: numbers, or bools."""
-    runs: List[List[Field]] = []
-    for field in fields:
-        if runs and _is_number(field) and _is_number(runs[-1][-1]):
-            if (field.type == "bool") == (runs[-1][-1].type == "bool"):
-                runs[-1].append(field)
-                continue
-        runs.append([field])
-    return runs
-
-
-def runStruct(run: Sequence[Field]) -> struct.Struct | None:
-    """Return what reads a run of numbers, None where it is one field of another kind."""
-    if not _is_number(run[0]):
-        return None
-    return struct.Struct("<" + "".join(NUMBER_CODES[field.base] for field in run))
-
-
-def isBytes(field: Field) -> bool:
-    """Return whether a field's tree is bytes."""
-    return field.is_array and field.base == "uint8"
-
-
-def _is_number(field: Field) -> bool:
-    return not field.is_array and field.base in NUMBER_CODES
-
-
 def _message(name: str, specs: Mapping[str, MessageSpec], memo: _Memo) -> tuple[_Read, int]:
     """Return the reader of a message and what its text takes at least, arrays aside."""
     if name not in memo:
@@ -241,8 +203,7 @@ def _time(code: str) -> _Read:
     unpack = struct.Struct(code).unpack_from
 
     def read(wire: bytes, at: int, budget: Budget) -> tuple[Tree, int]:
-        secs, nsecs = unpack(wire, at)
-        return {"secs": secs, "nsecs": nsecs}, at + 8
+        return dict(zip(TIME_NAMES, unpack(wire, at))), at + 8
 
     return read
 

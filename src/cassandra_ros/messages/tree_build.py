@@ -15,7 +15,7 @@ from typing import Any, Callable, Dict, List, Mapping, Sequence
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import Field, MessageSpec
-from cassandra_ros.messages.tree import (
+from cassandra_ros.messages.tree_fields import (
     NUMBER_CODES,
     TIME_CODES,
     TIME_NAMES,
