@@ -9,13 +9,14 @@ import json
 import math
 import signal
 import subprocess
+import time
 import uuid
 
 import pytest
 from nodes.children import start_client, start_node
 from nodes.raw_publisher import message
 from sensor_msgs.msg import Image, NavSatFix
-from std_msgs.msg import String, UInt8MultiArray
+from std_msgs.msg import Int64, String, UInt8MultiArray
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
@@ -46,6 +47,12 @@ def store(cassandra, cql):
         large = rosCas.addTopic("/image")
         for n in range(8):
             large.addData(Image(data=bytes([n]) * (3 << 20)), key=T0 + n)
+        names = rosCas.addTopic("/results", key_format="manual")
+        for n in range(5):
+            names.addData(String(data=str(n)), key=["kitchen", "17"][n % 2])
+        numbers = rosCas.addTopic("/numbers", key_format="msg_part", key_part="data")
+        for n in range(3):
+            numbers.addData(Int64(data=n))
         writer = rosCas.messageWriter()
         broken = writer.connect(liveConnection("/broken", {"type": "a/B", "md5sum": "1" * 32}))
         writer.write(broken, T0, 0, b"\1\2\3")
@@ -118,6 +125,31 @@ def test_what_is_left_out(get):
 )  # fmt: skip
 def test_key_text_wins(get, text):
     assert get(topic="fix", key=5, key_text=text, omit_data=True)["data"]["key"] == T0
+
+
+def test_names_and_values(get, span):
+    for text, value in (("kitchen", "4"), ("17", "3")):
+        data = get(topic="results", key_text=text)["data"]
+        assert (data["key_text"], data["yaml"]) == (text, f'data: "{value}"')
+        assert abs(data["key"] / SEC - time.time()) < 3600
+    assert get(topic="numbers", key_text="2")["data"]["yaml"] == "data: 2"
+    for request, word in (
+        ({"topic": "results", "key_text": "cellar"}, "under the name 'cellar'"),
+        ({"topic": "results", "key": T0}, "kept under names"),
+        ({"topic": "results", "key_text": "17", "nearest": "before"}, "no order"),
+        ({"topic": "numbers", "key_text": "7"}, "key field is 7"),
+        ({"topic": "numbers", "key_text": "x"}, "int64"),
+    ):
+        answer = get(**request)
+        assert not answer["success"] and word in answer["message"]
+    found, cursor = [], ""
+    while True:
+        answer = span(topic="results", limit=2, cursor=cursor)
+        found += [data["key_text"] for data in answer["data"]]
+        cursor = answer["next_cursor"]
+        if not cursor:
+            break
+    assert found == ["kitchen", "17"] * 2 + ["kitchen"]
 
 
 def test_neighbours(get):
