@@ -108,6 +108,19 @@ def test_the_main_job(type_in, keyspace, bags, tmp_path):
         assert text.startswith(f"equal: {bag} and keyspace {keyspace}, 8647 messages")
 
 
+def test_info_of_other_keys(call, rosCas):
+    from std_msgs.msg import Int64
+
+    rosCas.addTopic("/time").addData(Int64(), key=5)
+    assert "key" not in call("info")[1].splitlines()[3].split()
+    rosCas.addTopic("/maps", key_format="manual").addData(Int64(), key="kitchen")
+    rosCas.addTopic("/ids", key_format="msg_part", key_part="data").addData(Int64())
+    lines = [line.split() for line in call("info")[1].splitlines()]
+    assert lines[3][-2:] == ["bucket", "key"]
+    found = [(line[0], line[-1]) for line in lines[4:7]]
+    assert found == [("/ids", "data"), ("/maps", "manual"), ("/time", "time")]
+
+
 def test_info_as_yaml(call, bags):
     call("import", bags / "primitive_arrays.bag", "--node-id", "r1")
     status, out, _ = call("info", "/array_test", "--yaml")

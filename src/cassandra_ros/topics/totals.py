@@ -40,6 +40,8 @@ class TopicInfo:
     table: str
     largest_bucket: int
     """Messages in the fullest bucket, or under one name."""
+    key: str
+    """What finds a message: 'time', 'hash', 'manual', or the field that is the key."""
 
 
 class TopicTotals:
@@ -132,4 +134,5 @@ def _describe(table: TopicTable, node: str, rows: list[BucketRow]) -> TopicInfo:
         ttl=metadata.ttl,
         table=table.name,
         largest_bucket=max(by_bucket.values(), default=0),
+        key=metadata.key_part or metadata.key_format,
     )

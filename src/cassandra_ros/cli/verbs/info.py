@@ -3,7 +3,8 @@
 """Describe what is stored of each topic: messages, bytes, times, nodes, bucket lengths.
 
 A topic has a line for each type, format and node. Times are UTC and cut to seconds; --yaml
-prints them exactly, in nanoseconds.
+prints them exactly, in nanoseconds. Where messages are found by something else than their receive
+time the last column says by what.
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 from cassandra_ros.cli.options import add_store_options, open_store
 from cassandra_ros.cli.table import format_bytes, format_length, format_table, format_time, shown
+from cassandra_ros.keys import NAMED_FORMATS
 
 if TYPE_CHECKING:
     from cassandra_ros.store.registry import Run
     from cassandra_ros.topics.totals import TopicInfo
 
+_HEADER = ("topic", "type", "format", "node", "messages", "size", "first", "last", "bucket")
 _RIGHT = ("messages", "size", "bucket")
 _RUNS_SHOWN = 20
 
@@ -45,8 +48,10 @@ def run(options: argparse.Namespace) -> int:
     print(f"messages:  {total} of {topics} topics, {format_bytes(size)}")
     if infos:
         print()
-        header = ("topic", "type", "format", "node", "messages", "size", "first", "last", "bucket")
-        print(format_table(header, [_topic_row(info) for info in infos], right=_RIGHT))
+        with_keys = any(info.key != "time" for info in infos)
+        header = (*_HEADER, "key") if with_keys else _HEADER
+        lines = [_topic_row(info)[: len(header)] for info in infos]
+        print(format_table(header, lines, right=_RIGHT))
     if runs and not options.topics:
         print()
         rows = [_run_row(run) for run in runs[-_RUNS_SHOWN:]]
@@ -67,7 +72,8 @@ def _topic_row(info: TopicInfo) -> tuple[str, ...]:
         format_bytes(info.bytes),
         format_time(info.first_ns),
         format_time(info.last_ns),
-        format_length(info.bucket_ns),
+        "-" if info.key in NAMED_FORMATS else format_length(info.bucket_ns),
+        info.key,
     )
 
 
