@@ -13,7 +13,10 @@ _PUBLIC = {
     "RosCassandra": "cassandra_ros.topics.ros_cassandra",
     "CassandraTopic_": "cassandra_ros.formats.cassandra_topic_",
     "CassandraTopic_binary": "cassandra_ros.formats.binary",
+    "CassandraTopic_json": "cassandra_ros.formats.json",
     "CassandraTopic_ros": "cassandra_ros.formats.ros",
+    "CassandraTopic_string": "cassandra_ros.formats.string",
+    "CassandraTopic_yaml": "cassandra_ros.formats.yaml",
     "Stamp": "cassandra_ros.messages.stamps",
     "CassandraRosError": "cassandra_ros.errors",
 }

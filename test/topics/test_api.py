@@ -212,7 +212,7 @@ def test_bad_names(rosCas):
     for name in ("", "a\0b", "\udc80"):
         with pytest.raises(InvalidName):
             rosCas.addTopic(name)
-    with pytest.raises(UnknownFormat, match="binary, ros"):
+    with pytest.raises(UnknownFormat, match="binary, string, yaml, json, ros"):
         rosCas.addTopic("/a", format="xml")
 
 

@@ -9,12 +9,18 @@ from typing import Mapping
 from cassandra_ros.errors import UnknownFormat
 from cassandra_ros.formats.binary import CassandraTopic_binary
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
+from cassandra_ros.formats.json import CassandraTopic_json
 from cassandra_ros.formats.ros import CassandraTopic_ros
+from cassandra_ros.formats.string import CassandraTopic_string
+from cassandra_ros.formats.yaml import CassandraTopic_yaml
 
 DEFAULT_FORMAT = "ros"
 
 FORMATS: Mapping[str, type[CassandraTopic_]] = {
     "binary": CassandraTopic_binary,
+    "string": CassandraTopic_string,
+    "yaml": CassandraTopic_yaml,
+    "json": CassandraTopic_json,
     "ros": CassandraTopic_ros,
 }
 

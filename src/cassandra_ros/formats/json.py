@@ -1,0 +1,78 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Format ``json``: the message as rosbridge writes it."""
+
+from __future__ import annotations
+
+import json
+from base64 import b64decode, b64encode
+from math import isfinite
+from typing import Any
+
+from cassandra_ros.formats.text import ParsedFormat
+from cassandra_ros.messages.tree import Tree
+from cassandra_ros.messages.tree_build import plainBytes
+
+
+class CassandraTopic_json(ParsedFormat):
+    """Strict, compact JSON: uint8[] and char[] as base64, NaN and infinity as null.
+
+    A null is never read back: such a row also has the wire bytes. 64-bit integers are numbers, as
+    in rosbridge; JavaScript rounds them over 2**53.
+    """
+
+    NAME = "json"
+    BYTE_CHARACTERS = 1
+
+    def printTree(self, tree: Tree) -> str:
+        """Return the JSON of a message."""
+        try:
+            return _encode(tree)
+        except ValueError:  # a float is not finite
+            return _encode(_finite(tree))
+
+    def isFaithful(self, text: str) -> bool:
+        """Return whether no float became null: all else reads as it was written."""
+        return "null" not in text
+
+    def parseOwn(self, text: str) -> object:
+        """Return what the JSON says."""
+        return _decode(text)
+
+    @staticmethod
+    def fieldBytes(value: object) -> bytes:
+        """Return the bytes of a base64 text, or of a list of numbers, as rosbridge does."""
+        return b64decode(value, validate=True) if isinstance(value, str) else plainBytes(value)
+
+
+def _base64(value: bytes) -> str:
+    return b64encode(value).decode("ascii")
+
+
+def _refuse(name: str) -> None:
+    raise ValueError(f"{name} is not JSON")
+
+
+def _float(text: str) -> float:
+    value = float(text)
+    if not isfinite(value):
+        raise ValueError(f"{text[:80]} is out of range")
+    return value
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _finite(inner) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [_finite(inner) for inner in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+_encode = json.JSONEncoder(
+    ensure_ascii=False,
+    check_circular=False,
+    allow_nan=False,
+    separators=(",", ":"),
+    default=_base64,
+).encode
+_decode = json.JSONDecoder(parse_float=_float, parse_constant=_refuse).decode

@@ -1,0 +1,43 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Format ``string``: what ``rostopic echo`` prints, beside the wire bytes."""
+
+from __future__ import annotations
+
+from typing import Sequence
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.formats.cassandra_topic_ import EncodedMessage
+from cassandra_ros.formats.text import TextFormat
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.echo import echoPrinter
+from cassandra_ros.messages.tree import Tree
+
+
+class CassandraTopic_string(TextFormat):
+    """Text for people: it is never read back, every row also has the wire bytes."""
+
+    NAME = "string"
+
+    def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
+        super().__init__(msg_type, md5sum, definition)
+        self._print = echoPrinter(self.definition)
+
+    def printTree(self, tree: Tree) -> str:
+        """Return what rostopic prints."""
+        return self._print(tree)
+
+    def encodeWire(self, wire: bytes) -> EncodedMessage:
+        """Print the message, and keep its bytes."""
+        printed = self.printWire(wire)
+        return EncodedMessage((None if printed is None else printed[0],), printed is None, wire)
+
+    def decodeWire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
+        """Return the bytes that the row has beside its text.
+
+        Raises:
+            CorruptMessage: It has none.
+        """
+        if raw is None:
+            raise CorruptMessage(f"a row of {self.msg_type} in format string has no bytes")
+        return raw

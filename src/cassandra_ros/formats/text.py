@@ -1,0 +1,140 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the text formats have in common: one column, never over 64 KiB."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Sequence
+
+from cassandra_ros.errors import CorruptMessage, DefinitionError
+from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.tree import Budget, ReadTree, Tree, treeReader
+from cassandra_ros.messages.tree_build import plainBytes, treeBuilder
+
+MAX_TEXT_BYTES = 64 * 1024
+
+_WHOLE = (MAX_TEXT_BYTES, MAX_TEXT_BYTES)
+_SHORTENED = (
+    (256, MAX_TEXT_BYTES),
+    (16, MAX_TEXT_BYTES),
+    (0, MAX_TEXT_BYTES),
+    (0, 256),
+    (0, 0),
+)
+"""Longest array in elements and longest string in bytes, tried until the text fits."""
+
+
+class TextFormat(CassandraTopic_):
+    """A message as a text that people read.
+
+    Where it would exceed 64 KiB, arrays and then strings are replaced by what
+    ``rostopic echo --noarr --nostr`` prints of them.
+    """
+
+    BYTE_CHARACTERS = 3
+    """The least that a byte of uint8[] or char[] takes in the text."""
+
+    def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
+        super().__init__(msg_type, md5sum, definition)
+        if definition is None:
+            raise DefinitionError(
+                f"format {self.NAME} needs the definition of {msg_type}, which is unusable: "
+                f"use binary"
+            )
+        self.definition: Definition = definition
+        self._reader = treeReader(definition)
+
+    def getColValidationClasses(self) -> dict[str, str]:
+        """Return the one column."""
+        return {"_data": "text"}
+
+    @abstractmethod
+    def printTree(self, tree: Tree) -> str | None:
+        """Return the text of a message, None where it cannot be made."""
+
+    def printWire(self, wire: bytes) -> tuple[bytes, ReadTree] | None:
+        """Return the text of a message in UTF-8, and the tree that it shows.
+
+        None: the bytes are no message, or even the shortest text is too long.
+        """
+        limits = _SHORTENED if len(wire) > MAX_TEXT_BYTES else (_WHOLE, *_SHORTENED)
+        for elements, length in limits:
+            budget = Budget(MAX_TEXT_BYTES, self.BYTE_CHARACTERS, elements, length)
+            try:
+                read = self._reader.read(wire, budget)
+                text = None if read is None else self.printTree(read.tree)
+            except (CorruptMessage, RecursionError):
+                return None
+            if read is None or text is None:
+                continue
+            data = text.encode()
+            if len(data) <= MAX_TEXT_BYTES:
+                return data, read
+        return None
+
+
+class ParsedFormat(TextFormat):
+    """A text that gives the message back: the row has its bytes only where it does not."""
+
+    def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
+        super().__init__(msg_type, md5sum, definition)
+        self._build = treeBuilder(self.definition, self.fieldBytes)
+
+    @staticmethod
+    def fieldBytes(value: object) -> bytes:
+        """Return the bytes of what a text holds for uint8[] or char[].
+
+        Raises:
+            ValueError, TypeError: It is none of the kind.
+        """
+        return plainBytes(value)
+
+    @abstractmethod
+    def isFaithful(self, text: str) -> bool:
+        """Return whether a text of printTree certainly reads as its tree."""
+
+    @abstractmethod
+    def parseOwn(self, text: str) -> object:
+        """Return what a text says that printTree made; may raise anything of other texts."""
+
+    def parse(self, text: str) -> object:
+        """Return what a text says that anybody may have changed; may raise any Exception."""
+        return self.parseOwn(text)
+
+    def encodeWire(self, wire: bytes) -> EncodedMessage:
+        """Print the message, and see whether the text is the whole truth."""
+        printed = self.printWire(wire)
+        if printed is None:
+            return EncodedMessage((None,), True, wire)
+        text, read = printed
+        exact = not read.shortened and self._isExact(text.decode(), read.tree, wire)
+        return EncodedMessage((text,), not exact, None if exact else wire)
+
+    def _isExact(self, text: str, tree: Tree, wire: bytes) -> bool:
+        try:
+            return self._build(tree if self.isFaithful(text) else self.parseOwn(text)) == wire
+        except (CorruptMessage, RecursionError):
+            return False
+
+    def decodeWire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
+        """Build the bytes of the text, unless the row has them.
+
+        Raises:
+            CorruptMessage: There is no text, or it is no message of the type.
+        """
+        if raw is not None:
+            return raw
+        text = columns[0]
+        if text is None or len(text) > MAX_TEXT_BYTES:
+            raise CorruptMessage(
+                f"a row of {self.msg_type} in format {self.NAME} has no text of at most 64 KiB"
+            )
+        try:
+            tree = self.parse(text.decode())
+        except Exception as exc:  # whatever a parser makes of a hostile text
+            raise CorruptMessage(
+                f"a row of {self.msg_type} is no {self.NAME}: {str(exc)[:200]}"
+            ) from exc
+        return self._build(tree)

@@ -1,0 +1,204 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+from __future__ import annotations
+
+import math
+import struct
+
+import genpy
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from messages.random_wire import SEPARATOR, WireMaker, installedTypes
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.formats.yaml import CassandraTopic_yaml
+from cassandra_ros.messages.classes import installedDefinition, messageClass, serialize
+from cassandra_ros.messages.definition import attributeName, parseDefinition
+
+
+def yamlFormat(definition):
+    if isinstance(definition, str):
+        definition = installedDefinition(definition)
+    return CassandraTopic_yaml(definition.type, definition.md5sum, definition)
+
+
+class Loader(yaml.SafeLoader):
+    nan_value = float("nan")  # rostopic's has the sign that the processor gives it
+
+
+def checkPublished(msg_type, seed):
+    """The message that `rostopic pub -f` would send of the text is the message."""
+    storage = yamlFormat(msg_type)
+    specs = storage.definition.specs.values()
+    if any(attributeName(f.name) != f.name for spec in specs for f in spec.fields):
+        return  # rostopic knows such fields by another name only
+    wire = WireMaker(storage.definition, seed, signalling=False).make()
+    encoded = storage.encodeWire(wire)
+    if b"<array type" in encoded.columns[0]:
+        return
+    assert not encoded.odd
+    message = messageClass(storage.definition)()
+    genpy.message.fill_message_args(message, [Loader(encoded.columns[0]).get_single_data()])
+    assert serialize(message) == wire
+
+
+def test_rostopic_publishes_every_installed_type():
+    for seed, msg_type in enumerate(installedTypes()):
+        checkPublished(msg_type, seed)
+
+
+@settings(deadline=None)
+@given(msg_type=st.sampled_from(installedTypes()), seed=st.integers(0, 2**32))
+def test_rostopic_publishes_installed_types(msg_type, seed):
+    checkPublished(msg_type, seed)
+
+
+def test_the_text_is_block_style_with_numbers_in_one_line():
+    storage = yamlFormat(
+        parseDefinition(
+            "p/T",
+            "time t\nfloat64[] f\nuint8[3] b\nstring[] s\nE[] a\nE on\nint8[] n\nbool y\nE[] z"
+            + SEPARATOR
+            + "MSG: p/E\nstring x",
+        )
+    )
+    wire = b"".join(
+        [
+            struct.pack("<II", 7, 8),
+            struct.pack("<I6d", 6, 1e20, -0.0, math.inf, -math.inf, 1e-7, 2),
+            b"\0\1\2",
+            struct.pack("<II", 2, 3) + b"yes" + struct.pack("<I", 0),
+            struct.pack("<II", 1, 4) + "Zoë".encode(),
+            struct.pack("<I", 3) + b"1e5",
+            struct.pack("<I", 0) + b"\1" + struct.pack("<I", 0),
+        ]
+    )
+    (text,), odd, raw = storage.encodeWire(wire)
+    assert (odd, raw) == (False, None)
+    assert text.decode() == (
+        "t:\n  secs: 7\n  nsecs: 8\n"
+        "f: [1.0e+20, -0.0, .inf, -.inf, 1.0e-07, 2.0]\n"
+        "b: [0, 1, 2]\n"
+        "s:\n- 'yes'\n- ''\n"
+        "a:\n- x: Zoë\n"
+        "'on':\n  x: 1e5\n"
+        "n: []\ny: true\nz: []\n"
+    )
+    assert storage.decodeWire((text,), None) == wire
+
+
+@pytest.mark.parametrize(
+    ("text", "wire"),
+    [
+        ("string x", b"\1\0\0\0\xff"),
+        ("string x", b"\1\0\0\0a surplus"),
+        ("bool x", b"\2"),
+        ("time x", struct.pack("<II", 1, 10**9)),
+        ("duration x", struct.pack("<ii", 1, -1)),
+        ("float32 x", struct.pack("<I", 0x7F800001)),
+        ("float64 x", struct.pack("<Q", 0xFFF8 << 48)),
+        ("float64[] x", struct.pack("<IQ", 1, 0x7FF8 << 48 | 5)),
+    ],
+)
+def test_what_the_text_cannot_say_is_kept_beside_it(text, wire):
+    encoded = yamlFormat(parseDefinition("p/T", text)).encodeWire(wire)
+    assert encoded.columns[0] is not None
+    assert (encoded.odd, encoded.raw) == (True, wire)
+
+
+def test_pythons_nan_is_exact():
+    storage = yamlFormat("std_msgs/Float64")
+    wire = struct.pack("<Q", 0x7FF8 << 48)
+    assert storage.encodeWire(wire) == ((b"data: .nan\n",), False, None)
+    assert storage.decodeWire((b"data: .nan\n",), None) == wire
+
+
+@settings(deadline=None)
+@given(
+    text=st.text(st.characters(codec="utf-8"), max_size=200)
+    | st.text("-?:,[]{}#&*!|>'\"%@`~ \n\t\r\x85\u2028\ufeff.0123456789xobeE_=<yYnNofu", max_size=9)
+)
+def test_strings_are_exact_or_kept(text):
+    storage = yamlFormat("std_msgs/String")
+    wire = serialize(messageClass(storage.definition)(data=text))
+    columns, odd, raw = storage.encodeWire(wire)
+    assert raw == (wire if odd else None)
+    if not odd:
+        assert storage.decodeWire(columns, None) == wire
+
+
+BOMB = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 40))
+MERGES = "m0: &m0 {x: 1}\n" + "".join(
+    f"m{i}: &m{i} {{<<: [*m{i - 1}, *m{i - 1}]}}\n" for i in range(1, 40)
+)
+HOSTILE = [
+    "",
+    "[]",
+    "a",
+    BOMB,
+    MERGES,
+    "layout: {dim: &d [], data_offset: 0}\ndata: *d",
+    "[" * 65000,
+    "{a: " * 16000,
+    "- " * 32000,
+    "? " * 32000,
+    "!!python/object/apply:os.system [ls]",
+    "!!timestamp x",
+    "!!int ''",
+    "!!float x",
+    "!!bool x",
+    "layout: {dim: [], data_offset: 0}\ndata: [" + ":".join("1" * 20000) + ".0]",
+    "layout: {dim: [], data_offset: 0}\ndata: [" + "1" * 5000 + "]",
+    "layout: {dim: [], data_offset: 0}\ndata: [true]",
+    "layout: {dim: [], data_offset: 0}\ndata: [nan]",
+    "layout: {dim: [], data_offset: 0}\ndata: [2001-01-01]",
+    "layout: {dim: [], data_offset: 0}\ndata: !!set {}",
+    "layout: {dim: [], data_offset: 4294967296}\ndata: []",
+    "layout: {dim: [], data_offset: 0}\ndata: []\nmore: 1",
+    "layout: {dim: [], data_offset: 0}",
+    "layout: {dim: [], data_offset: 0}\ndata: []\n---\n",
+    "? [a]\n: 1",
+    "\0",
+    "layout: {dim: [], data_offset: 0}\ndata: []" + "\n" * 65536,
+]
+
+
+@pytest.mark.parametrize("text", HOSTILE, ids=range(len(HOSTILE)))
+def test_texts_that_are_no_message(text):
+    storage = yamlFormat("std_msgs/Float64MultiArray")
+    with pytest.raises(CorruptMessage, match="Float64MultiArray"):
+        storage.decodeWire((text.encode(),), None)
+
+
+def test_texts_of_people_are_read():
+    storage = yamlFormat("std_msgs/UInt8MultiArray")
+    text = "# mine\ndata: !!binary AAEC\nlayout:\n  data_offset: 0x10\n  dim: []\n"
+    assert storage.decodeWire((text.encode(),), None) == bytes(4) + struct.pack(
+        "<II3s", 16, 3, b"\0\1\2"
+    )
+
+
+@settings(deadline=None)
+@given(text=st.binary(max_size=40))
+def test_any_bytes_are_read_or_corrupt(text):
+    storage = yamlFormat("std_msgs/String")
+    for column in (text, b"data: %s" % text, b'data: "%s"' % text):
+        try:
+            storage.decodeWire((column,), None)
+        except CorruptMessage:
+            pass
+
+
+@pytest.mark.parametrize(("size", "exact"), [(21_000, True), (22_000, False), (400_000, False)])
+def test_texts_are_never_over_64_kib(size, exact):
+    storage = yamlFormat("std_msgs/UInt8MultiArray")
+    encoded = storage.encode(messageClass(storage.definition)(data=bytes(size)))
+    assert len(encoded.columns[0]) <= 65536
+    assert encoded.odd is not exact
+    if not exact:
+        words = f"<array type: uint8, length: {size}>"
+        assert yaml.safe_load(encoded.columns[0])["data"] == words
+        with pytest.raises(CorruptMessage, match="UInt8MultiArray"):
+            storage.decodeWire(encoded.columns, None)
