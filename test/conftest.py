@@ -30,11 +30,14 @@ if str(GENERATED) not in sys.path:
 SERVER_VARIABLE = "CASSANDRA_ROS_TEST_SERVER"
 """Names a running server, host:port, that the tests use instead of one of their own."""
 
-# Nothing is synced to the disk, for this server is never killed: those that are have their own. A
-# table is made in a third of the time, and without the second compiler in half the work.
-QUICK_SERVER = (
-    "-XX:TieredStopAtLevel=1 -Dcassandra.unsafesystem=true "
-    "-Dcassandra.config.allow_system_properties=true "
+# The servers of the tests live for seconds or minutes: the second compiler would take more time
+# than it saves, at a start more than half.
+ONE_COMPILER = "-XX:TieredStopAtLevel=1"
+
+# Nothing is synced to the disk of the server that all share: it is never killed, those that are
+# have their own. A table is made in a third of the time.
+WITHOUT_SYNC = (
+    "-Dcassandra.unsafesystem=true -Dcassandra.config.allow_system_properties=true "
     "-Dcassandra.settings.commitlog_sync=periodic "
     "-Dcassandra.settings.commitlog_sync_period=10000ms"
 )
@@ -60,6 +63,7 @@ def pytest_configure(config):
     # started us in the background and SIGINT is ignored, here and by inheritance in every node.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
+    os.environ.setdefault("JAVA_TOOL_OPTIONS", ONE_COMPILER)
 
 
 def pytest_sessionstart(session):
@@ -152,7 +156,7 @@ def _local_server():
     cluster = LocalCluster(folder, port=free_port(), heap="1G")
     try:
         with pytest.MonkeyPatch.context() as environment:
-            environment.setenv("JAVA_TOOL_OPTIONS", QUICK_SERVER)
+            environment.setenv("JAVA_TOOL_OPTIONS", f"{ONE_COMPILER} {WITHOUT_SYNC}")
             cluster.start(die_with_us=True)
         yield CassandraServer(cluster.settings.host, cluster.settings.port)
     finally:

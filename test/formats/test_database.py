@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from messages.random_wire import DefinitionMaker, WireMaker, installedTypes
+from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
 
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import installedDefinition
@@ -38,7 +38,8 @@ def checkStored(rosCas, name, definitions, examples):
             wires = {}
             for handle, definition in zip(handles, definitions):
                 makers = [WireMaker(definition, seed + i, odd=bool(i % 2)) for i in range(4)]
-                wires[handle.topic] = [maker.make() for maker in makers]
+                made = [maker.make() for maker in makers]
+                wires[handle.topic] = [*made, fuzzed(made[-1], seed)]
                 for i, wire in enumerate(wires[handle.topic]):
                     writer.write(handle, begin + i // 2, begin + i, wire)  # pairs of equal stamps
             writer.flush()
