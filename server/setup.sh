@@ -70,10 +70,23 @@ package_list() {
   fi
 }
 
+test_package_list() {
+  # Only the tests need them: what brings message types, of which they send more than 200.
+  local common=(actionlib diagnostic geometry map move-base nav pcl rosgraph sensor shape std stereo trajectory visualization)
+  if [ -d /opt/ros/noetic ]; then
+    printf 'ros-noetic-%s-msgs ' "${common[@]}" moveit
+    echo ros-noetic-{actionlib,bond,dynamic-reconfigure,roscpp}
+  else
+    printf 'python3-%s-msgs ' "${common[@]}"
+    printf 'ros-%s-msgs ' "${common[@]}"
+    echo python3-{actionlib,bond,dynamic-reconfigure,opencv-apps,roscpp-msg}
+  fi
+}
+
 install_packages() {
   local packages missing=() package as_root=()
   command -v dpkg-query >/dev/null || die "this is no Debian or Ubuntu: install ROS 1, Java 17 and Maven by hand"
-  read -r -a packages <<<"$(package_list | tr '\n' ' ')"
+  read -r -a packages <<<"$({ package_list; test_package_list; } | tr '\n' ' ')"
   for package in "${packages[@]}"; do
     [ "$(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || missing+=("$package")
   done

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import signal
@@ -26,6 +27,23 @@ GENERATED = WORKSPACE / "devel/lib/python3/dist-packages"
 if str(GENERATED) not in sys.path:
     sys.path.append(str(GENERATED))
 
+SERVER_VARIABLE = "CASSANDRA_ROS_TEST_SERVER"
+"""Names a running server, host:port, that the tests use instead of one of their own."""
+
+# The servers of the tests live for seconds or minutes: the second compiler would take more time
+# than it saves, at a start more than half.
+ONE_COMPILER = "-XX:TieredStopAtLevel=1"
+
+# Nothing is synced to the disk of the server that all share: it is never killed, those that are
+# have their own. A table is made in a third of the time.
+WITHOUT_SYNC = (
+    "-Dcassandra.unsafesystem=true -Dcassandra.config.allow_system_properties=true "
+    "-Dcassandra.settings.commitlog_sync=periodic "
+    "-Dcassandra.settings.commitlog_sync_period=10000ms"
+)
+
+ALONE = {"nodes", "rostest", "local_server", "cli", "test_import_process.py"}
+
 
 @dataclass(frozen=True)
 class CassandraServer:
@@ -45,6 +63,36 @@ def pytest_configure(config):
     # started us in the background and SIGINT is ignored, here and by inheritance in every node.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
+    os.environ.setdefault("JAVA_TOOL_OPTIONS", ONE_COMPILER)
+
+
+def pytest_sessionstart(session):
+    # With workers (pytest -n) the server is ours, for they end one after the other.
+    config = session.config
+    if not getattr(config.option, "numprocesses", None) or SERVER_VARIABLE in os.environ:
+        return
+    server = contextlib.ExitStack()
+    config.add_cleanup(server.close)
+    running = server.enter_context(_local_server())
+    server.enter_context(pytest.MonkeyPatch.context()).setenv(
+        SERVER_VARIABLE, f"{running.host}:{running.port}"
+    )
+
+
+@pytest.hookimpl(tryfirst=True)  # before xdist reads the marks
+def pytest_collection_modifyitems(items):
+    # What starts programs and waits for them shares a worker: two at a time are too many for a
+    # small machine.
+    for item in items:
+        if ALONE.intersection(item.path.parts):
+            item.add_marker(pytest.mark.xdist_group("programs"))
+
+
+def pytest_terminal_summary(terminalreporter):
+    for report in terminalreporter.getreports("passed"):
+        for name, value in report.user_properties:
+            if name == "told":
+                terminalreporter.write_line(value)
 
 
 @pytest.fixture(scope="session")
@@ -90,18 +138,26 @@ def ros_env(workspace_env, ros_home):
 @pytest.fixture(scope="session")
 def cassandra():
     """The Cassandra of this run: .host and .port."""
-    from cassandra_ros.errors import ServerError
-    from cassandra_ros.local_server import LocalCluster, free_port
-
-    running = os.environ.get("CASSANDRA_ROS_TEST_SERVER")
+    running = os.environ.get(SERVER_VARIABLE)
     if running:
         host, _, port = running.rpartition(":")
         yield CassandraServer(host, int(port))
         return
+    with _local_server() as server:
+        yield server
+
+
+@contextlib.contextmanager
+def _local_server():
+    from cassandra_ros.errors import ServerError
+    from cassandra_ros.local_server import LocalCluster, free_port
+
     folder = tempfile.mkdtemp(prefix="cassandra_ros_server_")
     cluster = LocalCluster(folder, port=free_port(), heap="1G")
     try:
-        cluster.start(die_with_us=True)
+        with pytest.MonkeyPatch.context() as environment:
+            environment.setenv("JAVA_TOOL_OPTIONS", f"{ONE_COMPILER} {WITHOUT_SYNC}")
+            cluster.start(die_with_us=True)
         yield CassandraServer(cluster.settings.host, cluster.settings.port)
     finally:
         pids = [node.pid for node in cluster.status() if node.pid]
@@ -135,6 +191,8 @@ def cql(cassandra):
         protocol_version=5,
         execution_profiles={EXEC_PROFILE_DEFAULT: profile},
         sockopts=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
+        schema_metadata_enabled=False,
+        token_metadata_enabled=False,
     )
     try:
         yield cluster.connect()
@@ -145,18 +203,42 @@ def cql(cassandra):
 @pytest.fixture
 def keyspace(cql):
     """Name of a keyspace of this test alone; it does not exist yet, and is dropped afterwards."""
-    name = f"t_{uuid.uuid4().hex[:16]}"
+    name = _keyspace_name()
     yield name
     cql.execute(f"DROP KEYSPACE IF EXISTS {name}")
 
 
+def _keyspace_name():
+    return f"t_{uuid.uuid4().hex[:16]}"
+
+
 @pytest.fixture
-def rosCas(cassandra, keyspace):
-    """A RosCassandra that is connected to a fresh keyspace."""
+def fresh(cassandra, cql):
+    """Makes a RosCassandra that is connected to a fresh keyspace, dropped when it is left."""
     from cassandra_ros import RosCassandra
 
-    with RosCassandra(cassandra.host, cassandra.port) as store:
-        store.connectToKeyspace(keyspace)
+    @contextlib.contextmanager
+    def make(name=None):
+        name = name or _keyspace_name()
+        # Not in the commit log, or its tables would be flushed to be dropped.
+        cql.execute(
+            f"CREATE KEYSPACE {name} WITH durable_writes = false AND replication = "
+            "{'class': 'NetworkTopologyStrategy', 'datacenter1': 1}"
+        )
+        try:
+            with RosCassandra(cassandra.host, cassandra.port) as store:
+                store.connectToKeyspace(name)
+                yield store
+        finally:
+            cql.execute(f"DROP KEYSPACE IF EXISTS {name}")
+
+    return make
+
+
+@pytest.fixture
+def rosCas(fresh, keyspace):
+    """A RosCassandra that is connected to a fresh keyspace."""
+    with fresh(keyspace) as store:
         yield store
 
 

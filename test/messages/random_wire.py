@@ -117,6 +117,22 @@ class WireMaker:
         return self.random.choice([0, 1, 999_999_999, self.random.randrange(10**9)])
 
 
+def fuzzed(wire, seed):
+    """Return wire bytes with bits flipped, a length gone wild, the end cut or something added."""
+    numbers = random.Random(seed)
+    changed = bytearray(wire)
+    for _ in range(numbers.choice([0, 0, 1, 4]) if wire else 0):
+        changed[numbers.randrange(len(wire))] ^= 1 << numbers.randrange(8)
+    if len(wire) >= 4 and numbers.random() < 0.4:
+        length = numbers.choice([0, 1, 2**16, 2**24, 2**31 - 1, 2**31, 2**32 - 1])
+        struct.pack_into("<I", changed, numbers.randrange(len(wire) - 3), length)
+    if numbers.random() < 0.4:
+        del changed[numbers.randrange(len(wire) + 1) :]
+    if numbers.random() < 0.4:
+        changed += numbers.getrandbits(8 * 9).to_bytes(9, "little")[: numbers.randrange(10)]
+    return bytes(changed)
+
+
 def installedTypes():
     """Return the names of all message types that packages on sys.path bring."""
     found = set()

@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 from messages.random_wire import SEPARATOR
 
 from cassandra_ros.errors import DefinitionError
+from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import deserialize, messageClass, serialize
 from cassandra_ros.messages.connection import liveConnection
 from cassandra_ros.messages.definition import definitionOf, parseDefinition, renderDefinition
+from cassandra_ros.topics.usable import FALLBACK_FORMAT, usableDefinition
 
 EVIL = "open('ran','w')"
 
@@ -204,6 +206,47 @@ def test_hostile_definition_in_a_live_header():
     connection = liveConnection("/x", header)
     with pytest.raises(DefinitionError):
         parseDefinition(connection.type, connection.definition_text, connection.md5sum)
+
+
+def hostileConnections():
+    """A connection for each definition that is refused, here or by genpy."""
+    for number, text in enumerate([*HOSTILE.values(), *GENPY_FAILS.values()]):
+        md5sum = "0" * 32
+        if number >= len(HOSTILE):
+            md5sum = parseDefinition("pkg/Type", text).md5sum
+        header = {"type": "pkg/Type", "md5sum": md5sum, "message_definition": text}
+        yield liveConnection(f"/hostile{number}", header)
+
+
+OTHER_FORMATS = [name for name in FORMATS if name != FALLBACK_FORMAT]
+
+
+@pytest.mark.parametrize("name", OTHER_FORMATS)
+def test_no_format_uses_a_hostile_definition(name):
+    for connection in hostileConnections():
+        definition, warning = usableDefinition(connection, name)
+        assert definition is None
+        assert f"topic {connection.topic} is kept as binary" in warning
+
+
+def test_topics_with_hostile_definitions_are_kept_as_binary(rosCas, caplog):
+    wires = [b"", b"\0\xff" * 3, b"x" * 5000]
+    connections = list(hostileConnections())
+    with rosCas.messageWriter() as writer:
+        for number, connection in enumerate(connections):
+            name = OTHER_FORMATS[number % len(OTHER_FORMATS)]
+            handle = writer.connect(connection, format=name)
+            writer.connect(connection, format=name)  # as another message does
+            assert handle.format == FALLBACK_FORMAT
+            for i, wire in enumerate(wires):
+                writer.write(handle, i, i, wire)
+    warnings = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert len(warnings) == len(connections)
+    for connection, warning in zip(connections, warnings):
+        assert f"topic {connection.topic} is kept as binary" in warning
+        rows = list(rosCas.getTopic(connection.topic).rows())
+        assert [row.wire for row in rows] == wires
+        assert rows[0].connection == connection
 
 
 SCRAPS = ["int8", "x", "=", "#", "[", "]", "3", "/", "pkg", "MSG:", "\n", " ", "=" * 80, "string"]

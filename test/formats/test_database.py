@@ -1,0 +1,69 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Random messages of all types, in every format, through the real database: equal bytes."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
+
+from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.messages.classes import installedDefinition
+from cassandra_ros.messages.connection import apiConnection
+from cassandra_ros.messages.definition import parseDefinition
+
+SEEDS = st.integers(0, 2**32)
+every_format = pytest.mark.parametrize("name", FORMATS)
+
+TABLES = 50
+"""How many topics one keyspace gets: each table costs the server memory until it is dropped."""
+STRETCH_NS = 1000
+
+
+def checkStored(rosCas, name, definitions, examples):
+    """Write random messages of all definitions, a topic for each; read back what was written."""
+    with rosCas.messageWriter(format=name, linger_sec=0.01) as writer:
+        topics = {f"/topic{number}": found for number, found in enumerate(definitions)}
+        handles = [writer.connect(apiConnection(t, d, "/test")) for t, d in topics.items()]
+        assert {handle.format for handle in handles} <= {name, "binary"}
+        begins = iter(range(0, 10**9, STRETCH_NS))
+
+        # At most so many examples; those that hypothesis tries again lie in their own stretch.
+        @settings(max_examples=examples, deadline=None)
+        @given(seed=SEEDS)
+        def check(seed):
+            begin = next(begins)
+            wires = {}
+            for handle, definition in zip(handles, definitions):
+                makers = [WireMaker(definition, seed + i, odd=bool(i % 2)) for i in range(4)]
+                made = [maker.make() for maker in makers]
+                wires[handle.topic] = [*made, fuzzed(made[-1], seed)]
+                for i, wire in enumerate(wires[handle.topic]):
+                    writer.write(handle, begin + i // 2, begin + i, wire)  # pairs of equal stamps
+            writer.flush()
+            for topic, expected in wires.items():
+                rows = rosCas.getTopic(topic).rows(begin, begin + STRETCH_NS - 1)
+                assert [row.wire for row in rows] == expected, topics[topic].type
+
+        check()
+
+
+@every_format
+def test_every_installed_type_comes_back_equal(fresh, name, record_property):
+    types = installedTypes()
+    record_property("told", f"{len(types)} message types came back equal in format {name}")
+    assert len(types) >= 200
+    for first in range(0, len(types), TABLES):
+        with fresh() as rosCas:
+            batch = [installedDefinition(t) for t in types[first : first + TABLES]]
+            checkStored(rosCas, name, batch, examples=3)
+
+
+@every_format
+def test_random_types_come_back_equal(fresh, name):
+    makers = [DefinitionMaker(seed, depth=seed % 5) for seed in range(40)]
+    definitions = [parseDefinition(*maker.make()) for maker in makers]
+    with fresh() as rosCas:
+        checkStored(rosCas, name, definitions, examples=4)

@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Broken buffers and broken columns: exactly stored, or CorruptMessage, in bounded memory."""
+
+from __future__ import annotations
+
+import contextlib
+import tracemalloc
+from functools import lru_cache
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.formats.table import FORMATS, formatClass
+from cassandra_ros.messages.classes import installedDefinition, messageClass
+from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.wire_count import MAX_SURPLUS, compileObjectCheck
+
+SEEDS = st.integers(0, 2**32)
+every_format = pytest.mark.parametrize("name", FORMATS)
+
+# What a message object of one byte, in a list, may take, and text about it.
+BYTES_A_BYTE = 1500
+BYTES_ALWAYS = 4 << 20
+BYTES_AN_OBJECT = 100
+
+
+@contextlib.contextmanager
+def bounded(definition, size):
+    """Fail where much more memory is taken than the bytes of a message explain."""
+    limit = BYTES_ALWAYS + size * BYTES_A_BYTE
+    if compileObjectCheck(definition.type, definition.specs) is not None:
+        limit += MAX_SURPLUS * BYTES_AN_OBJECT  # arrays of empty messages
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[1] < limit, definition.type
+    finally:
+        tracemalloc.stop()
+
+
+TYPES = installedTypes()
+
+
+@lru_cache(maxsize=None)
+def storageOf(name, number):
+    """A storage of an installed type, or from their number on of a random one."""
+    if number < len(TYPES):
+        definition = installedDefinition(TYPES[number])
+    else:
+        definition = parseDefinition(*DefinitionMaker(number).make())
+    messageClass(definition)
+    return formatClass(name)(definition.type, definition.md5sum, definition)
+
+
+def makeWire(storage, seed):
+    return WireMaker(storage.definition, seed, odd=bool(seed % 2)).make()
+
+
+@every_format
+@settings(deadline=None, max_examples=500)
+@given(number=st.integers(0, len(TYPES) + 50), seed=SEEDS, fuzz=SEEDS)
+def test_broken_buffers_are_stored_exactly(name, number, seed, fuzz):
+    storage = storageOf(name, number)
+    wire = makeWire(storage, seed)
+    broken = fuzzed(wire, fuzz)
+    with bounded(storage.definition, len(wire) + len(broken)):
+        encoded = storage.encodeWire(broken)
+        assert storage.decodeWire(encoded.columns, encoded.raw) == broken
+        try:
+            message = storage.decode(encoded)
+        except CorruptMessage:
+            return
+        assert type(message) is messageClass(storage.definition)
+
+
+@every_format
+@settings(deadline=None, max_examples=500)
+@given(number=st.integers(0, len(TYPES) + 50), seed=SEEDS, fuzz=SEEDS)
+def test_broken_columns_are_bytes_or_corrupt(name, number, seed, fuzz):
+    storage = storageOf(name, number)
+    wire = makeWire(storage, seed)
+    columns = list(storage.encodeWire(wire).columns)
+    if not columns:
+        return
+    which = fuzz % len(columns)
+    columns[which] = fuzzed(columns[which] or b"", fuzz)
+    with bounded(storage.definition, sum(len(column or b"") for column in columns)):
+        try:
+            assert type(storage.decodeWire(columns, None)) is bytes
+        except CorruptMessage:
+            pass
