@@ -58,13 +58,13 @@ def test_every_size_comes_back(rosCas, cql, format_name):
     messages = [messageOf(size) for size in SIZES]
     with rosCas.messageWriter(format=format_name) as writer:
         handle = connect(writer)
-        seqs = [writer.write(handle, T0 + n, n, serialize(m)) for n, m in enumerate(messages)]
+        rows = [writer.write(handle, T0 + n, n, serialize(m)) for n, m in enumerate(messages)]
     topic = rosCas.getTopic("/big")
     assert [topic.getData(T0 + n) for n in range(len(SIZES))] == messages
     assert [row.size for row in topic.rows()] == SIZES
     assert rosCas.info()[0].bytes == sum(SIZES)
     assert chunksOf(cql, rosCas) == {
-        (T0 + n, seqs[n]): -(-size // CHUNK_BYTES)
+        (T0 + n, rows[n].seq): -(-size // CHUNK_BYTES)
         for n, size in enumerate(SIZES)
         if size > CHUNK_BYTES
     }

@@ -113,16 +113,22 @@ def asked(rosCas, monkeypatch):
     return found
 
 
-def test_reading_an_expired_stretch_does_not_slow_down(rosCas, cql, asked):
+def test_reading_an_expired_stretch_asks_for_none_of_it(rosCas, cql, asked):
     with rosCas.messageWriter(ttl=2) as writer:
         fill(writer, 200)
     topic = rosCas.getTopic("/a")
     (table,) = topic.tables
     assert table.metadata.bucket_ns == SEC
     await_expiry(cql, rosCas, table.name)
-    asked.clear()
-    assert list(topic.items()) == []
-    print(f"a read of 200 expired buckets asks {len(asked)} partitions")
-    asked.clear()
-    assert topic.countTopicData() == 0
-    print(f"a count of 200 expired buckets asks {len(asked)} partitions")
+    # Closed buckets are left out by their age, which two servers may tell a little differently.
+    deadline = time.monotonic() + 15
+    while time.monotonic() < deadline:
+        asked.clear()
+        assert list(topic.items()) == []
+        if not asked:
+            break
+        time.sleep(0.2)
+    assert len(asked) == 0
+    assert topic.countTopicData() == rosCas.info()[0].count == 0
+    assert topic.getData(T0, nearest="either", default=None) is None
+    assert len(asked) == 0
