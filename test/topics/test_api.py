@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import threading
-
 import genpy
 import pytest
 from geometry_msgs.msg import TransformStamped, Twist
@@ -273,32 +271,6 @@ def test_clock_of_simulated_time(monkeypatch):
     monkeypatch.setitem(sys.modules, "rospy", rospy)
     with pytest.raises(ClockNotSet, match="/clock"):
         nowNs(None)
-
-
-def test_two_processes_make_a_topic_at_once(cassandra, keyspace):
-    """Clients with connections of their own end with one table, and both can write."""
-    stores = [RosCassandra(cassandra.host, cassandra.port, keyspace=keyspace) for _ in range(3)]
-    for number in range(5):
-        errors = []
-
-        def work(store, number=number, errors=errors):
-            try:
-                store.addTopic(f"/t{number}").addData(String(data="x"))
-            except Exception as exc:  # noqa: BLE001 - handed to the test below
-                errors.append(exc)
-
-        threads = [threading.Thread(target=work, args=(store,)) for store in stores]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        assert not errors
-        topic = stores[0].getTopic(f"/t{number}")
-        stores[0].parts.schema.tables(fresh=True)
-        assert len(topic.tables) == 1
-        assert topic.countTopicData() == 3
-    for store in stores:
-        store.close()
 
 
 def test_a_dropped_topic_brings_nothing_back(rosCas):

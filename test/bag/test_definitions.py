@@ -1,0 +1,171 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Definitions that change, have two names, or are not installed: through recorder and importer."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+from bag.truth import read_with_rosbag, string_connection, string_wire
+from std_msgs.msg import Int32, String
+from tf2_msgs.msg import TFMessage
+
+from cassandra_ros.bag.exporter import exportBag
+from cassandra_ros.bag.importer import importBag
+from cassandra_ros.bag.recorder import Recorder
+from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.errors import TypeMismatch
+from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.messages.classes import serialize, toYaml
+from cassandra_ros.messages.connection import liveConnection
+from cassandra_ros.messages.definition import parseDefinition
+
+T0 = 1_500_000_000 * 10**9
+every_format = pytest.mark.parametrize("form", FORMATS)
+two_formats = pytest.mark.parametrize("form", ["binary", "ros"])
+
+OLD_STRING = "string data\nint8 level\n"
+THING = "int32 number\nstring[] names\nlost_msgs/Part[] parts\n" + "=" * 80
+THING += "\nMSG: lost_msgs/Part\ntime stamp\nfloat32 value\n"
+THING_WIRE = b"\1\0\0\0\2\0\0\0hi" + b"\1\0\0\0" + bytes(8) + b"\0\0\x80?"
+
+
+def header(type_, definition):
+    return {
+        "type": type_,
+        "md5sum": parseDefinition(type_, definition).md5sum,
+        "message_definition": definition,
+        "callerid": "/x",
+    }
+
+
+STRING, INT32 = (header(cls._type, cls._full_text) for cls in (String, Int32))
+OLD = header("std_msgs/String", OLD_STRING)
+
+
+def write_bag(path, messages):
+    """Write (header, wire) as messages of topic /t, one a nanosecond; one connection a header."""
+    with BagWriter(path) as writer:
+        numbers = {}
+        for n, (fields, wire) in enumerate(messages):
+            key = tuple(sorted(fields.items()))
+            if key not in numbers:
+                numbers[key] = writer.connection(string_connection("/t", **fields))
+            writer.write(numbers[key], T0 + n, wire)
+    return path
+
+
+def by_import(rosCas, tmp_path, messages, form):
+    importBag(rosCas, write_bag(tmp_path / f"{len(messages)}.bag", messages), format=form)
+
+
+def by_writer(rosCas, tmp_path, messages, form):
+    with rosCas.messageWriter(format=form) as writer:
+        for n, (fields, wire) in enumerate(messages):
+            writer.write(writer.connect(liveConnection("/t", fields)), T0 + n, n, wire)
+
+
+def by_recorder(rosCas, tmp_path, messages, form):
+    times = iter(range(T0, T0 + len(messages)))
+    recorder = Recorder(rosCas, format=form, clock=lambda: next(times))
+    for fields, wire in messages:
+        recorder.received("/t", fields, wire)
+    assert sum(report.lost for report in recorder.close()) == 0
+
+
+@pytest.mark.parametrize(
+    ("put", "form"), [(by_import, "ros"), (by_writer, "binary"), (by_recorder, "ros")]
+)
+def test_a_second_definition_lies_beside_the_first(rosCas, tmp_path, caplog, form, put):
+    caplog.set_level(logging.WARNING, "cassandra_ros")
+    first = [(STRING, string_wire(f"text {n}")) for n in range(4)]
+    put(rosCas, tmp_path, first, form)
+    assert caplog.messages == []
+    both = [part for n in range(5) for part in (first[n % 4], (INT32, serialize(Int32(n))))]
+    put(rosCas, tmp_path, both, form)
+    (warning,) = caplog.messages
+    for word in ("/t", "std_msgs/String", String._md5sum, "std_msgs/Int32", Int32._md5sum):
+        assert word in warning
+    caplog.clear()
+    put(rosCas, tmp_path, both, form)
+    assert caplog.messages == []
+
+    topic = rosCas.getTopic("/t")
+    assert len(topic.tables) == 2
+    rows = list(topic.rows())
+    assert [row.t for row in rows] == sorted(row.t for row in rows)
+    for row in rows:
+        assert type(row.message()) is (Int32 if row.md5sum == Int32._md5sum else String)
+    assert {(i.type, i.md5sum) for i in rosCas.info()} == {
+        ("std_msgs/String", String._md5sum),
+        ("std_msgs/Int32", Int32._md5sum),
+    }
+    assert sum(info.count for info in rosCas.info()) == len(rows)
+    with pytest.raises(TypeMismatch, match="nothing was stored"):
+        topic.addData(TFMessage())
+    assert topic.countTopicData() == len(rows)
+
+
+def test_a_third_definition_is_one_warning_too(rosCas, tmp_path, caplog):
+    caplog.set_level(logging.WARNING, "cassandra_ros")
+    messages = [(STRING, string_wire("a")), (INT32, bytes(4)), (OLD, string_wire("b") + b"\7")]
+    by_writer(rosCas, tmp_path, messages[:2], "ros")
+    caplog.clear()
+    by_writer(rosCas, tmp_path, messages, "ros")
+    (warning,) = caplog.messages
+    assert OLD["md5sum"] in warning
+
+
+@two_formats
+def test_two_names_of_a_definition_share_a_table(rosCas, tmp_path, form):
+    names = [header(name, TFMessage._full_text) for name in ("tf/tfMessage", "tf2_msgs/TFMessage")]
+    wire = serialize(TFMessage())
+    path = write_bag(tmp_path / "a.bag", [(names[n % 2], wire) for n in range(6)])
+    importBag(rosCas, path, format=form)
+    topic = rosCas.getTopic("/t")
+    assert len(topic.tables) == 1
+    assert [row.type for row in topic.rows()] == ["tf/tfMessage", "tf2_msgs/TFMessage"] * 3
+    assert [m._type for _, m in topic.items()] == ["tf/tfMessage", "tf2_msgs/TFMessage"] * 3
+    exportBag(rosCas, tmp_path / "out.bag")
+    assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)
+
+
+@every_format
+def test_a_type_that_is_not_installed_is_one_like_any(rosCas, tmp_path, form):
+    fields = header("lost_msgs/Thing", THING)
+    messages = [(fields, n.to_bytes(4, "little") + THING_WIRE) for n in range(5)]
+    path = write_bag(tmp_path / "a.bag", messages)
+    importBag(rosCas, path, format=form)
+    topic = rosCas.getTopic("/t")
+    found = [message for _, message in topic.items()]
+    assert [(m._type, m.number, m.names, m.parts[0].value) for m in found] == [
+        ("lost_msgs/Thing", n, ["hi"], 1.0) for n in range(5)
+    ]
+    assert {"number: 3", "names:", "    value: 1.0"} <= set(toYaml(found[3]).splitlines())
+    assert rosCas.executeCQL("select number, parts.value from /t where number > 2") == [
+        (3, 1.0),
+        (4, 1.0),
+    ]
+    # Its objects can be stored again.
+    key = topic.addData(found[2], key=T0 + 10)
+    assert topic.getData(key) == found[2]
+    topic.removeData(key)
+    exportBag(rosCas, tmp_path / "out.bag")
+    assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)
+
+
+@two_formats
+def test_an_installed_name_with_another_definition_is_read_by_the_stored_one(
+    rosCas, tmp_path, form
+):
+    messages = [(OLD, string_wire("old") + b"\5"), (STRING, string_wire("new"))]
+    path = write_bag(tmp_path / "a.bag", messages)
+    importBag(rosCas, path, format=form)
+    old, new = (message for _, message in rosCas.getTopic("/t").items())
+    assert type(new) is String
+    assert type(old) is not String
+    assert (old._type, old._md5sum, old.data, old.level) == (*list(OLD.values())[:2], "old", 5)
+    assert rosCas.executeCQL("select level from /t where level = 5") == [(5,)]
+    exportBag(rosCas, tmp_path / "out.bag")
+    assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)

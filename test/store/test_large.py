@@ -1,0 +1,249 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Messages of 1 byte to 200 MB: their chunks, no orphans, never a torn one."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from std_msgs.msg import UInt8MultiArray
+
+from cassandra_ros.errors import CorruptMessage, MessageNotFound
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection import apiConnection
+from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.store.row_table import CHUNK_BYTES
+
+ROOT = Path(__file__).resolve().parents[2]
+SEC = 10**9
+T0 = 1_500_000_000 * SEC
+FRAME_BYTES = len(serialize(UInt8MultiArray()))
+MB = 10**6
+
+SIZES = [
+    *(FRAME_BYTES, FRAME_BYTES + 1, FRAME_BYTES + 2),
+    *(64 * 1024 - 1, 64 * 1024, 64 * 1024 + 1),
+    *(CHUNK_BYTES - 1, CHUNK_BYTES, CHUNK_BYTES + 1),
+    *(2 * CHUNK_BYTES, 5 * MB),
+]
+
+
+def messageOf(size):
+    """Make a message of so many serialised bytes; no two of its chunks are alike."""
+    message = UInt8MultiArray(data=os.urandom(size - FRAME_BYTES))
+    message.layout.data_offset = 7
+    return message
+
+
+def connect(writer):
+    return writer.connect(apiConnection("/big", definitionOf(UInt8MultiArray), "/x"))
+
+
+def chunksOf(cql, rosCas):
+    """Count the chunks of each message as the bare driver sees them: (t, seq) → chunks."""
+    (table,) = rosCas.getTopic("/big").tables
+    found = {}
+    for t, seq in cql.execute(f'SELECT "_t", "_seq" FROM {rosCas.keyspace}."{table.name}_c"'):
+        found[t, seq] = found.get((t, seq), 0) + 1
+    return found
+
+
+@pytest.mark.parametrize("format_name", ["binary", "ros"])
+def test_every_size_comes_back(rosCas, cql, format_name):
+    messages = [messageOf(size) for size in SIZES]
+    with rosCas.messageWriter(format=format_name) as writer:
+        handle = connect(writer)
+        rows = [writer.write(handle, T0 + n, n, serialize(m)) for n, m in enumerate(messages)]
+    topic = rosCas.getTopic("/big")
+    assert [topic.getData(T0 + n) for n in range(len(SIZES))] == messages
+    assert [row.size for row in topic.rows()] == SIZES
+    assert rosCas.info()[0].bytes == sum(SIZES)
+    assert chunksOf(cql, rosCas) == {
+        (T0 + n, rows[n].seq): -(-size // CHUNK_BYTES)
+        for n, size in enumerate(SIZES)
+        if size > CHUNK_BYTES
+    }
+    # Their scalar columns are filled even where the bytes lie elsewhere.
+    offsets = rosCas.executeCQL("select layout.data_offset from /big")
+    assert offsets == [(7,)] * len(SIZES)
+
+
+def test_deletes_leave_no_orphan(rosCas, cql):
+    topic = rosCas.addTopic("/big", "binary")
+    keys = [topic.addData(messageOf(CHUNK_BYTES + 1), key=T0 + n * 300 * SEC) for n in range(6)]
+    topic.addData(messageOf(100), key=T0 + SEC)
+    assert len(chunksOf(cql, rosCas)) == 6
+    topic.removeData(keys[0])
+    assert sorted(t for t, _ in chunksOf(cql, rosCas)) == [key.ns for key in keys[1:]]
+    topic.removeData(keys[5].ns)
+    assert topic.removeData(T0, keys[3]) == 4
+    assert sorted(t for t, _ in chunksOf(cql, rosCas)) == [keys[4].ns]
+    assert [key for key, _ in topic.items()] == [keys[4]]
+    assert topic.countTopicData() == rosCas.info()[0].count == 1
+    topic.removeData(0, keys[4])
+    assert chunksOf(cql, rosCas) == {}
+
+
+# ------------------------------------------------------------------ torn messages
+
+HALF_WRITTEN = """
+import os, signal, sys
+from cassandra_ros import RosCassandra
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection import apiConnection
+from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.store.flight import Flight
+from cassandra_ros.store.large import LargeMessages
+from std_msgs.msg import UInt8MultiArray
+
+host, port, keyspace, where = sys.argv[1:]
+rosCas = RosCassandra(host, int(port), keyspace=keyspace)
+writer = rosCas.messageWriter(writer_id=77)
+handle = writer.connect(apiConnection("/big", definitionOf(UInt8MultiArray), "/x"))
+wires = [serialize(UInt8MultiArray(data=bytes([n]) * 3_000_000)) for n in range(2)]
+writer.write(handle, 10**18, 0, wires[0])
+writer.flush()
+if where == "before the row":
+    LargeMessages.commit = lambda self: None
+else:
+    submit, chunks = Flight.submit, []
+    def third(flight, statement, *rest):
+        chunks.append(statement)
+        if len(chunks) == 3:
+            flight.wait()
+            os.kill(os.getpid(), signal.SIGKILL)
+        submit(flight, statement, *rest)
+    Flight.submit = third
+writer.write(handle, 10**18 + 1, 1, wires[1])
+writer._rows._large.wait()
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize(("where", "chunks"), [("before the row", 6), ("between chunks", 2)])
+def test_a_writer_that_is_killed_leaves_no_torn_message(
+    rosCas, cassandra, keyspace, cql, where, chunks
+):
+    child = subprocess.run(
+        [sys.executable, "-c", HALF_WRITTEN, cassandra.host, str(cassandra.port), keyspace, where],
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        timeout=60,
+    )
+    assert child.returncode == -signal.SIGKILL
+    topic = rosCas.getTopic("/big")
+    whole, torn = 10**18, 10**18 + 1
+    assert sorted(chunksOf(cql, rosCas).values()) == sorted([6, chunks])
+    assert [key.ns for key, _ in topic.items()] == [whole]
+    assert [key.ns for key, _ in topic.items(reverse=True)] == [whole]
+    assert topic.countTopicData() == rosCas.info()[0].count == 1
+    assert topic.getData(torn, default=None) is None
+    assert topic.getData(torn, nearest="either").data[:1] == b"\0"
+    with pytest.raises(MessageNotFound):
+        topic.getData(torn)
+
+    # The next run does the same again, as an import does that is repeated.
+    with rosCas.messageWriter(writer_id=77) as writer:
+        handle = connect(writer)
+        for n in range(2):
+            wire = serialize(UInt8MultiArray(data=bytes([n]) * 3_000_000))
+            writer.write(handle, 10**18 + n, n, wire)
+    assert [m.data[:1] for _, m in topic.items()] == [b"\0", b"\1"]
+    assert topic.getData(torn).data == b"\1" * 3_000_000
+    assert topic.countTopicData() == rosCas.info()[0].count == 2
+    assert sorted(chunksOf(cql, rosCas).values()) == [6, 6]
+
+
+CHANGES = [
+    ('DELETE FROM {} WHERE {} AND "_chunk" = 1', "1 of 3 chunks"),
+    ('DELETE FROM {} WHERE {} AND "_chunk" = 2', "2 of 3 chunks"),
+    ("DELETE FROM {} WHERE {}", "0 of 3 chunks"),
+    ('UPDATE {} SET "_data" = 0x00 WHERE {} AND "_chunk" = 1', "3 of 3 chunks, .* bytes"),
+    ('UPDATE {} SET "_data" = $ WHERE {} AND "_chunk" = 1', "wrong checksum"),
+]
+
+
+def test_what_was_changed_is_corrupt_and_the_others_are_not(rosCas, cql):
+    topic = rosCas.addTopic("/big", "binary")
+    count = len(CHANGES) + 2
+    keys = [topic.addData(messageOf(2 * CHUNK_BYTES + 9), key=T0 + n) for n in range(count)]
+    table = topic.tables[0]
+    chunk_table = f'{rosCas.keyspace}."{table.name}_c"'
+
+    def change(n, statement):
+        where = (
+            f'"_node" = \'\' AND "_bucket" = {table.bucketOf(T0 + n)} AND "_t" = {T0 + n} '
+            f'AND "_seq" = {keys[n].seq}'
+        )
+        if "$" in statement:
+            rows = cql.execute(f'SELECT "_data" FROM {chunk_table} WHERE {where} AND "_chunk" = 1')
+            data = bytearray(rows.one()[0])
+            data[5000] ^= 1
+            statement = statement.replace("$", "0x" + data.hex())
+        cql.execute(statement.format(chunk_table, where))
+
+    for n, (statement, _) in enumerate(CHANGES):
+        change(n, statement)
+    change(count - 2, 'UPDATE {} SET "_data" = 0x00 WHERE {} AND "_chunk" = 3')  # one too many
+    for n, (_, words) in enumerate(CHANGES):
+        with pytest.raises(CorruptMessage, match=f"/big at {T0 + n} .*{words}"):
+            topic.getData(keys[n])
+    for key in keys[len(CHANGES) :]:
+        assert topic.getData(key).layout.data_offset == 7
+    assert topic.countTopicData() == len(list(topic.rows())) == count
+
+
+# ------------------------------------------------------------------ 200 MB
+
+HUGE = """
+import hashlib, resource, sys
+from cassandra_ros import RosCassandra
+from cassandra_ros.messages.connection import apiConnection
+from cassandra_ros.messages.definition import definitionOf
+from std_msgs.msg import UInt8MultiArray
+
+host, port, keyspace, verb = sys.argv[1:]
+peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1000
+with RosCassandra(host, int(port), keyspace=keyspace) as rosCas:
+    before = peak()
+    if verb == "write":
+        size = 200 * 10**6
+        block = hashlib.sha256(b"1").digest() * 2**15
+        last = [block[: size % len(block)]]
+        head = bytes(8) + size.to_bytes(4, "little")
+        wire = b"".join([head] + [block] * (size // len(block)) + last)
+        before = peak()
+        with rosCas.messageWriter(format="binary") as writer:
+            handle = writer.connect(apiConnection("/big", definitionOf(UInt8MultiArray), "/x"))
+            writer.write(handle, 10**18, 0, wire)
+    else:
+        wire = rosCas.getTopic("/big").getRow(10**18).wire
+    print(len(wire), hashlib.sha256(wire).hexdigest(), peak() - before)
+"""
+
+
+def test_200_megabytes(rosCas, cassandra, keyspace, cql):
+    def run(verb):
+        child = subprocess.run(
+            [sys.executable, "-c", HUGE, cassandra.host, str(cassandra.port), keyspace, verb],
+            env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+            stdout=subprocess.PIPE,
+            text=True,
+            timeout=120,
+            check=True,
+        )
+        size, digest, more = child.stdout.split()
+        return (int(size), digest), int(more)
+
+    written, more_to_write = run("write")
+    assert list(chunksOf(cql, rosCas).values()) == [-(-written[0] // CHUNK_BYTES)]
+    read, more_to_read = run("read")
+    assert read == written
+    # Over the message itself: what is in the air; its parts once more while they are joined.
+    assert more_to_write < 150, more_to_write
+    assert more_to_read < 2 * 200 + 150, more_to_read
+    print(f"200 MB: {more_to_write} MB more to write, {more_to_read} MB to read")

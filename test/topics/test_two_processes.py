@@ -1,0 +1,159 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Clients in processes of their own on one topic: it is made, dropped and made anew meanwhile."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from std_msgs.msg import String
+
+from cassandra_ros.messages.connection import apiConnection
+from cassandra_ros.messages.definition import definitionOf
+
+ROOT = Path(__file__).resolve().parents[2]
+SEC = 10**9
+
+
+class Child:
+    def __init__(self, process):
+        self.process = process
+        assert self.hear() == "ready"
+
+    def say(self, *words):
+        self.process.stdin.write(json.dumps(words) + "\n")
+        self.process.stdin.flush()
+
+    def hear(self):
+        return self.process.stdout.readline().rstrip("\n")
+
+    def answer(self):
+        return json.loads(self.hear())
+
+
+@contextmanager
+def children(count, cassandra, keyspace):
+    """Start clients that are connected; they end with their stdin."""
+    arguments = [cassandra.host, str(cassandra.port), keyspace]
+    processes = [
+        subprocess.Popen(
+            [sys.executable, str(ROOT / "test/topics/writing_process.py"), *arguments],
+            env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(count)
+    ]
+    # A client that hangs fails the test by its silence.
+    patience = threading.Timer(60, lambda: [process.kill() for process in processes])
+    patience.start()
+    try:
+        yield [Child(process) for process in processes]
+        for process in processes:
+            process.stdin.close()
+            assert process.wait(30) == 0
+    finally:
+        patience.cancel()
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def test_two_processes_make_a_topic_at_once(rosCas, cassandra, keyspace, cql):
+    with children(2, cassandra, keyspace) as pair:
+        for number in range(20):
+            for name, child in zip("ab", pair):
+                child.say("make", f"/t{number}", name)
+            answers = [child.answer() for child in pair]
+            assert not any("error" in answer for answer in answers), answers
+    for number in range(20):
+        tables = [
+            name
+            for name, comment in cql.execute(
+                "SELECT table_name, comment FROM system_schema.tables WHERE keyspace_name = %s",
+                (keyspace,),
+            )
+            if f'"topic": "/t{number}"' in comment
+        ]
+        assert len(tables) == 1
+        topic = rosCas.getTopic(f"/t{number}")
+        assert sorted(m.data for _, m in topic.items()) == ["a", "b"]
+        assert topic.countTopicData() == 2
+
+
+def drop_and_make(rosCas, times):
+    """Drop the topic and make it again, each time with buckets of another length."""
+    for number in range(times):
+        time.sleep(0.3)
+        rosCas.removeTopic("/t")
+        if number % 2:
+            time.sleep(0.2)  # the writer makes it itself
+        with rosCas.messageWriter(nodeID="other") as writer:
+            handle = writer.connect(
+                apiConnection("/t", definitionOf(String), "/d"), bucket_ns=(number % 3 + 1) * SEC
+            )
+            writer.write(handle, 5 * SEC, number, b"\5\0\0\0other")
+
+
+def rows_of_the_last_table(cql, keyspace):
+    """Read the one table as it lies there: its name, comment, and (bucket, t, text) of the rows."""
+    tables = [
+        (name, json.loads(comment)["cassandra_ros"])
+        for name, comment in cql.execute(
+            "SELECT table_name, comment FROM system_schema.tables WHERE keyspace_name = %s",
+            (keyspace,),
+        )
+        if comment.startswith('{"cassandra_ros"')
+    ]
+    assert len(tables) == 1
+    ((name, comment),) = tables
+    found = cql.execute(f'SELECT "_node", "_bucket", "_t", "data" FROM {keyspace}."{name}"')
+    return name, comment, [tuple(row) for row in found]
+
+
+@pytest.mark.parametrize("how", ["addData", "messageWriter"])
+def test_a_writer_goes_on_while_its_topic_is_dropped_and_made_anew(
+    rosCas, cassandra, keyspace, cql, how
+):
+    rosCas.addTopic("/t", msg_type="std_msgs/String")
+    with children(1, cassandra, keyspace) as (child,):
+        child.say("write", how, "/t")
+        child.answer()
+        drop_and_make(rosCas, 4)
+        time.sleep(0.3)
+        child.say("end")
+        told = child.answer()
+    name, comment, rows = rows_of_the_last_table(cql, keyspace)
+    assert told["failure"] == ""
+    assert all(t // comment["bucket_ns"] == bucket for _, bucket, t, _ in rows)
+    rosCas.parts.schema.tables(fresh=True)
+    assert rosCas.getTopic("/t").countTopicData() == len(rows)
+
+    stored = {int(text) for node, _, _, text in rows if node != "other"}
+    made = comment["generation"]  # time.time_ns() of its making
+    # What was taken before the table was made has gone with an older one.
+    assert stored <= {number for number, _, taken, _, _ in told["written"] if taken > made}
+    after = {number for number, begun, _, _, _ in told["written"] if begun > made}
+    assert len(after) >= 50
+    if how == "addData":
+        acknowledged = {n for n, _, _, table, error in told["written"] if table == name}
+        assert acknowledged == stored
+        errors = [error for *_, error in told["written"] if error]
+        assert after <= stored, errors
+    else:
+        assert told["ours"], told["causes"]
+        assert told["stats_stored"] + told["stats_lost"] == len(told["written"])
+        assert told["stats_lost"] == told["lost"]
+        assert len(after - stored) <= told["lost"]
+        # Behind the first flush there is nobody left who drops.
+        assert told["lost"] == told["lost_before"]
+        assert set(range(told["flushed"], len(told["written"]))) <= stored
