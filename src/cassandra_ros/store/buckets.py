@@ -40,6 +40,14 @@ def limitForTtl(bucket_ns: int, ttl_sec: int) -> int:
     return fitting[-1] if fitting else BUCKET_LENGTHS[0]
 
 
+def slotTtl(bucket_ns: int, ttl_sec: int) -> int:
+    """Return how long a slot of the directory is needed from its first bucket on, seconds.
+
+    0 = for ever. A writer notes the slot once, and may fill its buckets till the slot ends.
+    """
+    return ttl_sec and SLOT_BUCKETS * bucket_ns // SECOND_NS + ttl_sec
+
+
 def slotOf(bucket: int) -> int:
     """Return the directory partition in which a bucket is listed."""
     return bucket // SLOT_BUCKETS

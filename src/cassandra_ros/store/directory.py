@@ -76,7 +76,9 @@ class Directory:
         self._nodes = (
             f"SELECT slot, node FROM {space}.cr_node WHERE tbl = ? AND slot >= ? AND slot <= ?"
         )
-        self._add_node = f"INSERT INTO {space}.cr_node (tbl, slot, node) VALUES (?, ?, ?)"
+        self._add_node = (
+            f"INSERT INTO {space}.cr_node (tbl, slot, node) VALUES (?, ?, ?) USING TTL ?"
+        )
         self._buckets = (
             "SELECT bucket, writer, state, heartbeat, n, bytes, largest, t_min, t_max, odd, "
             f"deleted, toTimestamp(now()) FROM {space}.cr_bucket "
@@ -155,9 +157,14 @@ class Directory:
         )
         return [_bucketRow(node, row) for row in rows]
 
-    def addNode(self, table: str, slot: int, node: str) -> None:
-        """Note that a node has buckets in this slot; before the first of them."""
-        self._run(self._add_node, (table, slot, node), what="writing the directory of nodes")
+    def addNode(self, table: str, slot: int, node: str, ttl: int = 0) -> None:
+        """Note that a node has buckets in this slot; before the first of them.
+
+        Args:
+            ttl: Seconds until the last row in the slot may have expired; 0 = never.
+        """
+        params = (table, slot, node, _ttl(ttl))
+        self._run(self._add_node, params, what="writing the directory of nodes")
 
     def markDeleted(self, table: str, node: str, bucket: int, writer: int, ttl: int) -> None:
         """Mark a bucket as deleted from: no count holds until the next recount.

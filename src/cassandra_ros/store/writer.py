@@ -9,7 +9,7 @@ import threading
 import time
 
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound, WriteFailed
-from cassandra_ros.store.buckets import slotOf
+from cassandra_ros.store.buckets import slotOf, slotTtl
 from cassandra_ros.store.chunks import isLarge
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.counting import recount
@@ -107,13 +107,13 @@ class RowWriter:
 
     def _nameBucket(self, table: RowTable, node: str, name: str) -> OpenBucket:
         # The directory only tells which nodes there are: the table itself lists its names.
-        self._addNode((table.name, 0, node))
+        self._addNode((table.name, 0, node), 0)
         self.stats.setdefault(table.name, WriteStats())
         return OpenBucket(table, node, 0, True, name)
 
-    def _addNode(self, slot: tuple[str, int, str]) -> None:
+    def _addNode(self, slot: tuple[str, int, str], ttl: int) -> None:
         if slot not in self._slots:
-            self._directory.addNode(*slot)
+            self._directory.addNode(*slot, ttl)
             self._slots.add(slot)
 
     def _bucket(self, table: RowTable, node: str, number: int) -> OpenBucket:
@@ -130,7 +130,8 @@ class RowWriter:
         return bucket
 
     def _open(self, table: RowTable, node: str, number: int) -> OpenBucket:
-        self._addNode((table.name, slotOf(number), node))
+        metadata = table.metadata
+        self._addNode((table.name, slotOf(number), node), slotTtl(metadata.bucket_ns, metadata.ttl))
         rows = self._directory.find(table.name, node, number)
         known = any(row.writer == self._writer_id for row in rows)
         self._directory.open(table.name, node, number, self._writer_id, table.metadata.ttl)
@@ -269,6 +270,8 @@ class RowWriter:
         self._closeAll()
 
     def _closeOrLeave(self, bucket: OpenBucket) -> None:
+        if bucket.table.name in self.gone:
+            return  # its directory went with it, and each try would wait for the table
         try:
             self._close(bucket)
         except StoreUnavailable:

@@ -76,13 +76,13 @@ class Keyspace:
         for table in stored:
             if (table.metadata.md5sum, table.metadata.format) == (metadata.md5sum, metadata.format):
                 return table
-            if table.metadata.md5sum != metadata.md5sum:
-                _log.warning(
-                    "topic %s was stored with type %s [%s] and goes on with %s [%s] in a table of "
-                    "its own; reading merges both",
-                    *(metadata.topic, table.metadata.msg_type, table.metadata.md5sum),
-                    *(metadata.msg_type, metadata.md5sum),
-                )
+        if stored and all(t.metadata.md5sum != metadata.md5sum for t in stored):
+            _log.warning(
+                "topic %s was stored with type %s [%s] and goes on with %s [%s] in a table of "
+                "its own; reading merges both",
+                *(metadata.topic, stored[0].metadata.msg_type, stored[0].metadata.md5sum),
+                *(metadata.msg_type, metadata.md5sum),
+            )
         fmt = formatClass(metadata.format)(metadata.msg_type, metadata.md5sum, definition)
         if stored:
             metadata = _inherited(metadata, stored[0].metadata)
