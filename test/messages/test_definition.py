@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from messages.random_wire import SEPARATOR, DefinitionMaker, installedTypes
 
 from cassandra_ros.errors import DefinitionError
-from cassandra_ros.messages.classes import installedDefinition
+from cassandra_ros.messages.classes import deserialize, installedDefinition, messageClass
 from cassandra_ros.messages.definition import (
     attributeName,
     definitionOf,
@@ -21,6 +21,7 @@ from cassandra_ros.messages.definition import (
     renderDefinition,
 )
 from cassandra_ros.messages.installed import installedClass
+from cassandra_ros.messages.wire import wirePlan
 
 
 def genmsgMd5(msg_type, text):
@@ -199,3 +200,19 @@ def test_what_installed_packages_complete_is_kept_with_the_text():
         assert f"MSG: {used}" in definition.text
     again = parseDefinition("sensor_msgs/NavSatFix", definition.text, NavSatFix._md5sum)
     assert again.text == definition.text
+
+
+def test_arrays_that_the_md5_does_not_tell_apart():
+    """ROS hashes 'E x' and 'E[] x' alike; what is compiled of one must not serve the other."""
+    texts = [f"pkg/E{array} x{SEPARATOR}MSG: pkg/E\nuint8 a" for array in ("", "[]", "[3]")]
+    found = [parseDefinition("pkg/T", text) for text in texts]
+    assert len({d.md5sum for d in found}) == 1
+    assert len(set(found)) == 3
+    assert [len(wirePlan(d).walk(w)[0]) for d, w in zip(found, (b"1", b"\0" * 4, b"123"))] == [
+        1
+    ] * 3
+    assert wirePlan(found[0]).walk(b"\7")[1] is False
+    assert wirePlan(found[1]).walk(b"\7")[1] is True
+    messages = [deserialize(messageClass(d), w) for d, w in zip(found, (b"\7", b"\0" * 4, b"123"))]
+    assert messages[0].x.a == 7
+    assert [len(m.x) for m in messages[1:]] == [0, 3]

@@ -90,7 +90,7 @@ def installedDefinition(msg_type: str) -> Definition:
 
 
 def messageClass(definition: Definition) -> Any:
-    """Return the class of a definition: the installed one if its md5 agrees, else a generated one.
+    """Return the class of a definition: the installed one if it agrees, else a generated one.
 
     Raises:
         DefinitionError: genpy cannot make a class of it.
@@ -98,7 +98,7 @@ def messageClass(definition: Definition) -> Any:
     with _lock:
         if definition not in _classes:
             found = installedClass(definition.type)
-            if found is None or found._md5sum != definition.md5sum:
+            if found is None or definitionOf(found) != definition:
                 found = _generate(definition)
             _classes[definition] = found
         return _classes[definition]

@@ -46,7 +46,10 @@ _SEPARATOR = "=" * 80
 
 @dataclass(frozen=True)
 class Definition:
-    """A message type with all that it uses. Equal when type and md5 are equal."""
+    """A message type with all that it uses. Equal when type, md5 and arrays are equal.
+
+    The md5 alone does not tell them apart: ROS leaves the brackets of arrays of messages out.
+    """
 
     type: str
     md5sum: str
@@ -56,6 +59,17 @@ class Definition:
     """The type itself and every type that it uses, directly or not, by name."""
     md5sums: Mapping[str, str] = field(compare=False, repr=False)
     """The md5 of each of them."""
+    arrays: tuple[tuple[str, str, int | None], ...] = field(init=False, repr=False)
+    """Type, field and length (None = any) of each array of messages."""
+
+    def __post_init__(self) -> None:
+        found = (
+            (name, f.name, f.length)
+            for name, spec in sorted(self.specs.items())
+            for f in spec.fields
+            if f.is_array and not f.is_primitive
+        )
+        object.__setattr__(self, "arrays", tuple(found))
 
     @property
     def root(self) -> MessageSpec:

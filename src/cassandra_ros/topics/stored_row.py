@@ -146,9 +146,11 @@ class StoredRow:
         if definition is None:
             return rawClass(type_, self.md5sum)
         try:
-            if type_ != definition.type:
-                # The same md5 under another name, as tf/tfMessage and tf2_msgs/TFMessage.
-                definition = parseDefinition(type_, self.connection.definition_text, self.md5sum)
+            text = self.connection.definition_text
+            if type_ != definition.type or (text and text != definition.text):
+                # The same md5 under another name, as tf/tfMessage and tf2_msgs/TFMessage, or of
+                # another text: it does not tell an array of messages from a single one.
+                definition = parseDefinition(type_, text, self.md5sum)
             return messageClass(definition)
         except DefinitionError as exc:
             _log.debug("messages of topic %s are given back as bytes: %s", self.topic, exc)
