@@ -19,6 +19,7 @@ from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.verify import verifyBag
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError, BagUnindexed, InvalidKey, TopicExists, TopicNotFound
+from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.keys import splitSeq
 from cassandra_ros.messages.definition import parseDefinition
 
@@ -44,7 +45,7 @@ def counts_agree(rosCas, cql):
     return counted
 
 
-@pytest.mark.parametrize("form", ["binary", "ros"])
+@pytest.mark.parametrize("form", FORMATS)
 @pytest.mark.parametrize("name", READABLE)
 def test_every_bag_comes_back_as_it_was(rosCas, bags, tmp_path, name, form):
     path = bags / f"{name}.bag"
