@@ -14,7 +14,7 @@ export ROS_IP := 127.0.0.1
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup demo test lint bench clean distclean
+.PHONY: help setup demo test lint bench bench-formats clean distclean
 
 help:
 	@echo "make setup      install what is missing: packages, .venv, Cassandra's jars, workspace .ws"
@@ -22,6 +22,7 @@ help:
 	@echo "make test       all tests, on a real Cassandra and a real roscore (ARGS='-k name')"
 	@echo "make lint       ruff, mypy, catkin_lint"
 	@echo "make bench      measure beside rosbag and the bare driver"
+	@echo "make bench-formats  measure the formats: bytes on disk, time (ARGS='--bags folder')"
 	@echo "make clean      remove what was built; make distclean: also .venv"
 
 setup:
@@ -41,6 +42,9 @@ lint: setup
 
 bench: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench.py $(ARGS)
+
+bench-formats: setup
+	@$(IN_WORKSPACE) $(PYTHON) benchmark/formats.py $(ARGS)
 
 clean:
 	rm -rf .ws build .mypy_cache .pytest_cache .ruff_cache .hypothesis demo-output

@@ -19,7 +19,7 @@ from cassandra_ros.cli.interrupt import SafeInterrupt
 from cassandra_ros.cli.options import add_store_options, open_store
 from cassandra_ros.cli.progress import MessageBar
 from cassandra_ros.cli.table import format_bytes, format_table, shown
-from cassandra_ros.formats.table import DEFAULT_FORMAT
+from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.importer import ImportReport
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--format",
         default=DEFAULT_FORMAT,
         metavar="F",
-        help="how messages are kept: ros (a typed column for each field) or binary (bytes) "
+        help=f"how topics are kept that are not stored yet: {', '.join(FORMATS)} "
         "(default: %(default)s)",
     )
     parser.add_argument(
