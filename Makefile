@@ -17,13 +17,13 @@ IN_WORKSPACE := source .ws/devel/setup.bash &&
 .PHONY: help setup demo test lint bench bench-formats clean distclean
 
 help:
-	@echo "make setup      install what is missing: packages, .venv, Cassandra's jars, workspace .ws"
-	@echo "make demo       record, ask and export a real robot's topics, end to end"
-	@echo "make test       all tests, on a real Cassandra and a real roscore (ARGS='-k name')"
-	@echo "make lint       ruff, mypy, catkin_lint"
-	@echo "make bench      measure beside rosbag and the bare driver"
-	@echo "make bench-formats  measure the formats: bytes on disk, time (ARGS='--bags folder')"
-	@echo "make clean      remove what was built; make distclean: also .venv"
+	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, workspace .ws"
+	@echo "make demo           record, ask and export a real robot's topics, end to end"
+	@echo "make test           all tests, on a real Cassandra and a real roscore (ARGS='-k name')"
+	@echo "make lint           ruff, mypy, catkin_lint"
+	@echo "make bench          measure beside rosbag and the bare driver"
+	@echo "make bench-formats  measure the five formats on real bags: bytes on disk, time"
+	@echo "make clean          remove what was built; make distclean: also .venv"
 
 setup:
 	@bash server/setup.sh

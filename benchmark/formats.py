@@ -113,10 +113,21 @@ class Sample:
         return formatClass(name)(self.msg_type, self.md5sum, definition)
 
 
-def readSample(kind: Kind, folder: Path, at_most: int) -> Sample:
-    """Read the messages of a kind from its bag, the shipped one where there is one."""
-    path = SHIPPED / kind.bag
-    with BagReader(path if path.is_file() else folder / kind.bag) as reader:
+def readSamples(folder: Path, at_most: int) -> list[Sample]:
+    """Read the messages of all kinds whose bag is there: shipped with us, or in the folder."""
+    samples = []
+    for kind in KINDS:
+        paths = [path for path in (SHIPPED / kind.bag, folder / kind.bag) if path.is_file()]
+        if paths:
+            samples.append(readSample(kind, paths[0], at_most))
+        else:
+            say(f"formats: without {kind.name}, for there is no {kind.bag} in {folder}")
+    return samples
+
+
+def readSample(kind: Kind, path: Path, at_most: int) -> Sample:
+    """Read the messages of a kind from its bag."""
+    with BagReader(path) as reader:
         number, connection = next(
             (n, c) for n, c in reader.connections.items() if c.topic == kind.topic
         )
@@ -278,13 +289,8 @@ def main() -> int:
     parser.add_argument("--messages", type=int, default=10_000, help="at most (%(default)s)")
     parser.add_argument("--rounds", type=int, default=5, help="of timing (%(default)s)")
     args = parser.parse_args()
-    samples = []
-    for kind in KINDS:
-        if not any((folder / kind.bag).is_file() for folder in (SHIPPED, Path(args.bags))):
-            say(f"formats: without {kind.name}, for there is no {kind.bag} in {args.bags}")
-            continue
-        samples.append(readSample(kind, Path(args.bags), args.messages))
     try:
+        samples = readSamples(Path(args.bags), args.messages)
         times = []
         for sample in samples:
             say(f"timing {sample.kind.name}")
