@@ -16,6 +16,7 @@
   - UnknownFormat
   - InvalidKey           a time, row key or cursor that cannot be one
   - InvalidName          a keyspace, topic or field that cannot be one
+  - InvalidOption        an option with a value outside of its range
   - InvalidQuery         shows the statement with a caret under the spot
   - InvalidExpression
   - DefinitionError      a message definition that is not one
@@ -90,6 +91,10 @@ class InvalidKey(CassandraRosError, ValueError):
 
 class InvalidName(CassandraRosError, ValueError):
     """A keyspace, topic or field name is not allowed."""
+
+
+class InvalidOption(CassandraRosError, ValueError):
+    """An option has a value outside of its range; the text gives the range."""
 
 
 class InvalidExpression(CassandraRosError, ValueError):

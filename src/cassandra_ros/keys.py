@@ -44,13 +44,11 @@ class RowName(str):
     it gives this version, and ``getData`` of the plain text the newest.
     """
 
-    __slots__ = ("node", "seq", "t", "table")
-
-    t: int
+    t: int = 0
     """When this version was stored, ns."""
-    node: str
-    seq: int
-    table: str
+    node: str = ""
+    seq: int = 0
+    table: str = ""
 
     @classmethod
     def of(cls, position: Position) -> RowName:

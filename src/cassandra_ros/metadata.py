@@ -38,6 +38,8 @@ class TopicMetadata:
     """When the table was made, ISO 8601."""
     generation: int = 0
     """Counts how often the topic was dropped: no table name is used twice."""
+    own_time: bool = False
+    """The key is not the receive time, which then has a column of its own."""
     indexes: Mapping[str, str] = field(default_factory=dict)
     """Indexed field -> shadow column."""
     columns: tuple[Mapping[str, Any], ...] = ()
@@ -57,10 +59,13 @@ class TopicMetadata:
         return "_key" if self.named else "_bucket"
 
     @property
-    def ownTime(self) -> bool:
-        """Whether the key is not the receive time, which then has a column of its own."""
-        by_field = self.key_format == "msg_part" and self.key_part not in self.indexes
-        return by_field or self.key_format == "hash"
+    def receivedColumns(self) -> dict[str, str]:
+        """Columns that say when a message came, where its key does not: name -> CQL type."""
+        if not self.own_time:
+            return {}
+        # Equal messages have one row, with 0 for time and counter; this is its place in the order.
+        arrival = {"_arrival": "bigint"} if self.key_format == "hash" else {}
+        return {"_recv": "bigint", **arrival}
 
     def toComment(self) -> str:
         """Write the metadata as the JSON text of a table comment."""

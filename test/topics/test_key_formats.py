@@ -4,27 +4,43 @@
 
 from __future__ import annotations
 
+import copy
+import threading
+
 import genpy
 import pytest
 from diagnostic_msgs.msg import KeyValue
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import OccupancyGrid
 from sensor_msgs.msg import Imu
-from std_msgs.msg import Float32, Float64, Int64, String, UInt8MultiArray, UInt64
+from std_msgs.msg import (
+    Empty,
+    Float32,
+    Float64,
+    Header,
+    Int64,
+    String,
+    UInt8MultiArray,
+    UInt64,
+)
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import (
     InvalidKey,
     InvalidName,
+    InvalidOption,
     InvalidQuery,
     MessageNotFound,
     TopicExists,
+    TopicNotFound,
 )
-from cassandra_ros.keys import MAX_NS
+from cassandra_ros.keys import MAX_NS, RowName
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.stamps import isoTime
+from cassandra_ros.store.buckets import MAX_TTL_SEC
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -165,7 +181,8 @@ def test_numbers_are_compared_as_numbers(rosCas):
     assert floats.countTopicData() == 4
     narrow = rosCas.addTopic("/n", key_format="msg_part", key_part="data")
     narrow.addData(Float32(data=0.1))
-    assert narrow.countTopicData(0.1) == 0  # no float32 is
+    assert narrow.countTopicData(0.1) == 1  # the float32 that is nearest
+    assert narrow.countTopicData(0.2) == narrow.countTopicData(1e300) == 0
     (stored,) = [m.data for _, m in narrow.items()]
     assert narrow.countTopicData(stored) == 1
     with pytest.raises(InvalidKey, match="no order"):
@@ -174,7 +191,7 @@ def test_numbers_are_compared_as_numbers(rosCas):
     ints.addData(Int64(data=3))
     assert ints.getData(3.0).data == 3
     assert ints.getData(2**70, default=None) is None
-    for wrong in ("3", 3.5, True):
+    for wrong in ("3", 3.5, True, float("inf"), float("nan")):
         with pytest.raises(InvalidKey, match="int64"):
             ints.getData(wrong)
     with pytest.raises(InvalidKey, match=r"order of time.*executeCQL"):
@@ -483,3 +500,170 @@ def test_export_keeps_the_times_of_reception(cassandra, keyspace, tmp_path):
         assert [rosCas.getTopic(t.name).countTopicData() for t in topics] == [3, 3, 3, 3]
         assert rosCas.getTopic("/part").first() == genpy.Time(92)
         assert rosCas.getTopic("/name").getData("/name").header.seq == 10
+
+
+class TestOtherClients:
+    """What another process does to a topic of names is not undone by one that goes on."""
+
+    @pytest.fixture
+    def other(self, cassandra, keyspace, rosCas):
+        with RosCassandra(cassandra.host, cassandra.port, keyspace=keyspace) as store:
+            yield store
+
+    def test_a_dropped_topic_comes_back_as_it_was(self, rosCas, other):
+        topic = rosCas.addTopic("m", key_format="manual", ttl=3600, comment="c", metadata={"a": 1})
+        topic.addData(String(data="1"), key="kitchen")
+        other.removeTopic("m")
+        assert topic.addData(String(data="2"), key="kitchen") == "kitchen"
+        meta = rosCas.getTopic("m").getMeta
+        assert [meta[k] for k in ("key_format", "ttl", "comment", "a")] == ["manual", 3600, "c", 1]
+        assert [m.data for _, m in topic.items("kitchen")] == ["2"]
+
+    @pytest.mark.parametrize("made_anew", [False, True])
+    def test_after_a_rename_nothing_goes_astray(self, rosCas, other, made_anew, monkeypatch):
+        monkeypatch.setattr("cassandra_ros.store.schema.CACHE_SEC", 0.0)
+        topic = rosCas.addTopic("p")
+        topic.addData(String(data="1"))
+        other.renameTopic("p", "p2")
+        if made_anew:
+            other.addTopic("p")
+        key = topic.addData(String(data="2"))
+        assert rosCas.getTopic("p").getData(key).data == "2"
+        assert [m.data for _, m in rosCas.getTopic("p2").items()] == ["1"]
+
+    @pytest.mark.parametrize("formats", [("ros", "ros"), ("ros", "json")])
+    def test_two_key_formats_at_once(self, rosCas, other, formats):
+        """Whoever comes second is told."""
+        barrier = threading.Barrier(2)
+        outcomes = []
+
+        def make(store, form, key_format):
+            barrier.wait()
+            try:
+                store.addTopic("p", form, msg_type="std_msgs/String", key_format=key_format)
+                outcomes.append("made")
+            except TopicExists:
+                outcomes.append("exists")
+
+        makers = [
+            threading.Thread(target=make, args=args)
+            for args in ((rosCas, formats[0], "time"), (other, formats[1], "manual"))
+        ]
+        for maker in makers:
+            maker.start()
+        for maker in makers:
+            maker.join()
+        assert sorted(outcomes) == ["exists", "made"]
+        rosCas.parts.schema.tables(fresh=True)
+        assert len({t.metadata.key_format for t in rosCas.getTopic("p").tables}) == 1
+
+    def test_who_added_a_topic_hears_that_it_is_gone(self, rosCas, other):
+        topic = rosCas.addTopic("g")
+        assert topic.countTopicData() == 0  # nothing yet, not gone
+        topic.addData(String())
+        other.removeTopic("g")
+        rosCas.parts.schema.tables(fresh=True)
+        for ask in (topic.countTopicData, lambda: topic.getData(0, 1), lambda: topic.removeData(0)):
+            with pytest.raises(TopicNotFound, match="any more"):
+                ask()
+
+
+def test_several_definitions_with_a_key_field(rosCas, cassandra, keyspace):
+    topic = rosCas.addTopic("p", key_format="msg_part", key_part="data")
+    topic.addData(String(data="q"))
+    with rosCas.messageWriter() as writer:
+        for n, cls in enumerate((Empty, Int64)):
+            handle = writer.connect(apiConnection("p", definitionOf(cls), "/x"))
+            writer.write(handle, T0 + n, n, serialize(cls()))
+    topic = rosCas.addTopic("p", key_format="msg_part", key_part="data")
+    assert len(topic.tables) == 3
+    assert [type(m) for _, m in topic.items()] == [Empty, Int64, String]
+    assert topic.getData("q").data == "q"
+    assert topic.getData(0).data == 0
+    assert topic.keyOfText("0") in (0, "0")
+    with pytest.raises(InvalidKey, match="key of these messages"):
+        topic.getData([1])
+    assert topic.getData(genpy.Time(*divmod(T0, SEC))) == Empty()
+
+
+def test_typed_keys(rosCas):
+    numbers = rosCas.addTopic("/n", key_format="msg_part", key_part="data")
+    key = numbers.addData(Int64(data=5))
+    texts = rosCas.addTopic("/t", key_format="msg_part", key_part="data")
+    text_key = texts.addData(String(data="17"))
+    assert numbers.getData(numbers.keyOfText(" 5 ")).data == 5
+    assert numbers.getData(numbers.keyOfText(isoTime(key.ns))).data == 5
+    assert texts.getData(texts.keyOfText("17")).data == "17"
+    assert texts.getData(texts.keyOfText(isoTime(text_key.ns))).data == "17"
+    assert rosCas.addTopic("/m", key_format="manual").keyOfText("17") == "17"
+    assert rosCas.addTopic("/p").keyOfText("17") == 17
+    for wrong in ("1e400", "x", "{"):
+        with pytest.raises(InvalidKey):
+            numbers.getData(numbers.keyOfText(wrong))
+
+
+def test_names_that_were_not_given_back_are_names(rosCas):
+    topic = rosCas.addTopic("/m", key_format="manual")
+    key = topic.addData(String(data="x"), key="kitchen")
+    assert topic.getData(RowName("kitchen")).data == "x"
+    assert copy.copy(key) == key and copy.deepcopy(key).seq == key.seq
+
+
+@pytest.mark.parametrize("ttl", [-5, 10**9, 0.5, 630_720_000])
+def test_what_is_no_ttl(rosCas, ttl):
+    with pytest.raises(InvalidOption, match="ttl"):
+        rosCas.addTopic("/a", ttl=ttl)
+    with pytest.raises(InvalidOption, match="ttl"):
+        rosCas.messageWriter(ttl=ttl)
+    assert not rosCas.existTopic("/a")
+
+
+def test_the_longest_ttl(rosCas):
+    topic = rosCas.addTopic("/a", ttl=MAX_TTL_SEC)
+    topic.addData(UInt8MultiArray(data=bytes(600_000)), key=T0)
+    assert topic.countTopicData() == 1
+    rosCas.addTopic("/a", "json").addData(UInt8MultiArray(), key=T0 + 1)
+    assert {t.metadata.ttl for t in topic.tables} == {MAX_TTL_SEC}
+
+
+@pytest.mark.parametrize("key_format, key_part", [("hash", ""), ("msg_part", "stamp")])
+def test_a_bag_of_equal_times_keeps_its_order(rosCas, tmp_path, key_format, key_part):
+    import rosbag
+
+    from cassandra_ros.bag.exporter import exportBag
+    from cassandra_ros.bag.importer import importBag
+    from cassandra_ros.bag.verify import verifyBag
+
+    path = str(tmp_path / "in.bag")
+    with rosbag.Bag(path, "w") as bag:
+        for number in range(6):
+            stamp = genpy.Time(100 - number)
+            for topic in ("/plain", "/keyed"):
+                bag.write(topic, Header(seq=number, stamp=stamp), genpy.Time(1000))
+    keys = {"key_format": key_format, "key_part": key_part}
+    rosCas.addTopic("/keyed", msg_type="std_msgs/Header", **keys)
+    importBag(rosCas, path)
+    assert verifyBag(rosCas, path).equal
+    exportBag(rosCas, tmp_path / "out.bag")
+    assert verifyBag(rosCas, tmp_path / "out.bag").equal
+
+    def told(which):
+        with rosbag.Bag(which) as bag:
+            return [(t, m.seq, stamp) for t, m, stamp in bag.read_messages()]
+
+    assert told(str(tmp_path / "out.bag")) == told(path)
+
+
+def test_an_export_has_the_names_of_now(rosCas, tmp_path):
+    import rosbag
+
+    from cassandra_ros.bag.exporter import exportBag
+
+    rosCas.addTopic("/o").addData(String(data="first"), key=T0)
+    rosCas.renameTopic("/o", "/n")
+    rosCas.addTopic("/o").addData(String(data="second"), key=T0 + 1)
+    report = exportBag(rosCas, tmp_path / "out.bag")
+    assert report.messages == {"/n": 1, "/o": 1}
+    with rosbag.Bag(str(tmp_path / "out.bag")) as bag:
+        found = [(topic, m.data) for topic, m, _ in bag.read_messages()]
+    assert found == [("/n", "first"), ("/o", "second")]

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Callable, Dict, Iterable, Tuple
 
 from cassandra_ros.bag.writer import BagWriter
@@ -45,16 +45,15 @@ def exportBag(
 ) -> ExportReport:
     """Write stored messages into a bag of format 2.0.
 
-    The messages are written in the order of their keys, with the times at which they were
-    received. Connections keep topic, header and
-    number, so rosbag gives back the messages of an imported bag in their order: by time,
-    connection, position.
+    The messages are written in the order in which they were received. Connections keep topic,
+    header and number, so rosbag gives back the messages of an imported bag in their order: by
+    time, connection, position.
 
     Args:
         rosCas: Connected to a keyspace.
         path: The bag to make; it has the name PATH.active until it is complete.
         topics: Only these; None = all.
-        start: First time (any kind of design: genpy.Time, int ns, float s, text); None = open.
+        start: First time of reception (genpy.Time, int ns, float s or text); None = open.
         end: Last time, included; None = open.
         nodeID: Only what this node recorded; None = all nodes.
         compression: 'none', 'bz2' or 'lz4'.
@@ -70,7 +69,7 @@ def exportBag(
         raise BagError(f"{os.fspath(path)} exists; choose another name, or replace it with --force")
     # One topic may have been asked for in two spellings.
     names = None if topics is None else sorted({rosCas.getTopic(name).name for name in topics})
-    rows = rosCas.readMessages(topics=names, key=start, to_key=end, nodeID=nodeID)
+    rows = rosCas.readMessages(names, start, end, nodeID=nodeID, received=True)
     report = ExportReport(os.fspath(path))
     with BagWriter(path, compression) as writer:
         numbers = ConnectionNumbers(writer)
@@ -119,6 +118,8 @@ class ConnectionNumbers:
 
     def _add(self, row: StoredRow, run: int) -> int:
         connection = row.connection
+        if connection.topic != row.topic:
+            connection = replace(connection, topic=row.topic)  # it was renamed
         if connection.number < 0:
             shared = (0, row.table.name, row.conn)  # 0 is nobody's writer id
             if shared not in self._numbers:

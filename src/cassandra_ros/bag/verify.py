@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import heapq
 from itertools import groupby
 from typing import Any, Dict, Iterable, Iterator, List, NamedTuple, Set, Tuple
 
@@ -121,7 +120,7 @@ def _findImport(
 
 
 def _bucketsOf(table: TopicTable, reader: BagReader) -> Tuple[int, int]:
-    if table.metadata.ownTime:
+    if table.metadata.own_time:
         return -(2**63), 2**63 - 1  # the times of the bag are not those of the keys
     return table.bucketOf(reader.start_ns), table.bucketOf(reader.end_ns)
 
@@ -140,21 +139,12 @@ def _storedRows(
     scope: Import | None,
     nodeID: str | None,
 ) -> Iterator[StoredRow]:
-    by_key = {
-        table.metadata.topic
-        for topic in topics
-        for table in rosCas.parts.tables.ofTopic(topic)
-        if table.metadata.ownTime
-    }
-    node = nodeID if scope is None else scope.node
-    # Rows that lie by something else than their receive time are put in its order in memory.
-    others = sorted(
-        rosCas.readMessages(topics=sorted(by_key), nodeID=node), key=lambda row: row.received
-    )
-    ends = (None, None) if scope is None else (reader.start_ns, reader.end_ns)
-    rows = rosCas.readMessages(sorted(topics - by_key), *ends, nodeID=node)
-    for row in heapq.merge(rows, others, key=lambda row: row.received):
-        if scope is None or splitSeq(row.seq)[0] in (scope.writer_id, 0):
+    if scope is None:
+        yield from rosCas.readMessages(topics, nodeID=nodeID, received=True)
+        return
+    ends = (reader.start_ns, reader.end_ns)
+    for row in rosCas.readMessages(topics, *ends, nodeID=scope.node, received=True):
+        if splitSeq(row.seq)[0] == scope.writer_id:
             yield row
 
 

@@ -8,6 +8,7 @@ import difflib
 import hashlib
 import json
 import struct
+from decimal import Decimal
 from typing import Any, Callable, Optional
 
 from cassandra_ros.errors import InvalidKey
@@ -80,7 +81,7 @@ class KeyPart:
         """
         try:
             raw = self._encode(value)
-        except (TypeError, ValueError, struct.error) as exc:
+        except (TypeError, ValueError, ArithmeticError, struct.error) as exc:
             raise InvalidKey(
                 f"the key of these messages is their field {self.field}, a "
                 f"{self._column.field_type}; {value!r:.80} is none"
@@ -157,10 +158,9 @@ def _float(column: Column) -> Encode:
         if isinstance(value, (bool, str, bytes)):
             raise TypeError(value)
         try:
-            raw = struct.pack(code, float(value))
+            return struct.pack(code, float(value))  # 0.1 means the float32 that is nearest
         except OverflowError:
             return None
-        return raw if struct.unpack(code, raw)[0] == value else None
 
     return encode
 
@@ -179,6 +179,8 @@ def _text(value: Any) -> bytes:
 
 def _duration(value: Any) -> bytes:
     ns = value.to_nsec() if hasattr(value, "to_nsec") else value
+    if isinstance(ns, float):
+        ns = round(Decimal(repr(ns)) * 10**9)
     if isinstance(ns, bool) or not isinstance(ns, int):
         raise TypeError(value)
     return struct.pack(">q", ns)

@@ -235,6 +235,11 @@ def _iso_to_ns(match: re.Match[str]) -> int:
     return seconds * SECOND_NS + int((match["fraction"] or "").ljust(9, "0"))
 
 
+def isIsoText(text: str) -> bool:
+    """Say whether a text is a time in ISO 8601."""
+    return _ISO.fullmatch(text.strip()) is not None
+
+
 def isTime(value: object) -> bool:
     """Say whether a value is a genpy.Time or a Stamp (not a number or text that means one)."""
     return isinstance(value, genpy.Time)

@@ -10,6 +10,7 @@ import rospy
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError
 from cassandra_ros.messages.classes import toYaml
+from cassandra_ros.messages.stamps import isoTime
 from cassandra_ros.msg import StoredMessage
 
 YAML_BYTES = 1024 * 1024
@@ -20,7 +21,7 @@ def pack(row: Any, omit_data: bool, omit_yaml: bool) -> Any:
     """Make a StoredMessage of a stored row."""
     return StoredMessage(
         key=rospy.Time(*divmod(row.t, 10**9)),
-        key_text=clean(row.name) or str(row.t),
+        key_text=clean(row.name) or (isoTime(row.t) if row.table.valued else str(row.t)),
         node_id=clean(row.node),
         topic=clean(row.topic),
         type=clean(row.type),

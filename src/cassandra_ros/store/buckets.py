@@ -4,10 +4,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+from cassandra_ros.errors import InvalidOption
+
 SECOND_NS = 1_000_000_000
 BUCKET_LENGTHS = tuple(s * SECOND_NS for s in (1, 10, 60, 600, 3600, 6 * 3600, 86400))
 MAX_BUCKET_BYTES = 64_000_000
 MAX_BUCKET_ROWS = 100_000
+LONGEST_TTL_SEC = 20 * 365 * 86400
+"""Cassandra's own limit."""
+MAX_TTL_SEC = 18 * 365 * 86400
+"""What keeps chunks and directory longer than the rows must stay below that limit."""
 SLOT_BUCKETS = 4096
 """Buckets per partition of the directory."""
 
@@ -32,6 +40,20 @@ def bucketFor(rate_hz: float, bytes_per_sec: float, longest_ns: int = BUCKET_LEN
     return BUCKET_LENGTHS[0]
 
 
+def checkTtl(ttl_sec: Any) -> int:
+    """Return a time to live in seconds, 0 = for ever.
+
+    Raises:
+        InvalidOption: It is no whole number of 0 to MAX_TTL_SEC.
+    """
+    if isinstance(ttl_sec, bool) or int(ttl_sec) != ttl_sec or not 0 <= ttl_sec <= MAX_TTL_SEC:
+        raise InvalidOption(
+            f"a ttl of {ttl_sec!r} cannot be kept: give whole seconds, 1 to {MAX_TTL_SEC}, or 0 "
+            "for messages that stay for ever"
+        )
+    return int(ttl_sec)
+
+
 def limitForTtl(bucket_ns: int, ttl_sec: int) -> int:
     """Shorten a bucket so that at least 24 of them fit into a TTL (0 = none)."""
     if not ttl_sec:
@@ -45,7 +67,8 @@ def slotTtl(bucket_ns: int, ttl_sec: int) -> int:
 
     0 = for ever. A writer notes the slot once, and may fill its buckets till the slot ends.
     """
-    return ttl_sec and SLOT_BUCKETS * bucket_ns // SECOND_NS + ttl_sec
+    slot_sec = SLOT_BUCKETS * bucket_ns // SECOND_NS
+    return ttl_sec and min(slot_sec + ttl_sec, LONGEST_TTL_SEC - 86400)
 
 
 def slotOf(bucket: int) -> int:

@@ -44,7 +44,7 @@ def fetchRows(
 
 def _ask(cassandra: Cassandra, key: Wanted) -> Any:
     table, (t, node, seq, _, name) = key
-    end = (encodeLong(table.storedTime(t)), encodeLong(seq))
+    end = tuple(encodeLong(value) for value in table.storedOrder(t, seq))
     place = (node.encode("utf-8"), table.partitionOf(t, name))
     return cassandra.sendRaw(bind(table.selectRange(table.columns), (*place, *end, *end)))
 

@@ -18,7 +18,7 @@ from cassandra_ros.store.patience import Patience
 from cassandra_ros.store.row_table import MAX_SEQ, MIN_SEQ, RowTable, TableRow, bind, encodeLong
 
 KEY_PAGE_ROWS = 5000
-VERSION_PAGE_ROWS = 4
+VERSION_PAGE_ROWS = 16
 
 _EVERY = tuple(encodeLong(v) for v in (-(2**63), MIN_SEQ, 2**63 - 1, MAX_SEQ))
 
@@ -55,10 +55,10 @@ def listNames(cassandra: Cassandra, table: RowTable, nodes: Sequence[str] | None
 def _namedKey(values: Sequence[Any], table: str) -> NamedKey:
     node, name, t, seq, size, nchunks, odd, *received = values
     number = int.from_bytes
-    at = number(received[0] if received and received[0] else t, "big", signed=True)
-    seq = number(seq, "big", signed=True)
+    t, seq = received or (t, seq)
+    at, counter = (number(value or b"", "big", signed=True) for value in (t, seq))
     return NamedKey(
-        Position(at, (node or b"").decode(), seq, table, (name or b"").decode()),
+        Position(at, (node or b"").decode(), counter, table, (name or b"").decode()),
         number(size or b"", "big"),
         nchunks is not None,
         odd is not None,

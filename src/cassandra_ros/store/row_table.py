@@ -105,9 +105,9 @@ class RowTable:
         self.columns = tuple(columns)
         self.named = metadata.named
         self.partition = metadata.partition
-        self._has_received = metadata.ownTime
         self._once = metadata.key_format == "hash"
-        self.extra = ("_recv",) * self._has_received + tuple(shadows)
+        self._received = tuple(metadata.receivedColumns)
+        self.extra = (*self._received, *shadows)
         self.known_nodes: set[str] = set()
         """nodeIDs that have been seen to write the table; more may."""
         self.has_chunks = False
@@ -129,14 +129,14 @@ class RowTable:
         """Encode the second part of a row's partition key."""
         return name.encode("utf-8") if self.named else encodeLong(self.bucketOf(t_ns))
 
-    def storedTime(self, t: int) -> int:
-        """Return the ``_t`` of a row; where equal messages are kept once it is 0."""
-        return 0 if self._once else t
+    def storedOrder(self, t: int, seq: int) -> tuple[int, int]:
+        """Return ``_t`` and ``_seq`` of a row; where equal messages are kept once they are 0."""
+        return (0, 0) if self._once else (t, seq)
 
     def keyOf(self, row: TableRow) -> tuple[bytes, ...]:
         """Encode the primary key of a stored row."""
         place = (row.node.encode("utf-8"), self.partitionOf(row.t, row.name))
-        return (*place, encodeLong(self.storedTime(row.t)), encodeLong(row.seq))
+        return (*place, *map(encodeLong, self.storedOrder(row.t, row.seq)))
 
     # ---------------------------------------------------------------- statements
 
@@ -172,8 +172,7 @@ class RowTable:
 
     def selectRange(self, columns: Sequence[str], *, reverse: bool = False) -> PreparedStatement:
         """SELECT of one partition from (t, seq) to (t, seq), both included."""
-        received = ("_recv",) * self._has_received
-        names = ", ".join(quoteName(n) for n in (*_OWN, *received, *columns))
+        names = ", ".join(quoteName(n) for n in (*_OWN, *self._received, *columns))
         order = ' ORDER BY "_t" DESC, "_seq" DESC' if reverse else ""
         return self._cassandra.prepare(
             f'SELECT {names} FROM {self._qualified} WHERE "_node" = ? AND "{self.partition}" = ? '
@@ -190,7 +189,7 @@ class RowTable:
 
     def selectNames(self) -> PreparedStatement:
         """SELECT of the keys of all rows of a table that is read by name; in no order."""
-        received = ', "_recv"' * self._has_received
+        received = "".join(f", {quoteName(name)}" for name in self._received)
         return self._cassandra.prepare(
             'SELECT "_node", "_key", "_t", "_seq", "_size", "_nchunks", "_odd"'
             f"{received} FROM {self._qualified}"
@@ -234,7 +233,7 @@ class RowTable:
                 "size: something else than this package wrote or updated it"
             ) from exc
         nchunks, crc, odd, raw = values[4:8]
-        if self._has_received or self.named:
+        if self._received or self.named:
             return self._otherRow(node, values, name, (t, seq, conn, size))
         if nchunks is None and odd is None:
             return TableRow(t, node, seq, self.name, conn, size, 0, 0, False, raw, values[8:])  # type: ignore[arg-type]
@@ -249,14 +248,20 @@ class RowTable:
     ) -> TableRow:
         t, seq, conn, size = own
         received = -1
-        if self._has_received:
-            received = _LONG.unpack(values[8] or encodeLong(t))[0]
-        columns = tuple(values[8 + self._has_received :])
+        if self._received:
+            received = _number(values[8])
+        if self._once:
+            t, seq = received, _number(values[9])
+        columns = tuple(values[8 + len(self._received) :])
         return TableRow(
-            *(received if self._once else t, node, seq, self.name, conn, size),
+            *(t, node, seq, self.name, conn, size),
             *_flags(*values[4:8]),
             *(columns, name, received),
         )
+
+
+def _number(value: bytes | None) -> int:
+    return int.from_bytes(value or b"", "big", signed=True)
 
 
 def _flags(nchunks: Any, crc: Any, odd: Any, raw: Any) -> tuple[int, int, bool, bytes | None]:

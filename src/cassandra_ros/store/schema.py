@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Callable, Iterable, Mapping
+from typing import Callable, Iterable, Mapping, Sequence, Tuple
 
 from cassandra_ros.errors import SchemaConflict, TopicNotFound
 from cassandra_ros.metadata import TopicMetadata, fromComment
@@ -31,6 +31,12 @@ CHUNK_TTL_MARGIN_SEC = 86_400
 _WINDOWS = 25
 CACHE_SEC = 2.0
 """How old the list of tables may be: other clients add definitions and drop topics."""
+
+
+Planned = Tuple[TopicMetadata, Mapping[str, str], Mapping[str, str]]
+"""What a comment will say (the generation is chosen here), the columns of the format, and the
+columns with an index, both name → CQL type."""
+Planner = Callable[[Sequence[TopicMetadata]], Planned]
 
 
 class Schema:
@@ -88,15 +94,13 @@ class Schema:
                 return name
         return None
 
-    def ensureTable(
-        self, wanted: TopicMetadata, columns: Mapping[str, str], shadows: Mapping[str, str]
-    ) -> str:
+    def ensureTable(self, key: tuple[str, str, str], plan: Planner) -> str:
         """Make the table of a topic, or find the one that somebody made before.
 
         Args:
-            wanted: What its comment will say; the generation is chosen here.
-            columns: The format's own columns, name → CQL type.
-            shadows: Further columns, each with an index, name → CQL type.
+            key: Topic, md5sum and format.
+            plan: Called where the table is to be made, under the lock, with what the comments of
+                the topic's other tables say.
 
         Returns:
             The table's name.
@@ -104,7 +108,6 @@ class Schema:
         Raises:
             SchemaConflict: The table that came out is not the one that was asked for.
         """
-        key = (wanted.topic, wanted.md5sum, wanted.format)
         name = self.find(*key)
         if name is not None:
             return name
@@ -113,11 +116,13 @@ class Schema:
             name = self.find(*key)
             if name is not None:
                 return name
+            others = [m for _, m in sorted(self.tables().items()) if m.topic == key[0]]
+            wanted, columns, shadows = plan(others)
             wanted = wanted.with_(generation=time.time_ns())
             name = tableName(*key, wanted.generation)
             every = {**_ownColumns(wanted), **columns, **shadows}
             self._createAll(name, wanted, every, shadows, lock)
-        self._check(name, wanted, every)
+            self._check(name, wanted, every)
         self.tables(fresh=True)
         return name
 
@@ -273,11 +278,10 @@ class Schema:
 
 def _ownColumns(metadata: TopicMetadata) -> dict[str, str]:
     partition = metadata.partition
-    received = {"_recv": "bigint"} if metadata.ownTime else {}
     return {
         **{"_node": "text", partition: KEY_TYPES[partition], "_t": "bigint", "_seq": "bigint"},
         **OWN_COLUMNS,
-        **received,
+        **metadata.receivedColumns,
     }
 
 

@@ -10,7 +10,7 @@ import threading
 from typing import Any, Optional
 
 from cassandra_ros.errors import WriteFailed
-from cassandra_ros.keys import Position, RowName, newWriterId
+from cassandra_ros.keys import Position, RowName, joinSeq, newWriterId
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
@@ -51,6 +51,7 @@ class Adder:
             writer = self._open()
             handle = writer.connect(connection, format=table.metadata.format, nodeID=node)
             counter = next(self._counter)
+            seq = joinSeq(writer.writer_id, counter)
             row = writer.write(handle, t, counter, wire, name)
             try:
                 writer.flush()
@@ -64,7 +65,7 @@ class Adder:
         if row is None:
             raise AssertionError("a writer without on_loss raises what it refuses")
         if stored.named:
-            return RowName.of(Position(t, node, row.seq, stored.name, row.name))
+            return RowName.of(Position(t, node, seq, stored.name, row.name))
         return Stamp.fromNs(row.t, node=node, seq=row.seq, table=stored.name)
 
     def _open(self) -> MessageWriter:

@@ -9,11 +9,11 @@ from typing import Any, Iterator, Optional
 from cassandra_ros.errors import InvalidKey, MessageNotFound, TopicNotFound, TypeMismatch
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.definition import Definition, definitionOf
-from cassandra_ros.messages.stamps import toNs
+from cassandra_ros.messages.stamps import Stamp, isIsoText, toNs
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.finding import Finder
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.selection import LAST_NS, checkMessageName
+from cassandra_ros.topics.selection import LAST_NS, checkMessageName, isNamed, valueOfText
 from cassandra_ros.topics.stored_row import Key, StoredRow
 from cassandra_ros.topics.topic_facts import TopicFacts
 from cassandra_ros.topics.topic_table import TopicTable
@@ -35,8 +35,9 @@ class CassandraTopic(TopicFacts):
     * ``time``: the time at which a message was received.
     * ``msg_part``: the value of a field. Of a time field it is a time as well; of any other
       field ``getData(value)`` gives the first message that has it, ``items(value)`` all, and a
-      genpy.Time means the receive time.
-    * ``hash``: the md5 of the message, as 32 hex digits: equal messages are kept once.
+      genpy.Time means the receive time. A number asked of a float32 field is rounded to one.
+    * ``hash``: the md5 of type name, NUL and serialised bytes, as 32 hex digits: equal messages
+      are kept once, as they came last.
     * ``manual``: a name that you give; ``getData(name)`` is the newest message under it,
       ``items(name)`` all.
 
@@ -82,7 +83,10 @@ class CassandraTopic(TopicFacts):
 
     def makeTable(self, definition: Definition) -> TopicTable:
         """Find or make the table for messages of this definition, in the topic's format."""
-        return self._keyspace.makeTable(self._wish.metadata(self.name, definition), definition)
+        table = self._keyspace.makeTable(self._wish.metadata(self.name, definition), definition)
+        if self._wish.asked:
+            self._wish.check(table.metadata, None)  # another client may have been quicker
+        return table
 
     def _tableFor(self, msg: Any) -> TopicTable:
         definition = definitionOf(type(msg))
@@ -160,17 +164,20 @@ class CassandraTopic(TopicFacts):
         """Read a key that a person typed, by what the topic's keys are.
 
         A name is the text itself; a time is integer nanoseconds or ISO 8601; the value of a
-        field is a number, true or false, or text, as the field is.
+        field is a number, true or false, or text, as the field is. Where values are keys a time
+        is ISO 8601 only.
 
         Raises:
             InvalidKey: The text is no key of the topic.
         """
         tables = self._stored()
-        if any(table.named for table in tables):
+        if isNamed(self._wish.key_format) or any(table.named for table in tables):
             return text
-        part = next((table.key_part for table in tables if table.valued), None)
-        if part is not None:
-            return part.fromText(text)
+        valued = [table for table in tables if table.valued]
+        if valued and not isIsoText(text):
+            return valueOfText(valued, text)
+        if valued:
+            return Stamp.fromNs(toNs(text))
         text = text.strip()
         return int(text) if text.isascii() and text.isdigit() and len(text) < 40 else text
 
@@ -233,8 +240,9 @@ class CassandraTopic(TopicFacts):
         )
 
     def _stored(self) -> list[TopicTable]:
-        tables = self.tables
-        if not tables and not self._wish.pending:
+        tables, wish = self.tables, self._wish
+        known = (self.name, wish.format) in self._keyspace.schema.seen
+        if not tables and (known or not wish.pending):
             raise TopicNotFound(
                 f"topic {self.name} is not stored in keyspace {self._keyspace.name} any more"
             )

@@ -54,7 +54,7 @@ class Catalog:
         stored = self._keyspace.tables.ofTopic(topic)
         definition = self._definitionFor(topic, msg_type, known=bool(stored))
         for table in stored:
-            _checkSame(table.metadata, wish, definition)
+            wish.check(table.metadata, definition)
         found = CassandraTopic(self._keyspace, self._adder, topic, wish)
         if not any(table.metadata.format == wish.format for table in stored):
             self._keyspace.schema.seen.discard((topic, wish.format))
@@ -194,19 +194,3 @@ class Catalog:
             )
         wish = replace(wish, pending=not tables)
         return CassandraTopic(self._keyspace, self._adder, name, wish)
-
-
-def _checkSame(metadata: TopicMetadata, wish: Wish, definition: Optional[Definition]) -> None:
-    wrong = []
-    if definition is not None and definition.md5sum != metadata.md5sum:
-        wrong.append(f"type {metadata.msg_type} [{metadata.md5sum}]")
-    key = (wish.key_format, wish.key_part)
-    if wish.key_format and key != (metadata.key_format, metadata.key_part):
-        wrong.append(f"key_format {metadata.key_format} {metadata.key_part}".rstrip())
-    if wish.ttl and wish.ttl != metadata.ttl:
-        wrong.append(f"ttl {metadata.ttl} s")
-    if wrong:
-        raise TopicExists(
-            f"topic {metadata.topic} is stored already with {', '.join(wrong)}; give the same, "
-            "or remove the topic first"
-        )

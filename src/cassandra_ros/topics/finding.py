@@ -113,7 +113,7 @@ class Finder:
 
     def isExact(self, key: Any) -> bool:
         """Say whether a key is one that the store gave: it knows its row."""
-        known = isinstance(key, RowName) or (isinstance(key, Stamp) and bool(key.table))
+        known = isinstance(key, (RowName, Stamp)) and bool(key.table)
         return known and self._node in (None, key.node)
 
     def _near(self, key: Any, nearest: str) -> Optional[StoredRow]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 from datetime import datetime, timezone
-from typing import Optional
+from typing import Optional, Sequence
 
 from cassandra_ros.errors import InvalidKey, WriteFailed
 from cassandra_ros.formats.table import formatClass
@@ -18,7 +18,7 @@ from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import Directory
 from cassandra_ros.store.names import checkKeyspace
 from cassandra_ros.store.registry import Registry
-from cassandra_ros.store.schema import Schema
+from cassandra_ros.store.schema import Planned, Schema
 from cassandra_ros.store.side_tables import makeKeyspace
 from cassandra_ros.topics.connections import Connections
 from cassandra_ros.topics.reading import Rows
@@ -72,27 +72,23 @@ class Keyspace:
         Raises:
             InvalidKey: The type has no such field as key_part, and the topic is new.
         """
-        stored = self.tables.ofTopic(metadata.topic)
-        for table in stored:
+        for table in self.tables.ofTopic(metadata.topic):
             if (table.metadata.md5sum, table.metadata.format) == (metadata.md5sum, metadata.format):
                 return table
-        if stored and all(t.metadata.md5sum != metadata.md5sum for t in stored):
-            _log.warning(
-                "topic %s was stored with type %s [%s] and goes on with %s [%s] in a table of "
-                "its own; reading merges both",
-                *(metadata.topic, stored[0].metadata.msg_type, stored[0].metadata.md5sum),
-                *(metadata.msg_type, metadata.md5sum),
-            )
         fmt = formatClass(metadata.format)(metadata.msg_type, metadata.md5sum, definition)
-        if stored:
-            metadata = _inherited(metadata, stored[0].metadata)
-        metadata, shadows = _indexed(metadata, definition, new=not stored)
-        metadata = metadata.with_(
-            bucket_ns=limitForTtl(metadata.bucket_ns, metadata.ttl),
-            columns=tuple(fmt.describe()),
-            date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        )
-        name = self.schema.ensureTable(metadata, fmt.getColValidationClasses(), shadows)
+
+        def plan(others: Sequence[TopicMetadata]) -> Planned:
+            wanted = _beside(metadata, others)
+            wanted, shadows = _indexed(wanted, definition, new=not others)
+            wanted = wanted.with_(
+                bucket_ns=limitForTtl(wanted.bucket_ns, wanted.ttl),
+                columns=tuple(fmt.describe()),
+                date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+            )
+            return wanted, fmt.getColValidationClasses(), shadows
+
+        key = (metadata.topic, metadata.md5sum, metadata.format)
+        name = self.schema.ensureTable(key, plan)
         found = self.tables.byName(name)
         if found is None:
             raise WriteFailed(
@@ -102,13 +98,24 @@ class Keyspace:
         return found
 
 
-def _inherited(metadata: TopicMetadata, other: TopicMetadata) -> TopicMetadata:
+def _beside(metadata: TopicMetadata, others: Sequence[TopicMetadata]) -> TopicMetadata:
+    """Return the metadata of a table beside others of its topic: what they say holds for it."""
+    if not others:
+        return metadata
+    first = others[0]
+    if all(other.md5sum != metadata.md5sum for other in others):
+        _log.warning(
+            "topic %s was stored with type %s [%s] and goes on with %s [%s] in a table of its own; "
+            "reading merges both",
+            *(metadata.topic, first.msg_type, first.md5sum, metadata.msg_type, metadata.md5sum),
+        )
     return metadata.with_(
-        key_format=other.key_format,
-        key_part=other.key_part,
-        nodeID=metadata.nodeID or other.nodeID,
-        comment=metadata.comment or other.comment,
-        user=metadata.user or other.user,
+        key_format=first.key_format,
+        key_part=first.key_part,
+        ttl=metadata.ttl or first.ttl,
+        nodeID=metadata.nodeID or first.nodeID,
+        comment=metadata.comment or first.comment,
+        user=metadata.user or first.user,
     )
 
 
@@ -116,6 +123,7 @@ def _indexed(
     metadata: TopicMetadata, definition: Optional[Definition], new: bool
 ) -> tuple[TopicMetadata, dict[str, str]]:
     """Return the metadata with the index that key_part needs, and the columns that carry it."""
+    metadata = metadata.with_(own_time=metadata.key_format == "hash", indexes={})
     if metadata.key_format != "msg_part":
         return metadata, {}
     try:
@@ -126,9 +134,9 @@ def _indexed(
         if new:
             raise
         _log.warning("messages of topic %s: %s; these are found by time", metadata.topic, exc)
-        return metadata.with_(key_format="time", key_part=""), {}
-    if part.is_time:
         return metadata, {}
+    if part.is_time:
+        return metadata.with_(own_time=True), {}
     return metadata.with_(indexes={part.field: "_ix0"}), {"_ix0": part.cql_type}
 
 

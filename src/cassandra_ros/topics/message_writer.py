@@ -109,6 +109,7 @@ class MessageWriter:
         *,
         format: Optional[str] = None,
         nodeID: Optional[str] = None,
+        like: Optional[TopicMetadata] = None,
     ) -> Handle:
         """Make ready for the messages of a connection: its table, definition and header.
 
@@ -120,6 +121,7 @@ class MessageWriter:
             bucket_ns: Length of the time buckets where the table is made here, ns; None =
                 1 min for types with arrays, else 10 min.
             format, nodeID: Other ones than the writer's.
+            like: Where the table is made here, what the topic's former one said.
 
         Raises:
             SchemaConflict, StoreUnavailable: The table cannot be made.
@@ -127,18 +129,23 @@ class MessageWriter:
         node = self._node if nodeID is None else nodeID
         key = (connection, format or self._format, node)
         with self._mutex:
-            if key in self._handles:
-                return self._handles[key]
+            known = self._handles.get(key)
+        if known is not None:
+            stored = self._keyspace.tables.byName(known.table.name)
+            if stored is not None and stored.metadata.topic == connection.topic:
+                return known
+            # The topic was renamed or removed by another client.
+            like = like or (known.table.metadata if stored is None else None)
         checkTopicName(connection.topic)
         definition, warning = usableDefinition(connection, key[1])
-        metadata = TopicMetadata(
+        metadata = replace(
+            like or TopicMetadata("", "", "", "", 0, ttl=self._ttl or 0),
             topic=connection.topic,
             msg_type=connection.type,
             md5sum=connection.md5sum,
             format=key[1] if definition is not None else FALLBACK_FORMAT,
             bucket_ns=bucket_ns or defaultBucket(definition),
             definition=definition.text if definition else connection.definition_text,
-            ttl=self._ttl or 0,
         )
         table = self._keyspace.makeTable(metadata, definition)
         warning = warning or self._otherTtl(table)
@@ -160,7 +167,8 @@ class MessageWriter:
             self._topics[handle.table.name] = handle.topic
             while len(self._handles) >= MAX_HANDLES:
                 self._handles.pop(next(iter(self._handles)))
-            return self._handles.setdefault(key, handle)
+            self._handles[key] = handle
+            return handle
 
     def current(self, handle: Handle) -> Handle:
         """Return the handle, or another one where its table was dropped: the topic goes on anew."""
@@ -175,7 +183,10 @@ class MessageWriter:
                 self._keyspace.schema.tables(fresh=True)
                 bucket_ns = handle.table.metadata.bucket_ns
                 found = self.connect(
-                    handle.connection, bucket_ns, format=handle.asked, nodeID=handle.node
+                    *(handle.connection, bucket_ns),
+                    format=handle.asked,
+                    nodeID=handle.node,
+                    like=handle.table.metadata,
                 )
             handle = found
         return handle

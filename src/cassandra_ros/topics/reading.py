@@ -8,7 +8,7 @@ import heapq
 from itertools import islice
 from typing import Any, Callable, Iterable, Iterator, Optional, Sequence, Union
 
-from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.errors import CorruptMessage, InvalidKey
 from cassandra_ros.keys import Position, RowName
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.store.chunks import readChunks
@@ -21,7 +21,7 @@ from cassandra_ros.store.reader import Scan, readRows
 from cassandra_ros.store.row_table import RowTable, TableRow
 from cassandra_ros.store.shadow import keysByShadow
 from cassandra_ros.topics.connections import Connections
-from cassandra_ros.topics.selection import Named, Selection, Stretch, Valued
+from cassandra_ros.topics.selection import LAST_NS, Named, Selection, Stretch, Valued
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -110,7 +110,7 @@ class Rows:
     def _valued(
         self, tables: Sequence[TopicTable], wanted: Valued, nodes: Nodes, reverse: bool
     ) -> Iterator[StoredRow]:
-        keys = [self._keysOf(table, wanted.value, nodes) for table in tables if table.valued]
+        keys = [self._keysOf(table, value, nodes) for table, value in encoded(tables, wanted.value)]
         merged: Iterable[Wanted] = heapq.merge(*keys, key=lambda key: key.position)
         if reverse:
             merged = reversed(list(merged))
@@ -118,11 +118,8 @@ class Rows:
         for row in fetchRows(self._cassandra, merged):
             yield self._stored(row, by_name[row.table])
 
-    def _keysOf(self, table: TopicTable, value: Any, nodes: Nodes) -> Iterator[Wanted]:
-        part = table.key_part
-        wanted = None if part is None else part.encode(value)
-        if part is None or wanted is None:
-            return
+    def _keysOf(self, table: TopicTable, wanted: bytes, nodes: Nodes) -> Iterator[Wanted]:
+        part = table.keyPart()
         index = part.index(wanted)
         if index is not None:
             shadow = table.metadata.indexes[part.field]
@@ -133,6 +130,25 @@ class Rows:
         for row in self.read([table], *Stretch(), nodes=nodes):
             if row.odd and part.value(row.wire) == wanted:
                 yield Wanted(table, row.position)
+
+    def received(
+        self, tables: Sequence[TopicTable], low: int, high: int, *, nodes: Nodes = None
+    ) -> Iterator[StoredRow]:
+        """Yield the rows that were received in [low, high], ns, in the order of their reception.
+
+        Of topics whose key is a time in the message all keys are listed first.
+        """
+        by_name = {table.name: table for table in tables}
+        foreign = [t for t in tables if t.metadata.own_time and not t.named]
+        own = self.read([t for t in tables if t not in foreign], low, high, nodes=nodes)
+        scan = Scan(0, LAST_NS, None, nodes, columns=lambda table: ())
+        found = readRows(self._cassandra, self._directory, foreign, scan)
+        keys = [(r.received, r.seq, r.position) for r in found if low <= r.received <= high]
+        keys.sort()
+        wanted = (Wanted(by_name[position.table], position) for _, _, position in keys)
+        rows = fetchRows(self._cassandra, wanted)
+        late = (self._stored(row, by_name[row.table]) for row in rows)
+        return heapq.merge(own, late, key=lambda row: (row.received, row.node, row.seq))
 
     # ---------------------------------------------------------------- one
 
@@ -166,6 +182,28 @@ class Rows:
                 f"instead of {row.size}: its columns were changed by somebody else"
             )
         return wire
+
+
+def encoded(tables: Sequence[TopicTable], value: Any) -> list[tuple[TopicTable, bytes]]:
+    """Return the tables whose key field can have a value, each with the value for its index.
+
+    Raises:
+        InvalidKey: In none of them the field is of the value's kind.
+    """
+    found: list[tuple[TopicTable, bytes]] = []
+    problems: list[InvalidKey] = []
+    valued = [table for table in tables if table.valued]
+    for table in valued:
+        try:
+            wanted = table.keyPart().encode(value)
+        except InvalidKey as exc:
+            problems.append(exc)
+            continue
+        if wanted is not None:
+            found.append((table, wanted))
+    if problems and len(problems) == len(valued):
+        raise problems[0]
+    return found
 
 
 def _isBehind(position: Position, after: Position, reverse: bool) -> bool:

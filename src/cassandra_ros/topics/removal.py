@@ -37,7 +37,7 @@ class Removal:
     def deleteRow(self, row: StoredRow) -> int:
         """Delete one message; return 1."""
         table, node = row.table, row.node
-        key = (table.storedTime(row.t), row.seq)
+        key = table.storedOrder(row.t, row.seq)
         keys = [(*key, row.chunked)]
         if table.named:
             self._deleteKeys(table, node, row.name, keys, key, key)

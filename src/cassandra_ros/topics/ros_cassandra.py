@@ -11,6 +11,7 @@ from cassandra_ros.keys import Position, newWriterId
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import toNs
 from cassandra_ros.metadata import checkUserKeys
+from cassandra_ros.store.buckets import checkTtl
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.write_stats import LossCallback
 from cassandra_ros.store.writer import RowWriter
@@ -63,7 +64,7 @@ class RosCassandra(KeyspaceConnection):
             msg_type: 'pkg/Name' of an installed type; None = the type that the ROS master
                 knows, else that of the first message.
             nodeID: The entity (robot) that produces its messages.
-            ttl: Seconds until a message expires; 0 = never.
+            ttl: Seconds until a message expires, 0 to MAX_TTL_SEC (some 18 years); 0 = never.
             comment: Free text.
             key_format: What finds a message: 'time' (when it was received), 'msg_part' (a field
                 of it), 'hash' (its content) or 'manual' (a name that you give); None = as the
@@ -72,12 +73,13 @@ class RosCassandra(KeyspaceConnection):
             metadata: Keys of your own, for getMeta; values that JSON can hold.
 
         Raises:
-            TopicExists: It is stored with another type, key_format or ttl than given.
+            TopicExists: It is stored with another type, key_format or ttl than given. (The comment
+                and metadata of a stored topic stay as they are: setMeta changes them.)
             InvalidKey: The type has no such field as key_part.
-            UnknownFormat, InvalidName, DefinitionError.
+            UnknownFormat, InvalidName, InvalidOption, DefinitionError.
         """
         user = checkUserKeys(metadata or {})
-        wish = Wish(format, nodeID, int(ttl), comment, key_format or "", key_part, user)
+        wish = Wish(format, nodeID, checkTtl(ttl), comment, key_format or "", key_part, user)
         return self._topics.add(topic, wish, msg_type)
 
     def getTopic(self, topic: str) -> CassandraTopic:
@@ -122,8 +124,8 @@ class RosCassandra(KeyspaceConnection):
     def renameTopic(self, topic: str, new_name: str) -> None:
         """Give a topic another name. Its messages stay where they are: this takes no time.
 
-        A recorder that is writing the topic goes on doing so, under the new name, until it is
-        started anew.
+        A recorder that is writing the topic goes on into the renamed one for the publishers that
+        it knows; the next one, or the next recording, makes the topic anew.
 
         Raises:
             TopicNotFound: There is none.
@@ -165,7 +167,12 @@ class RosCassandra(KeyspaceConnection):
         place = (parts.cassandra, parts.schema, parts.directory)
         rows = RowWriter(*place, number, on_loss=on_loss, **timing)
         return MessageWriter(
-            *(parts, rows, number), format=format, nodeID=nodeID, ttl=ttl, run=run, on_loss=on_loss
+            *(parts, rows, number),
+            format=format,
+            nodeID=nodeID,
+            ttl=checkTtl(ttl),
+            run=run,
+            on_loss=on_loss,
         )
 
     def readMessages(
@@ -175,6 +182,7 @@ class RosCassandra(KeyspaceConnection):
         to_key: Optional[Time] = None,
         *,
         nodeID: Optional[str] = None,
+        received: bool = False,
     ) -> Iterator[StoredRow]:
         """Walk lazily through the rows of several topics, merged by time.
 
@@ -182,11 +190,15 @@ class RosCassandra(KeyspaceConnection):
             topics: Their names; None = all.
             key, to_key: Ends, both included; None = open.
             nodeID: Only messages of this node; None = of all.
+            received: By the time of reception, as a bag has them, also where a topic's key is
+                another time.
         """
         low = 0 if key is None else toNs(key)
         high = LAST_NS if to_key is None else toNs(to_key)
         nodes: Optional[Sequence[str]] = None if nodeID is None else (nodeID,)
-        return self.parts.rows.read(self._tables(topics), low, high, nodes=nodes)
+        rows = self.parts.rows
+        read = rows.received if received else rows.read
+        return read(self._tables(topics), low, high, nodes=nodes)
 
     def _tables(self, topics: Optional[Iterable[str]]) -> list[TopicTable]:
         if topics is None:

@@ -77,6 +77,21 @@ def checkMessageName(topic: str, name: Any) -> str:
     )
 
 
+def valueOfText(tables: Sequence[TopicTable], text: str) -> Any:
+    """Read the value of a key field that a person typed, as the first table that can takes it.
+
+    Raises:
+        InvalidKey: The text is a value in none of the tables.
+    """
+    problem: Optional[InvalidKey] = None
+    for table in tables:
+        try:
+            return table.keyPart().fromText(text)
+        except InvalidKey as exc:
+            problem = problem or exc
+    raise problem or InvalidKey(f"{text!r:.80} is no key")
+
+
 def selectMany(
     topic: str, key_format: str, tables: Sequence[TopicTable], key: Any, to_key: Any
 ) -> Selection:
@@ -105,11 +120,11 @@ def selectMany(
     if to_key is None and low_is_value:
         return Valued(key)
     if low_is_value or high_is_value:
-        part = next(table.key_part for table in tables if table.valued)
+        part = next(table.keyPart() for table in tables if table.valued)
         raise InvalidKey(
-            f"the key of topic {topic} is its field {part.field if part else ''}, and its messages "
-            "lie in the order of time: a stretch goes from one genpy.Time to another; ask for a "
-            "range of values with executeCQL"
+            f"the key of topic {topic} is its field {part.field}, and its messages lie in the "
+            "order of time: a stretch goes from one genpy.Time to another; ask for a range of "
+            "values with executeCQL"
         )
     low = 0 if key is None else toNs(key)
     return Stretch(low, LAST_NS if to_key is None else toNs(to_key))

@@ -9,7 +9,7 @@ import logging
 import threading
 from typing import Optional
 
-from cassandra_ros.errors import DefinitionError, InvalidKey
+from cassandra_ros.errors import DefinitionError
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
 from cassandra_ros.formats.table import formatClass
 from cassandra_ros.keys import MAX_NS
@@ -51,6 +51,12 @@ class TopicTable(RowTable):
         """Whether rows are found by the value of a field that is no time."""
         return self.key_part is not None and not self.key_part.is_time
 
+    def keyPart(self) -> KeyPart:
+        """Return the key field; only where ``valued`` says that there is one."""
+        if self.key_part is None:
+            raise AssertionError(f"table {self.name} has no key field")
+        return self.key_part
+
     def newRow(self, received: int, seq: int, conn: int, wire: bytes, name: str = "") -> NewRow:
         """Make the row of a message: its columns, and its place by the topic's key format.
 
@@ -68,11 +74,13 @@ class TopicTable(RowTable):
         if metadata.key_format == "manual":
             return NewRow(received, seq, conn, wire, columns, odd, raw, name or metadata.topic)
         if metadata.key_format == "hash":
-            columns = (*columns, encodeLong(received))
+            columns = (*columns, encodeLong(received), encodeLong(seq))
             digest = hashlib.md5(metadata.msg_type.encode("utf-8") + b"\0" + wire).hexdigest()
             return NewRow(0, 0, conn, wire, columns, odd, raw, digest)
+        if self.key_part is None:
+            return NewRow(received, seq, conn, wire, columns, odd, raw)
         if not self.valued:
-            t = None if self.key_part is None else self.key_part.time(wire)
+            t = self.key_part.time(wire)
             columns = (*columns, encodeLong(received))
             # What has no time lies where it was received; nsecs may pass the end of time.
             t = received if t is None else min(t, MAX_NS)
@@ -128,10 +136,8 @@ def _definition(metadata: TopicMetadata) -> Optional[Definition]:
 
 
 def _keyPart(metadata: TopicMetadata, definition: Optional[Definition]) -> Optional[KeyPart]:
-    if metadata.key_format != "msg_part" or definition is None:
+    # A definition that lacks the field has neither index nor receive time; its rows lie by time.
+    able = metadata.own_time or metadata.key_part in metadata.indexes
+    if metadata.key_format != "msg_part" or definition is None or not able:
         return None
-    try:
-        return KeyPart(definition, metadata.key_part)
-    except InvalidKey as exc:
-        _log.error("messages of topic %s are found by time only: %s", metadata.topic, exc)
-        return None
+    return KeyPart(definition, metadata.key_part)

@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Mapping, Optional
 
+from cassandra_ros.errors import TopicExists
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.topics.keyspace import defaultBucket
@@ -28,6 +29,26 @@ class Wish:
     """addTopic named the format; else it is the one that is stored."""
     pending: bool = True
     """Added in this process, perhaps without a table yet."""
+
+    def check(self, metadata: TopicMetadata, definition: Optional[Definition]) -> None:
+        """Compare with what is stored.
+
+        Raises:
+            TopicExists: The topic is stored in another way than asked for.
+        """
+        wrong = []
+        if definition is not None and definition.md5sum != metadata.md5sum:
+            wrong.append(f"type {metadata.msg_type} [{metadata.md5sum}]")
+        key = (self.key_format, self.key_part)
+        if self.key_format and key != (metadata.key_format, metadata.key_part):
+            wrong.append(f"key_format {metadata.key_format} {metadata.key_part}".rstrip())
+        if self.ttl and self.ttl != metadata.ttl:
+            wrong.append(f"ttl {metadata.ttl} s")
+        if wrong:
+            raise TopicExists(
+                f"topic {metadata.topic} is stored already with {', '.join(wrong)}; give the "
+                "same, or remove the topic first"
+            )
 
     def metadata(self, topic: str, definition: Optional[Definition]) -> TopicMetadata:
         """Return what the comment of the topic's table is to say."""
