@@ -20,10 +20,15 @@ _REASONS = (
     ),
     ("No space left on device", "the disk is full; make room, or choose another --dir"),
     ("Address already in use", "a port is taken by another program; choose another --port"),
+    (
+        "in use by another process",
+        "a port was taken by another program while this one started; start again",
+    ),
     ("Could not reserve enough space", "there is too little memory for the heap; lower --heap"),
     ("os::commit_memory", "there is too little memory for the heap; lower --heap"),
     ("Cannot allocate memory", "there is too little memory for the heap; lower --heap"),
-    ("OutOfMemoryError", "the heap is too small; give more with --heap"),
+    # With its package: Cassandra logs its options, -XX:+ExitOnOutOfMemoryError among them.
+    ("java.lang.OutOfMemoryError", "the heap is too small; give more with --heap"),
     ("CommitLogReplayException", "the commit log is damaged; the file is named in the log"),
     ("CorruptSSTableException", "a data file is damaged; it is named in the log"),
     ("Unsupported class file", "this Java is too old for Cassandra; Java 17 is needed"),
