@@ -32,7 +32,7 @@ demo: setup
 	@$(IN_WORKSPACE) $(PYTHON) examples/demo.py $(ARGS)
 
 test: setup
-	@$(IN_WORKSPACE) $(PYTHON) -m pytest -n 2 --dist loadgroup $(ARGS)
+	@$(IN_WORKSPACE) $(PYTHON) -m pytest -n 2 $(ARGS)
 
 lint: setup
 	$(PYTHON) -m ruff check .

@@ -42,7 +42,7 @@ WITHOUT_SYNC = (
     "-Dcassandra.settings.commitlog_sync_period=10000ms"
 )
 
-ALONE = {"nodes", "rostest", "local_server", "cli", "test_import_process.py"}
+ONE_BY_ONE = {"nodes", "rostest", "local_server", "cli", "test_import_process.py"}
 
 
 @dataclass(frozen=True)
@@ -79,13 +79,18 @@ def pytest_sessionstart(session):
     )
 
 
-@pytest.hookimpl(tryfirst=True)  # before xdist reads the marks
-def pytest_collection_modifyitems(items):
-    # What starts programs and waits for them shares a worker: two at a time are too many for a
-    # small machine.
-    for item in items:
-        if ALONE.intersection(item.path.parts):
-            item.add_marker(pytest.mark.xdist_group("programs"))
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):
+        # What starts programs and waits for them shares a worker: two at a time are too many for
+        # a small machine, and two servers that start at once may choose the same port.
+        def _split_scope(self, nodeid):
+            parts = nodeid.split("::")[0].split("/")
+            return "programs" if ONE_BY_ONE.intersection(parts) else nodeid
+
+    return Scheduling(config, log)
 
 
 def pytest_terminal_summary(terminalreporter):
