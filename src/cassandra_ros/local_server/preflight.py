@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -112,7 +113,9 @@ def choose_storage_port(settings: Settings, addresses: list[str]) -> int:
             f"port {known}, by which the nodes speak to each other, is taken by "
             f"{ports.port_owner(known)}; end that first"
         )
-    candidates: list[int] = [7000, *range(17000, 17100)]
+    # Two that start at once do not begin with the same one.
+    first = os.getpid() % 100
+    candidates = [7000, *(17000 + (first + number) % 100 for number in range(100))]
     for port in candidates:
         if free(port):
             return port

@@ -123,7 +123,6 @@ class Schema:
             every = {**_ownColumns(wanted), **columns, **shadows}
             self._createAll(name, wanted, every, shadows, lock)
             self._check(name, wanted, every)
-        self.tables(fresh=True)
         return name
 
     def _createAll(
@@ -134,7 +133,6 @@ class Schema:
         shadows: Iterable[str],
         lock: SchemaLock,
     ) -> None:
-        lock.renew()
         self._create(name, wanted, columns)
         for shadow in shadows:
             lock.renew()
@@ -158,7 +156,7 @@ class Schema:
         )
 
     def _check(self, name: str, wanted: TopicMetadata, columns: Mapping[str, str]) -> None:
-        comment = self._read().get(name)
+        comment = self.tables(fresh=True).get(name)
         if self._columns(name) != dict(columns) or comment != wanted:
             raise SchemaConflict(
                 f"table {self.keyspace}.{name} of topic {wanted.topic} is not what was asked "
@@ -273,6 +271,7 @@ class Schema:
         key = (metadata.topic, metadata.md5sum, metadata.format)
         name = tableName(*key, metadata.generation)
         shadows = metadata.indexes.values()
+        lock.renew()
         self._createAll(name, metadata, self._columns(table), shadows, lock)
 
 
