@@ -98,6 +98,8 @@ class Cassandra:
             auth_provider=auth,
             ssl_context=ssl_context,
             execution_profiles={EXEC_PROFILE_DEFAULT: profile},
+            # A keyspace may have hundreds of tables, and each change would read them all anew.
+            schema_metadata_enabled=False,
             # Without it batches stall 40 ms each on delayed acknowledgements.
             sockopts=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
             connect_timeout=CONNECT_TIMEOUT_SEC,
@@ -236,6 +238,11 @@ class Cassandra:
             agreed = self._cluster.control_connection.wait_for_schema_agreement(wait_time=5.0)
         if not agreed:
             raise translate(TimeoutError("the nodes do not agree on the schema"), what)
+
+    def useKeyspace(self, keyspace: str) -> None:
+        """Learn how a keyspace is replicated: rows then go straight to a node that has them."""
+        with translated(f"reading the replication of keyspace {keyspace}"):
+            self._cluster.refresh_keyspace_metadata(keyspace)
 
     # ---------------------------------------------------------------- for writer and reader
 

@@ -50,6 +50,7 @@ class Keyspace:
 
     def __init__(self, cassandra: Cassandra, name: str) -> None:
         makeKeyspace(cassandra, checkKeyspace(name))
+        cassandra.useKeyspace(name)
         self.cassandra = cassandra
         self.name = name
         self.schema = Schema(cassandra, name)
