@@ -80,7 +80,8 @@ def depthOf(text):
 HOSTILE = [
     *"- ? : -x ?x :x a: a:b a :b #x a# --- ---x ... ...x ' '' 'a' it's \" ~ = << ! !x &x".split(),
     *"| > % @ ` yes No null y n true 1 1.0 1e5 1.0e+20 -1 .5 .nan .inf -.inf +.inf 0x10".split(),
-    *"*x 0b1 010 1_000 1:30 2001-01-01 [1.0] {} [] {a:1} a,b [ ] { } f:[1] \\ \\n nan inf None".split(),
+    *"*x 0b1 010 1_000 1:30 2001-01-01 [1.0] {} [] {a:1} a,b [ ] { } f:[1] \\ \\n".split(),
+    *"nan inf None".split(),
     *("", " ", " a", "a ", "a  b", "a #b", "a: b", "- a", "? a", ": a", "f: [1.0, 2.0]", "a:\n- b"),
     *("\n", "a\nb", "a\n\nb\n", "\ta", "a\tb", "a\rb", "\0", "\x7f", "\x85", "a\u2028b", "\ufeff"),
     *("Zoë", "𝄞", "'x:", "a\n  x: b", "x: a", "x:\n  x: 'a'", "<array type: uint8, length: 9>"),
