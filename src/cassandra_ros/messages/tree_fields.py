@@ -8,20 +8,10 @@ import struct
 from typing import Sequence
 
 from cassandra_ros.messages.spec import Field
+from cassandra_ros.messages.wire_value import CODES
 
-NUMBER_CODES = {
-    "bool": "?",
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float32": "f",
-    "float64": "d",
-}
+_OTHERS = ("time", "duration", "byte", "char")
+NUMBER_CODES = {name: code for name, code in CODES.items() if name not in _OTHERS}
 """struct codes of all primitive types (old names resolved) but string, time and duration."""
 
 TIME_CODES = {"time": "<II", "duration": "<ii"}

@@ -31,6 +31,7 @@ CODES = {
     "time": "Q",
     "duration": "q",
 }
+"""struct codes of primitive types on the wire."""
 CQL_CODES = {
     "tinyint": ">b",
     "smallint": ">h",
