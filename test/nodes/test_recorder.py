@@ -19,7 +19,10 @@ from nodes.raw_publisher import RawPublisher, header_of, message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Int32, String
 
+from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.messages.classes import messageClass
 from cassandra_ros.messages.connection import liveConnection
+from cassandra_ros.messages.definition import parseDefinition
 
 
 def text(n):
@@ -181,6 +184,35 @@ def test_types_that_differ_on_one_topic(roscore, recorder, rosCas):
     rows = list(rosCas.getTopic("/mixed").rows())
     assert sorted(row.type for row in rows) == ["std_msgs/Int32"] * 20 + ["std_msgs/String"] * 20
     assert {row.message().data for row in rows if row.type == "std_msgs/Int32"} == set(range(20))
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_type_that_is_not_installed(roscore, recorder, rosCas, form):
+    child = recorder("/lost", "--format", form)
+    text_ = "Header header\nfloat32[] ranges\nlost_msgs/Part part\n" + "=" * 80 + "\n"
+    text_ += "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n" + "=" * 80 + "\n"
+    text_ += "MSG: lost_msgs/Part\nstring name\n"
+    definition = parseDefinition("lost_msgs/Thing", text_)
+    other = {"type": definition.type, "md5sum": definition.md5sum, "message_definition": text_}
+    thing = messageClass(definition)(ranges=[1.5, float("inf")])
+    thing.part.name = "wheel"
+    with publisher(roscore, "/lost", **other) as one:
+        one.await_subscribers().publish(message(thing))
+        time.sleep(0.3)
+    assert child.end() == 0, child.output
+    (row,) = rosCas.getTopic("/lost").rows()
+    assert (row.type, row.wire, row.table.metadata.format) == (
+        definition.type,
+        message(thing),
+        form,
+    )
+    header = dict(row.connection.fields)
+    assert header == {
+        name: value if isinstance(value, bytes) else value.encode()
+        for name, value in one.header.items()
+    }
+    assert row.message().part.name == "wheel"
+    assert rosCas.executeCQL("select part.name from lost where ranges[0] > 1") == [("wheel",)]
 
 
 def test_headers_without_the_optional_fields(roscore, recorder, rosCas):
