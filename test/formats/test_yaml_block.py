@@ -193,6 +193,8 @@ PIECES = [
 @settings(deadline=None, max_examples=1500)
 @given(text=st.lists(st.sampled_from(PIECES), max_size=12).map("".join))
 @example(text="- a: 1\n")
+@example(text="on: 1\n")
+@example(text="a:\n    b: 1\n  b: 1\n")
 @example(text="a: x\n  y\n")
 @example(text="a:\n  - 1\n")
 @example(text="a:\nb: 1\n")
@@ -230,6 +232,7 @@ def test_the_texts_of_messages_are_read_without_pyyaml():
 @example(text=": " * 9)
 @example(text="a:\n- b:\n  - c:\n    - d:\n      - e: []")
 @example(text="[[1], [[1], 2]]")
+@example(text="[']', " * 9 + "1" + "]" * 9)
 def test_no_text_is_deeper_than_a_glance_says(text):
     try:
         assert depthOf(text) <= _most_depth(text)
