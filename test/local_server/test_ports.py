@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+from pathlib import Path
 
 from cassandra_ros.local_server import ports
 
@@ -48,3 +49,11 @@ def test_clients_of_a_port_are_counted():
 
 def test_a_port_without_owner():
     assert ports.port_owner(ports.free_port()) == "an unknown process"
+
+
+def test_a_free_port_is_none_that_clients_get():
+    low = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
+    for _ in range(20):
+        port = ports.free_port()
+        assert ports.is_free("127.0.0.1", port)
+        assert 1024 < port < max(low, 32_768)

@@ -5,11 +5,14 @@
 from __future__ import annotations
 
 import os
+import random
 import socket
 from pathlib import Path
 
+from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server.processes import describe_process
 
+_SERVER_PORTS = range(18_000, 32_768)
 _LISTEN = "0A"
 _ESTABLISHED = "01"
 
@@ -28,10 +31,14 @@ def is_free(host: str, port: int) -> bool:
 
 
 def free_port(host: str = "127.0.0.1") -> int:
-    """Return a port of the host that is free now."""
-    with socket.socket() as probe:
-        probe.bind((host, 0))
-        return int(probe.getsockname()[1])
+    """Return a port of the host that is free now, and that no client gets for its end."""
+    # What the system gives away by itself begins above: such a port may be taken by a client
+    # while a server that listened on it is started again.
+    candidates = random.sample(_SERVER_PORTS, len(_SERVER_PORTS))
+    for port in candidates:
+        if is_free(host, port):
+            return port
+    raise ServerError(f"no port of {host} from 18000 to 32767 is free")
 
 
 def port_owner(port: int) -> str:
