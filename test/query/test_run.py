@@ -366,3 +366,24 @@ def test_a_topic_without_messages(rosCas):
     assert rosCas.executeCQL("select count(*) from later") == [(0,)]
     rosCas.addTopic("/unknown")
     assert execute(rosCas, "select KEY from unknown").columns == ("KEY",)
+
+
+def test_names_match_patterns(rosCas):
+    topic = rosCas.addTopic("/maps", format="ros", key_format="manual")
+    for name in ("hall_1", "hall_2", "Hall_3", "yard", "100%"):
+        topic.addData(String(name[::-1]), key=name)
+    ask = rosCas.executeCQL
+    assert sorted(ask("select KEY, data from maps where KEY like 'hall%'")) == [
+        ("hall_1", "1_llah"),
+        ("hall_2", "2_llah"),
+    ]
+    assert ask("select count(*) as n from maps where KEY not like '%_'") == [(0,)]
+    assert ask("select KEY from maps where KEY = 'yard' and KEY like 'h%'") == []
+    assert ask("select min(KEY), max(KEY), count(KEY), min(data) from maps") == [
+        ("100%", "yard", 5, "%001")
+    ]
+    for condition in ("KEY contains 'x'", "KEY like 5", "KEY > 'x'"):
+        with pytest.raises(InvalidQuery):
+            ask(f"select KEY from maps where {condition}")
+    with pytest.raises(InvalidQuery, match="sum is for numbers"):
+        ask("select sum(KEY) from maps")
