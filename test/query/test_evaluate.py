@@ -14,8 +14,8 @@ from geometry_msgs.msg import TransformStamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from query.rows import row_of, table_of
-from sensor_msgs.msg import LaserScan, NavSatFix
-from std_msgs.msg import Bool, Float32, Int64, String, UInt64
+from sensor_msgs.msg import JointState, LaserScan, NavSatFix
+from std_msgs.msg import Bool, Float32, Float64MultiArray, Int64, String, UInt8MultiArray, UInt64
 from std_msgs.msg import Duration as DurationMsg
 from std_msgs.msg import Time as TimeMsg
 from tf2_msgs.msg import TFMessage
@@ -153,7 +153,116 @@ def test_nodes():
     assert matches(msg, "NODE != 'husky' and NODE in ('turtle', 'x')", node="turtle")
 
 
+# -------------------------------------------------------------------- patterns
+
+
+def like(text, pattern):
+    """The definition of LIKE, one code point after the other."""
+    if not pattern:
+        return not text
+    if pattern[0] == "%":
+        return any(like(text[n:], pattern[1:]) for n in range(len(text) + 1))
+    return bool(text) and pattern[0] in ("_", text[0]) and like(text[1:], pattern[1:])
+
+
+@settings(max_examples=500, deadline=None)
+@given(st.text("aB.\n*", max_size=8), st.text("aB.\n*%_", max_size=7))
+def test_like(text, pattern):
+    assert matches(String(text), "data like ?", [pattern]) is like(text, pattern)
+    assert matches(String(text), "data not like ?", [pattern]) is not like(text, pattern)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.text(), st.text())
+def test_what_is_in_a_pattern_is_data(text, tail):
+    pattern = "".join("_" if c in "%_" else c for c in text)
+    assert matches(String(text + tail), "data like ?", [pattern + "%"])
+    assert matches(String(text), "data like '" + pattern.replace("'", "''") + "'")
+
+
+def test_patterns_that_would_take_for_ever():
+    assert not matches(String("a" * 5000), "data like ?", ["%a" * 50 + "%b"])
+    assert matches(String("a" * 5000), "data like ?", ["%a_" * 50 + "%"])
+
+
+def test_like_on_nodes():
+    assert matches(Bool(True), "NODE like 'husky_%'", node="husky_1")
+    assert not matches(Bool(True), "NODE like 'Husky%'", node="husky_1")
+
+
 # -------------------------------------------------------------------- missing values, arrays
+
+
+VALUES = st.sampled_from([0, -1, 1, 1.5, -0.0, 255, 256, 255.0, 0.1, 1e300, math.nan, math.inf])
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(VALUES.map(float), max_size=4), VALUES)
+def test_contains_in_arrays_of_numbers(values, wanted):
+    msg = Float64MultiArray(data=values)
+    expected = any(value == wanted for value in values)
+    assert matches(msg, "data contains ?", [wanted]) is expected
+    assert matches(msg, f"data contains {wanted!r}") is expected
+    assert matches(msg, "data not contains ?", [wanted]) is not expected
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=4) | st.sampled_from([b"\0\xff", b"\1"]), VALUES)
+def test_contains_in_bytes(values, wanted):
+    expected = any(value == wanted for value in values)
+    assert matches(UInt8MultiArray(data=values), "data contains ?", [wanted]) is expected
+
+
+def test_contains_in_arrays_of_other_types():
+    joints = JointState(name=["elbow", "wrist"], position=[1.0, 2.0])
+    assert matches(joints, "name contains 'wrist' and position contains 2")
+    assert not matches(joints, "name contains 'Wrist' or name contains 'wris'")
+    definition = parseDefinition("pkg/T", "bool[] b\ntime[] t\nchar[2] c\nduration[] d", None)
+    table = table_of(definition)
+    wire = struct.pack("<I??III2sIii", 2, True, True, 1, 7, 5, b"\1\2", 1, -1, 500_000_000)
+    row = row_of(wire=wire, table=table)
+    for text in ("b contains true", "t contains 7.000000005", "c contains 2", "d contains -0.5"):
+        assert Condition(text).test([table])(row), text
+        assert not Condition("not " + text).test([table])(row), text
+    for text in ("b contains false", "t contains 7", "c contains 3", "d contains 0"):
+        assert not Condition(text).test([table])(row), text
+
+
+def test_contains_inside_of_elements():
+    text = "MSG: pkg/E"
+    definition = parseDefinition(
+        "pkg/T", f"pkg/E[] e\n{'=' * 80}\n{text}\nint32 x\nint32[] many", None
+    )
+    table = table_of(definition)
+    row = row_of(wire=struct.pack("<IiIiiIi", 2, 1, 1, 10, 2, 1, 20), table=table)
+    assert Condition("e.x = 1 and e.many contains 10").test([table])(row)
+    assert not Condition("e.x = 1 and e.many contains 20").test([table])(row)
+    assert Condition("e[1].many contains 20").test([table])(row)
+    for missing in ("e[2].many contains 20", "not e[2].many contains 20"):
+        assert not Condition(missing).test([table])(row)
+    assert Condition("e[2].many is null and e[1].many is not null").test([table])(row)
+
+
+def test_null_is_what_is_missing():
+    scan = LaserScan(ranges=[1.0, math.nan], intensities=[])
+    assert matches(scan, "ranges[2] is null and not ranges[2] is not null")
+    assert matches(scan, "ranges[1] is not null and intensities is not null")
+    assert matches(scan, "KEY is not null and NODE is not null and header.frame_id is not null")
+    assert matches(scan, "ranges[2] = 0 or ranges[2] is null")
+    assert not matches(scan, "ranges[0] is null")
+    broken = row_of(wire=b"\1\2", table=table_of(definitionOf(LaserScan)))
+    assert Condition("range_min is null").test([broken.table])(broken)
+    assert not Condition("KEY is null or range_min is not null").test([broken.table])(broken)
+    tables = [table_of(definitionOf(Float32)), table_of(definitionOf(NavSatFix))]
+    older = Condition("latitude is null").test(tables)
+    assert older(row_of(Float32(7)))
+    assert not older(row_of(NavSatFix()))
+
+
+def test_arrays_of_messages_without_elements_give_no_null():
+    assert not matches(tf(), "transforms.child_frame_id is null")
+    assert matches(tf(), "transforms[0].child_frame_id is null")
+    assert not matches(tf(("a", 1.0)), "transforms.child_frame_id is null")
 
 
 def test_what_is_missing_never_matches():
@@ -239,6 +348,17 @@ def test_arrays_in_arrays():
         (TFMessage, "transforms.child = 'x'", "child", "did you mean child_frame_id?"),
         (Bool, "data = 'true'", "'true'", "true or false"),
         (DurationMsg, "data = '5 s'", "'5 s'", "number"),
+        (NavSatFix, "latitude like '5%'", "latitude", "LIKE is for text"),
+        (NavSatFix, "header.stamp like '2014%'", "header.stamp", "is a time"),
+        (NavSatFix, "KEY like '2014%'", "KEY", "LIKE is for text"),
+        (NavSatFix, "header.frame_id like 5", "5", "'text'"),
+        (JointState, "name like 'x'", "name", "name[0]"),
+        (NavSatFix, "latitude contains 5", "latitude", "not an array; compare it with ="),
+        (NavSatFix, "NODE contains 'x'", "NODE", "not an array"),
+        (JointState, "name contains 5", "5", "name is a string[]"),
+        (TFMessage, "transforms contains 5", "transforms", "is a message"),
+        (TFMessage, "transforms is null", "transforms", "is a message"),
+        (NavSatFix, "lat is null", "lat", "did you mean latitude?"),
     ],
 )
 def test_errors_name_what_was_meant(msg_class, text, spot, word):

@@ -10,7 +10,17 @@ from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.parse import parseCondition, parseSelect
-from cassandra_ros.query.syntax import All, Compare, Either, Key, Literal, Negation, Node, OneOf
+from cassandra_ros.query.syntax import (
+    All,
+    Compare,
+    Either,
+    IsNull,
+    Key,
+    Literal,
+    Negation,
+    Node,
+    OneOf,
+)
 
 
 def columns(text):
@@ -29,6 +39,13 @@ def columns(text):
         ("select\n  a [ 3 ] . b\nfrom\tt", ["a[3].b"]),
         ("select count(*) from t", ["count(*)"]),
         ("select COUNT ( * ) from t", ["count(*)"]),
+        ("select min(x), MAX(a.b[1]) as top, avg(KEY) from t", ["min(x)", "top", "avg(KEY)"]),
+        ('select count(*) as n, sum("x") AS "my sum" from t', ["n", "my sum"]),
+        ("select KEY as when, a as as, as from t", ["when", "as", "as"]),
+        (
+            "select min, max, sum, avg, like, contains, is, null from t",
+            ["min", "max", "sum", "avg", "like", "contains", "is", "null"],
+        ),
     ],
 )
 def test_columns(text, names):
@@ -94,6 +111,19 @@ def test_operators_and_lists():
     assert isinstance(parseCondition("x not in (1)"), Negation)
 
 
+def test_patterns_arrays_and_null():
+    tree = parseCondition("a like 'x%' and b not like ? and c contains 5 and d.e is null", ["y"])
+    like, unlike, contains, null = tree.items
+    assert (like.operator, like.value.value) == ("LIKE", "x%")
+    assert isinstance(unlike, Negation)
+    assert (unlike.item.operator, unlike.item.value.value) == ("LIKE", "y")
+    assert (contains.operator, contains.value.value) == ("CONTAINS", 5)
+    assert isinstance(null, IsNull)
+    assert parseCondition("d is not null").item.operand.text == "d"
+    words = parseCondition("like like 'x' or is is null or contains contains 1 or min is null")
+    assert [item.operand.text for item in words.items] == ["like", "is", "contains", "min"]
+
+
 def test_parameters_are_values():
     hostile = "'; drop keyspace ros; --"
     select = parseSelect(
@@ -127,6 +157,14 @@ def test_limit_and_order():
         ("select a from t limit ?", [True], "?", "at least 1"),
         ("select a from t limit 5.5", (), ".5", "ALLOW"),
         ("select count(*), a from t", (), "count", "stands alone"),
+        ("select a, b, max(c) from t", (), "max", "not beside a"),
+        ("select min(*) from t", (), "*", "min takes one field"),
+        ("select mean(x) from t", (), "(", "the functions are count, min, max, sum and avg"),
+        ("select min(max(x)) from t", (), "(x", "')'"),
+        ("select a from t where b = 1 and max(c) > 3", (), "max", "max(c) is made of the rows"),
+        ("select a from t where x like", (), "", "the statement ends here"),
+        ("select a from t where x is 5", (), "5", "NULL"),
+        ("select a as 5 from t", (), "5", "a field"),
         ("delete from t", (), "delete", "SELECT"),
         ("", (), "", "SELECT"),
         ("select a from t order by a", (), "a", "KEY"),
@@ -170,7 +208,8 @@ def answers(parse, text, params=()):
 
 WORDS = st.sampled_from(
     "select from where and or not in between order by KEY NODE asc desc limit allow filtering "
-    "count ( ) * , . [ ] = != <> < <= > >= ? %s ; ' \" '' 'a' \"b\" a a.b x[3] /tf tf ~ 1 -1 1e400 "
+    "count min max sum avg like contains is null as min( "
+    "( ) * , . [ ] = != <> < <= > >= ? %s ; ' \" '' 'a' \"b\" a a.b x[3] /tf tf ~ 1 -1 1e400 "
     "1. .5 nan infinity true false 2013-05-08 '2013-05-08' \n -- /* é \0 \ud800".split(" ")
 )
 

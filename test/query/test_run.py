@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import uuid
+from fractions import Fraction
 
 import pytest
 import rosbag
@@ -140,6 +141,71 @@ def test_counts(husky):
     assert husky.ask("select count(*) from fix where KEY < 0") == [(0,)]
 
 
+def test_aggregates(husky):
+    fixes = [m.latitude for _, m in husky.messages["/fix"]]
+    statement = (
+        "select min(latitude), MAX(latitude) as top, sum(latitude), avg(latitude), "
+        "count(latitude), count(*) as n, min(header.frame_id), max(KEY), sum(header.seq) from fix"
+    )
+    result = execute(husky.store, statement)
+    assert result.columns[:3] == ("min(latitude)", "top", "sum(latitude)")
+    assert result.columns[5] == "n"
+    ((*numbers, frame, last, total),) = list(result)
+    mean = float(sum(map(Fraction, fixes)) / len(fixes))
+    assert numbers == [min(fixes), max(fixes), math.fsum(fixes), mean, len(fixes), len(fixes)]
+    t, message = husky.messages["/fix"][-1]
+    assert (frame, last) == (min(m.header.frame_id for _, m in husky.messages["/fix"]), key(t))
+    assert husky.store.getTopic("fix").getData(last).latitude == message.latitude
+    assert total == sum(m.header.seq for _, m in husky.messages["/fix"])
+
+
+def test_aggregates_of_elements(husky):
+    values = [
+        (f.transform.translation.x, f.header.stamp)
+        for _, m in husky.messages["/tf"]
+        for f in m.transforms
+        if f.child_frame_id.endswith("wheel") and f.transform.translation.y > 0
+    ]
+    x = "transforms.transform.translation.x"
+    assert husky.ask(
+        f"select min({x}), max({x}), sum({x}), count({x}), count(*), "
+        "min(transforms.header.stamp) from tf where transforms.child_frame_id like '%wheel' "
+        "and transforms.transform.translation.y > 0 limit 5"
+    ) == [
+        (min(values)[0], max(values)[0], math.fsum(v for v, _ in values), len(values), len(values),
+         min(stamp for _, stamp in values))
+    ]  # fmt: skip
+    assert values
+
+
+def test_aggregates_of_nothing(husky):
+    nothing = [(0, 0, None, None, None, None)]
+    names = "count(*), count(latitude), min(latitude), max(latitude), sum(latitude), avg(latitude)"
+    assert husky.ask(f"select {names} from fix where latitude > 90") == nothing
+    assert husky.ask(f"select {names} from fix where KEY < 0") == nothing
+    many = len(husky.messages["/joy"])
+    assert husky.ask("select count(axes[99]), count(*), avg(axes[99]) from joy") == [
+        (0, many, None)
+    ]
+    assert husky.ask("select count(*), count(*) as n from joy") == [(many, many)]
+
+
+def test_patterns_arrays_and_null(husky):
+    joys = husky.messages["/joy"]
+    pressed = [(key(t),) for t, m in joys if 1 in m.buttons]
+    assert husky.ask("select KEY from joy where buttons contains 1") == pressed
+    some = joys[len(joys) // 2][1].axes[1]
+    pushed = [(key(t),) for t, m in joys if some in m.axes]
+    assert husky.ask("select KEY from joy where axes contains ?", [some]) == pushed
+    assert 0 < len(pushed) < len(joys)
+    assert husky.ask("select count(*) from joy where axes[99] is null") == [(len(joys),)]
+    assert husky.ask("select count(*) from joy where NODE like 'hus__'") == [(len(joys),)]
+    assert husky.ask("select count(*) from joy where NODE like 'hus_'") == [(0,)]
+    renamed = execute(husky.store, "select KEY as time, buttons[0] as b from joy limit 1")
+    assert renamed.columns == ("time", "b")
+    assert list(renamed) == [(key(joys[0][0]), joys[0][1].buttons[0])]
+
+
 def test_order_and_limit(husky):
     times = [(key(t),) for t, _ in husky.messages["/joy"]]
     assert husky.ask("select KEY from joy order by KEY desc") == times[::-1]
@@ -201,6 +267,14 @@ def test_condition_for_getdata_and_range(husky):
         ("select latitude from fix where KEY > 'noon'", "'noon'", "KEY is a time"),
         ("select latitude from fix where longitud > 0", "longitud", "did you mean longitude"),
         ('select KEY from "\'; drop table x; --"', "\"'", "not stored"),
+        ("select sum(header.frame_id) from fix", "header.frame_id", "sum is for numbers"),
+        ("select avg(header.stamp) from fix", "header.stamp", "is a time"),
+        ("select max(latitude), avg(KEY) from fix", "KEY", "avg is for numbers"),
+        ("select sum(NODE) from fix", "NODE", "sum is for numbers"),
+        ("select min(axes) from joy", "axes", "axes[0]"),
+        ("select min(header) from fix", "header", "is a message"),
+        ("select header as h from fix", "header as", "AS gives a name to one"),
+        ("select KEY from fix where KEY like '2%'", "KEY like", "LIKE is for text"),
         ("select transforms.x, transforms.child_frame_id from tf", "x", "no field transforms.x"),
     ],
 )
@@ -249,6 +323,17 @@ def test_definitions_are_united(rosCas):
     assert rosCas.executeCQL("select data from x where data > 1") == [(1.5,)]
     with pytest.raises(InvalidQuery, match="no field"):
         rosCas.executeCQL("select nothing from x")
+    assert rosCas.executeCQL("select count(data), sum(data), max(latitude), count(*) from x") == [
+        (2, 1.5, 5.0, 3)
+    ]
+    assert rosCas.executeCQL("select KEY from x where latitude is null") == [
+        rows[0][:1],
+        rows[2][:1],
+    ]
+    with pytest.raises(InvalidQuery, match="different kinds") as caught:
+        rosCas.executeCQL("select count(*), min(data) from x")
+    assert caught.value.position == len("select count(*), ")
+    assert rosCas.executeCQL("select min(data) from x where data > 1") == [(1.5,)]
 
 
 def test_odd_values(rosCas):
@@ -281,3 +366,24 @@ def test_a_topic_without_messages(rosCas):
     assert rosCas.executeCQL("select count(*) from later") == [(0,)]
     rosCas.addTopic("/unknown")
     assert execute(rosCas, "select KEY from unknown").columns == ("KEY",)
+
+
+def test_names_match_patterns(rosCas):
+    topic = rosCas.addTopic("/maps", format="ros", key_format="manual")
+    for name in ("hall_1", "hall_2", "Hall_3", "yard", "100%"):
+        topic.addData(String(name[::-1]), key=name)
+    ask = rosCas.executeCQL
+    assert sorted(ask("select KEY, data from maps where KEY like 'hall%'")) == [
+        ("hall_1", "1_llah"),
+        ("hall_2", "2_llah"),
+    ]
+    assert ask("select count(*) as n from maps where KEY not like '%_'") == [(0,)]
+    assert ask("select KEY from maps where KEY = 'yard' and KEY like 'h%'") == []
+    assert ask("select min(KEY), max(KEY), count(KEY), min(data) from maps") == [
+        ("100%", "yard", 5, "%001")
+    ]
+    for condition in ("KEY contains 'x'", "KEY like 5", "KEY > 'x'"):
+        with pytest.raises(InvalidQuery):
+            ask(f"select KEY from maps where {condition}")
+    with pytest.raises(InvalidQuery, match="sum is for numbers"):
+        ask("select sum(KEY) from maps")

@@ -14,9 +14,11 @@ from typing import Iterator, Optional
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.literals import fitToText, fitToTime
-from cassandra_ros.query.syntax import All, Compare, Expression, Key, Literal, Node, leaves
+from cassandra_ros.query.syntax import All, Compare, Expression, Key, Literal, Node, given, leaves
 
 _log = logging.getLogger(__name__)
+
+_ORDERED = ("<", "<=", ">", ">=")
 
 SECONDS_BELOW = 10**12
 """An integer key below is 17 minutes after 1970, or was meant as seconds."""
@@ -77,19 +79,18 @@ def boundsOf(
 def _refuseOrder(condition: Optional[Expression]) -> None:
     for leaf in leaves(condition):
         if isinstance(leaf.operand, Key) and isinstance(leaf, Compare):
-            if leaf.operator not in ("=", "!="):
+            if leaf.operator in _ORDERED:
                 raise StatementError(
                     leaf.operand.position,
-                    "KEY is a name here, and names have no order; compare it with = or IN",
+                    "KEY is a name here, and names have no order; compare it with =, IN or LIKE",
                 )
 
 
 def warnOfSeconds(condition: Optional[Expression]) -> None:
     """Log a warning where KEY is compared with what looks like seconds: integers are ns."""
     for comparison in leaves(condition):
-        values = (comparison.value,) if isinstance(comparison, Compare) else comparison.values
-        for given in values if isinstance(comparison.operand, Key) else ():
-            value = given.value if isinstance(given, Literal) else None
+        for found in given(comparison) if isinstance(comparison.operand, Key) else ():
+            value = found.value if isinstance(found, Literal) else None
             if type(value) is int and 0 < value < SECONDS_BELOW:
                 _log.warning(
                     "KEY is compared with %d, which means nanoseconds since 1970; did you mean "
@@ -116,7 +117,7 @@ def _narrowed(bounds: Bounds, part: Expression, named: bool) -> Bounds:
             return replace(bounds, name=name, empty=bounds.empty or clash)
         if named:
             return replace(bounds, whole=False)
-        if isinstance(part.operand, Key) and part.operator != "!=":
+        if isinstance(part.operand, Key) and part.operator in ("=", *_ORDERED):
             ns = fitToTime(part.value)
             low = {"=": ns, ">=": ns, ">": ns + 1}.get(part.operator)
             high = {"=": ns, "<=": ns, "<": ns - 1}.get(part.operator)

@@ -4,17 +4,19 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Optional
+from typing import Any, NamedTuple, Optional, Union
 
 from lark import Token, Transformer, v_args
 
 from cassandra_ros.query.syntax import (
+    Aggregate,
     All,
+    Column,
     Compare,
-    CountAll,
     DecimalText,
     Either,
     Expression,
+    IsNull,
     Key,
     Literal,
     Negation,
@@ -45,7 +47,7 @@ class StatementError(Exception):
 class Parsed(NamedTuple):
     """The clauses of a SELECT, its values not bound yet."""
 
-    columns: Optional[tuple[Any, ...]]
+    columns: Optional[tuple[Column, ...]]
     topic: str
     topic_position: int
     condition: Optional[Expression]
@@ -59,7 +61,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
 
     def statement(
         self,
-        columns: Optional[tuple[Any, ...]],
+        columns: Optional[tuple[Column, ...]],
         topic: tuple[str, int],
         condition: Optional[Expression],
         descending: Optional[bool],
@@ -73,14 +75,29 @@ class _Builder(Transformer):  # type: ignore[type-arg]
     def everything(self, _star: Token) -> None:
         return None
 
-    def selected(self, *columns: Any) -> tuple[Any, ...]:
-        for column in columns:
-            if isinstance(column, CountAll) and len(columns) > 1:
-                raise StatementError(column.position, "count(*) stands alone: it counts the rows")
+    def selected(self, *columns: Column) -> tuple[Column, ...]:
+        one = [c.what for c in columns if isinstance(c.what, Aggregate)]
+        many = [c.what for c in columns if not isinstance(c.what, Aggregate)]
+        if one and many:
+            raise StatementError(
+                one[0].position,
+                f"{one[0].text} is one value made of all rows: it stands alone or beside other "
+                f"aggregates, not beside {many[0].text}",
+            )
         return columns
 
-    def count(self, word: Token, _star: Token) -> CountAll:
-        return CountAll(_at(word))
+    def column(self, what: Union[Operand, Aggregate], alias: Optional[Token]) -> Column:
+        if alias is None:
+            return Column(what)
+        return Column(what, _unquote(alias) if alias.type == "QUOTED" else str(alias))
+
+    def aggregate(self, word: Token, operand: Union[Token, Operand]) -> Aggregate:
+        function = word.lower()
+        if not isinstance(operand, Token):
+            return Aggregate(function, operand, _at(word))
+        if function != "count":
+            raise StatementError(_at(operand), f"{function} takes one field; only count takes *")
+        return Aggregate(function, None, _at(word))
 
     def topic(self, token: Token) -> tuple[str, int]:
         return (_unquote(token) if token.type == "QUOTED" else str(token)), _at(token)
@@ -125,6 +142,31 @@ class _Builder(Transformer):  # type: ignore[type-arg]
 
     def not_between(self, operand: Operand, low: Value, high: Value) -> Negation:
         return Negation(self.between(operand, low, high))
+
+    def like(self, operand: Operand, pattern: Value) -> Compare:
+        return Compare(operand, "LIKE", pattern)
+
+    def not_like(self, operand: Operand, pattern: Value) -> Negation:
+        return Negation(self.like(operand, pattern))
+
+    def contains(self, operand: Operand, value: Value) -> Compare:
+        return Compare(operand, "CONTAINS", value)
+
+    def not_contains(self, operand: Operand, value: Value) -> Negation:
+        return Negation(self.contains(operand, value))
+
+    def is_null(self, operand: Operand) -> IsNull:
+        return IsNull(operand)
+
+    def is_not_null(self, operand: Operand) -> Negation:
+        return Negation(IsNull(operand))
+
+    def aggregate_as_condition(self, found: Aggregate) -> Operand:
+        raise StatementError(
+            found.position,
+            f"{found.text} is made of the rows that satisfy the condition, so it cannot stand in "
+            "it; select it, and compare its value in a second statement",
+        )
 
     # ------------------------------------------------------------------ names and values
 

@@ -5,10 +5,14 @@
 A comparison is true, false, or unknown where the value is missing: an array that is too short, a
 field that this definition of the topic lacks, a message that cannot be read. NOT keeps unknown;
 AND is false when one side is, OR true when one side is; only rows for which the whole is true
-match. So what is missing never matches, also not under NOT.
+match. So what is missing never matches, also not under NOT. ``IS NULL`` alone is never unknown:
+it is true for what is missing. NaN, '' and an empty array are values. An array of messages without
+elements gives no row, so that nothing inside it is null either.
 
 Values compare as Python compares them: int with float exactly, NaN as IEEE 754 says (equal to
 nothing, ``!=`` to everything), −0.0 equal to 0, text by code point, times as integer nanoseconds.
+``CONTAINS`` compares each element of an array of primitives so; ``LIKE`` the whole text with a
+pattern, see ``patterns``.
 """
 
 from __future__ import annotations
@@ -17,14 +21,25 @@ import operator
 from typing import Any, Callable, Optional, Sequence
 
 from cassandra_ros.query.literals import Comparable
-from cassandra_ros.query.syntax import All, Compare, Either, Expression, Literal, Negation, Operand
+from cassandra_ros.query.patterns import likePattern
+from cassandra_ros.query.syntax import (
+    All,
+    Compare,
+    Either,
+    Expression,
+    IsNull,
+    Leaf,
+    Literal,
+    Negation,
+    given,
+)
 
 Values = Sequence[Any]
 """The values of one message, or of one element of its array; None = missing."""
 Check = Callable[[Values], Optional[bool]]
-Locate = Callable[[Operand], Optional[int]]
-"""Finds the place of an operand's value among the values; None where there is none."""
-Fit = Callable[[Operand, Literal], Optional[Comparable]]
+Locate = Callable[[Leaf], Optional[int]]
+"""Finds the place of a comparison's operand among the values; None where there is none."""
+Fit = Callable[[Leaf, Literal], Optional[Comparable]]
 """Fits a literal to its operand; None where it can never be compared."""
 
 _OPERATORS: dict[str, Callable[[Any, Any], bool]] = {
@@ -52,21 +67,31 @@ def compileCondition(expression: Optional[Expression], locate: Locate, fit: Fit)
     if isinstance(expression, (All, Either)):
         checks = [compileCondition(item, locate, fit) for item in expression.items]
         return _joined(checks, isinstance(expression, Either))
-    place = locate(expression.operand)
-    given = (expression.value,) if isinstance(expression, Compare) else expression.values
-    listed = [fit(expression.operand, v) for v in given if isinstance(v, Literal)]
+    place = locate(expression)
+    if isinstance(expression, IsNull):
+        return (lambda values: True) if place is None else (lambda values: values[place] is None)
+    listed = [fit(expression, value) for value in given(expression) if isinstance(value, Literal)]
+    if place is None:
+        return _unknown
     if isinstance(expression, Compare):
-        return _comparison(place, _OPERATORS[expression.operator], listed[0])
-    return _membership(place, [value for value in listed if value is not None])
+        return _comparison(place, expression.operator, listed[0])
+    # NaN equals nothing, yet a set finds it by identity.
+    members = frozenset(value for value in listed if value is not None and value == value)
+    return _tested(place, members.__contains__)
 
 
 def _unknown(values: Values) -> Optional[bool]:
     return None
 
 
-def _comparison(place: Optional[int], compare: Any, wanted: Optional[Comparable]) -> Check:
-    if place is None or wanted is None:
+def _comparison(place: int, sign: str, wanted: Optional[Comparable]) -> Check:
+    if wanted is None:
         return _unknown
+    if sign == "LIKE":
+        return _tested(place, likePattern(str(wanted)))
+    if sign == "CONTAINS":
+        return _tested(place, _holding(wanted))
+    compare = _OPERATORS[sign]
 
     def check(values: Values) -> Optional[bool]:
         value = values[place]
@@ -75,17 +100,26 @@ def _comparison(place: Optional[int], compare: Any, wanted: Optional[Comparable]
     return check
 
 
-def _membership(place: Optional[int], listed: list[Comparable]) -> Check:
-    if place is None:
-        return _unknown
-    # NaN equals nothing, yet a set finds it by identity.
-    members = frozenset(value for value in listed if value == value)
-
+def _tested(place: int, test: Callable[[Any], bool]) -> Check:
     def check(values: Values) -> Optional[bool]:
         value = values[place]
-        return None if value is None else value in members
+        return None if value is None else test(value)
 
     return check
+
+
+def _holding(wanted: Comparable) -> Callable[[Any], bool]:
+    if wanted != wanted:
+        return lambda array: False
+    # Bytes take ints alone, and only those that a byte can be.
+    byte = isinstance(wanted, (int, float)) and 0 <= wanted <= 255 and wanted == int(wanted)
+
+    def test(array: Any) -> bool:
+        if isinstance(array, (bytes, bytearray)):
+            return byte and int(wanted) in array
+        return wanted in array
+
+    return test
 
 
 def _negation(inner: Check) -> Check:

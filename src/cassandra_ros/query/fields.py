@@ -87,11 +87,16 @@ def fieldsOf(path: Path, definition: Definition) -> list[FieldRef]:
     return list(_leaves(definition, msg_type, steps))
 
 
-def fieldOf(path: Path, definition: Definition) -> FieldRef:
+def fieldOf(path: Path, definition: Definition, array: Optional[bool] = False) -> FieldRef:
     """Find the one field that a path names, for a condition.
 
+    Args:
+        path: A field.
+        definition: The message type.
+        array: Whether it is to be an array as a whole; None = either.
+
     Raises:
-        StatementError: There is no such field, or it is a message or an array as a whole.
+        StatementError: There is no such field, or it is a message, or an array and is to be none.
     """
     found = fieldsOf(path, definition)
     if len(found) != 1 or len(found[0].steps) > len(path.parts):
@@ -101,7 +106,11 @@ def fieldOf(path: Path, definition: Definition) -> FieldRef:
             f"{path.text} is a message; name one of its fields"
             + (f", like {' or '.join(inside)}" if inside else " (it has none)"),
         )
-    if found[0].is_array:
+    if array is True and not found[0].is_array:
+        raise StatementError(
+            path.position, f"{path.text} is a {found[0].type}, not an array; compare it with ="
+        )
+    if array is False and found[0].is_array:
         raise StatementError(
             path.position, f"{path.text} is an array; name an element, like {path.text}[0]"
         )

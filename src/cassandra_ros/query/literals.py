@@ -37,9 +37,10 @@ def fitToField(literal: Literal, ref: FieldRef) -> Comparable:
         return fitToTime(literal, ref.name)
     fitted = _FITS[kind](literal.value)
     if fitted is None:
+        shape = "[]" if ref.is_array else ""
         raise StatementError(
             literal.position,
-            f"{ref.name} is a {ref.type}; compare it with {_WANTED[kind]}, "
+            f"{ref.name} is a {ref.type}{shape}; compare it with {_WANTED[kind]}, "
             f"not with {_shown(literal.value)}",
         )
     return fitted

@@ -7,7 +7,7 @@ from __future__ import annotations
 import difflib
 from functools import lru_cache
 from numbers import Integral
-from typing import Any, Iterator, Optional, Sequence, Union
+from typing import Any, Iterator, Optional, Sequence
 
 from lark import Lark, UnexpectedInput
 from lark.exceptions import UnexpectedCharacters, UnexpectedToken
@@ -17,12 +17,15 @@ from cassandra_ros.query.builder import BUILDER, Parsed, StatementError
 from cassandra_ros.query.syntax import (
     Compare,
     Expression,
+    IsNull,
+    Leaf,
     Literal,
     Negation,
     OneOf,
     Placeholder,
     Select,
     Value,
+    given,
     leaves,
 )
 
@@ -47,7 +50,7 @@ _WORDS = {
     "DOT": "'.'",
     "$END": "the end",
 }
-_UNSAID = {"QUOTED", "SEMICOLON", "COUNT", "TRUE", "FALSE"}
+_UNSAID = {"QUOTED", "SEMICOLON", "FUNCTION", "TRUE", "FALSE"}
 
 
 @lru_cache(maxsize=1)
@@ -126,6 +129,8 @@ class _Binding:
             return Compare(item.operand, item.operator, self.value(item.value))
         if isinstance(item, OneOf):
             return OneOf(item.operand, tuple(self._listed(item)))
+        if isinstance(item, IsNull):
+            return item
         if isinstance(item, Negation):
             return Negation(self.expression(item.item))
         return type(item)(tuple(self.expression(part) for part in item.items))
@@ -140,27 +145,26 @@ class _Binding:
         if not item.whole:
             yield from values
             return
-        (given,) = values
-        if not isinstance(given.value, (list, tuple, set, frozenset)):
-            raise InvalidQuery(self._text, given.position, "IN ? takes a list as its value")
-        for element in given.value:
-            yield Literal(element, given.position)
+        (whole,) = values
+        if not isinstance(whole.value, (list, tuple, set, frozenset)):
+            raise InvalidQuery(self._text, whole.position, "IN ? takes a list as its value")
+        for element in whole.value:
+            yield Literal(element, whole.position)
 
 
-def _placeholders(comparisons: list[Union[Compare, OneOf]]) -> Iterator[Placeholder]:
+def _placeholders(comparisons: list[Leaf]) -> Iterator[Placeholder]:
     for item in comparisons:
-        values = (item.value,) if isinstance(item, Compare) else item.values
-        yield from (value for value in values if isinstance(value, Placeholder))
+        yield from (value for value in given(item) if isinstance(value, Placeholder))
 
 
 def _of_limit(limit: Optional[Value]) -> list[Placeholder]:
     return [limit] if isinstance(limit, Placeholder) else []
 
 
-def _limit(text: str, given: Literal) -> int:
-    if not isinstance(given.value, Integral) or isinstance(given.value, bool) or given.value < 1:
-        raise InvalidQuery(text, given.position, "LIMIT takes a whole number of at least 1")
-    return int(given.value)
+def _limit(text: str, most: Literal) -> int:
+    if not isinstance(most.value, Integral) or isinstance(most.value, bool) or most.value < 1:
+        raise InvalidQuery(text, most.position, "LIMIT takes a whole number of at least 1")
+    return int(most.value)
 
 
 def _parse(text: str, start: str) -> Any:
@@ -191,12 +195,14 @@ def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
         return position, f"the quote {found[0]} is not closed"
     keywords = [name.lstrip("_") for name in expected if _is_keyword(name)]
     shown = f"found {found!r}" if found else "the statement ends here"
+    if found == "(" and "_FROM" in expected:
+        shown += " (the functions are count, min, max, sum and avg)"
     wanted = ", ".join(sorted(_WORDS.get(name, name.lstrip("_")) for name in expected - _UNSAID))
     return position, f"{shown}{nearest(found, keywords)}; expected {wanted or 'something else'}"
 
 
 def _is_keyword(name: str) -> bool:
-    return name.startswith("_") or name in ("ASC", "DESC", "COUNT")
+    return name.startswith("_") or name in ("ASC", "DESC")
 
 
 def _word_at(text: str, position: int) -> str:

@@ -12,7 +12,7 @@ from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.conditions import readable
 from cassandra_ros.query.evaluate import compileCondition
 from cassandra_ros.query.scope import KEY_PLACE, NODE_PLACE, Findings, Scope
-from cassandra_ros.query.syntax import CountAll, Key, Node, Select
+from cassandra_ros.query.syntax import Aggregate, Column, Key, Node, Path, Select
 
 Show = Callable[[Any], Any]
 _Column = Tuple[str, int, Optional[Show]]
@@ -78,7 +78,7 @@ class TablePlan:
 def uniteColumns(select: Select, plans: Sequence[TablePlan]) -> list[list[str]]:
     """Return the columns of each selected path over all tables, and let the plans show them."""
     if not plans:
-        return [[column.text] for column in select.columns or (Key(0),)]
+        return [[column.text] for column in select.columns or (Column(Key(0)),)]
     united: list[list[str]] = []
     for groups in zip(*(plan.names for plan in plans)):
         united.append(list(dict.fromkeys(name for group in groups for name in group)))
@@ -90,20 +90,28 @@ def uniteColumns(select: Select, plans: Sequence[TablePlan]) -> list[list[str]]:
 def _groups(select: Select, scope: Scope) -> list[list[_Column]]:
     if select.columns is None:
         return [[("KEY", KEY_PLACE, None)], _fields(scope, None)]
-    found: list[list[_Column]] = []
-    for column in select.columns:
-        if isinstance(column, (Key, CountAll)):
-            found.append([(column.text, KEY_PLACE, None)])
-        elif isinstance(column, Node):
-            found.append([(column.text, NODE_PLACE, None)])
-        else:
-            found.append(_fields(scope, column))
-    return found
+    return [_group(column, scope) for column in select.columns]
 
 
-def _fields(scope: Scope, path: Any) -> list[_Column]:
-    shows = {"time": _time, "duration": _duration}
-    return [(name, place, shows.get(ref.type)) for name, ref, place in scope.columns(path)]
+def _group(column: Column, scope: Scope) -> list[_Column]:
+    what = column.what
+    if isinstance(what, Aggregate):
+        found = scope.aggregated(what)
+        return [(column.text, found[0], _SHOWS.get(found[1]))] if found else []
+    if isinstance(what, Key):
+        return [(column.text, KEY_PLACE, None)]
+    if isinstance(what, Node):
+        return [(column.text, NODE_PLACE, None)]
+    fields = _fields(scope, what)
+    if column.alias is None:
+        return fields
+    if len(fields) > 1:
+        scope.refuse(what, f"{what.text} has {len(fields)} fields; AS gives a name to one")
+    return [(column.alias, place, show) for _, place, show in fields[:1]]
+
+
+def _fields(scope: Scope, path: Optional[Path]) -> list[_Column]:
+    return [(name, place, _SHOWS.get(ref.type)) for name, ref, place in scope.columns(path)]
 
 
 def _time(value: Any) -> Any:
@@ -125,3 +133,6 @@ def _duration(value: Any) -> Any:
     origin = Stamp.fromNs(0)
     # genpy's Duration, without importing genpy here.
     return Stamp.fromNs(value) - origin if value >= 0 else origin - Stamp.fromNs(-value)
+
+
+_SHOWS: dict[str, Show] = {"time": _time, "duration": _duration}

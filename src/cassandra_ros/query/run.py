@@ -9,6 +9,7 @@ from typing import Any, Generator, Iterator, Optional, Sequence, Tuple, Union
 from cassandra_ros.errors import InvalidQuery, TopicNotFound
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.query.aggregates import Totals
 from cassandra_ros.query.bounds import Bounds, boundsOf, warnOfSeconds
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.conditions import boundedRows
@@ -46,7 +47,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         left = None if select.limit is None else max(0, select.limit - place.given)
         if limit is not None:
             left = limit if left is None else min(left, limit)
-        read = self._counted if select.counts else self._selected
+        read = self._aggregated if select.aggregates else self._selected
         self._rows = read(topic, bounds, place, left)
 
     def __iter__(self) -> QueryResult:
@@ -98,16 +99,16 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         rows = boundedRows(topic, narrowed, None, reverse)
         return (row for row in rows if _isLeft(row.position, at, reverse, bool(place.skip)))
 
-    def _counted(self, topic: Any, bounds: Bounds, place: Place, left: Optional[int]) -> _Rows:
+    def _aggregated(self, topic: Any, bounds: Bounds, place: Place, left: Optional[int]) -> _Rows:
         if place.position is not None or left == 0:
             return
-        if bounds.empty:
-            yield (0,)
-        elif bounds.whole:
-            yield (self._countedByKey(topic, bounds),)
-        else:
-            rows = boundedRows(topic, bounds)
-            yield (sum(len(self._plan(row.table).rows(row)) for row in rows),)
+        if self._select.counts and bounds.whole and not bounds.empty:
+            yield (self._countedByKey(topic, bounds),) * len(self._select.aggregates)
+            return
+        totals = Totals(self._select)
+        for row in boundedRows(topic, bounds):
+            totals.add(self._plan(row.table).rows(row))
+        yield totals.values()
 
     def _countedByKey(self, topic: Any, bounds: Bounds) -> int:
         if bounds.name is not None:

@@ -8,7 +8,7 @@ field that all of them lack is an error; so problems are collected over all tabl
 
 from __future__ import annotations
 
-from typing import Any, Iterator, Optional, Sequence
+from typing import Any, Iterator, Optional, Sequence, Union
 
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.messages.definition import Definition
@@ -16,9 +16,12 @@ from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.extract import Array, Extractor
 from cassandra_ros.query.fields import FieldRef, allFields, fieldOf, fieldsOf
 from cassandra_ros.query.literals import Comparable, fitToField, fitToText, fitToTime
-from cassandra_ros.query.syntax import Key, Literal, Node, Operand, Path
+from cassandra_ros.query.syntax import Aggregate, Compare, IsNull, Key, Leaf, Literal, Node, Path
 
 KEY_PLACE, NODE_PLACE = 0, 1
+_BESIDE = -1
+"""From here downwards are the marks of problems that no other table can make good."""
+_NO_NUMBERS = ("string", "time", "duration")
 
 
 class Findings:
@@ -62,32 +65,52 @@ class Scope:
         self._refs: list[FieldRef] = []
         self._unnested: list[Array] = []
 
-    def locate(self, operand: Operand) -> Optional[int]:
-        """Return the place of an operand's value; None where this definition lacks it."""
-        if isinstance(operand, Key):
+    def locate(self, leaf: Leaf) -> Optional[int]:
+        """Return the place of a comparison's operand; None where this definition lacks it."""
+        if isinstance(leaf.operand, Key):
             return KEY_PLACE
-        if isinstance(operand, Node):
+        if isinstance(leaf.operand, Node):
             return NODE_PLACE
-        ref = self._field(operand)
+        ref = self._field(leaf.operand, _wantsArray(leaf))
         return None if ref is None else self._place(ref)
 
-    def fit(self, operand: Operand, literal: Literal) -> Optional[Comparable]:
+    def fit(self, leaf: Leaf, literal: Literal) -> Optional[Comparable]:
         """Fit a literal to its operand; None where they cannot be compared here."""
-        fitted: Optional[Comparable] = None
         try:
-            if isinstance(operand, Key):
-                fitted = fitToText(literal, "KEY") if self._named else fitToTime(literal)
-            elif isinstance(operand, Node):
-                fitted = fitToText(literal, "NODE")
-            else:
-                ref = self._field(operand)
-                fitted = None if ref is None else fitToField(literal, ref)
+            fitted = self._fitted(leaf, literal)
         except StatementError as exc:
             self._findings.wrong(literal.position, exc)
             return None
         if fitted is not None:
             self._findings.fine(literal.position)
         return fitted
+
+    def aggregated(self, asked: Aggregate) -> Optional[tuple[int, str]]:
+        """Return place and type of what an aggregate is made of; None where it is missing."""
+        operand = asked.operand
+        if isinstance(operand, Path):
+            ref = self._field(operand)
+            if ref is None:
+                return None
+            place, kind = self._place(ref), ref.type
+        elif isinstance(operand, Node):
+            place, kind = NODE_PLACE, "string"
+        else:
+            place, kind = KEY_PLACE, "string" if self._named else "time"
+        if operand is not None and asked.function in ("sum", "avg") and kind in _NO_NUMBERS:
+            problem = StatementError(
+                operand.position,
+                f"{operand.text} is a {kind}, and {asked.function} is for numbers; "
+                "min, max and count take any field",
+            )
+            self._findings.wrong(asked.position, problem)
+            return None
+        self._findings.fine(asked.position)
+        return place, kind
+
+    def refuse(self, path: Path, reason: str) -> None:
+        """Note that a path, although there is such a field, cannot stand where it does."""
+        self._findings.wrong(_BESIDE - path.position, StatementError(path.position, reason))
 
     def columns(self, path: Optional[Path]) -> list[tuple[str, FieldRef, int]]:
         """Return name, field and place of each field that a path (None = ``*``) selects."""
@@ -122,8 +145,27 @@ class Scope:
         """Whether a message may give several rows, or none."""
         return bool(self._unnested)
 
-    def _field(self, path: Path) -> Optional[FieldRef]:
-        found = self._resolved(path, lambda definition: [fieldOf(path, definition)])
+    def _fitted(self, leaf: Leaf, literal: Literal) -> Optional[Comparable]:
+        operand, sign = leaf.operand, leaf.operator if isinstance(leaf, Compare) else ""
+        if isinstance(operand, Path):
+            ref = self._field(operand, _wantsArray(leaf))
+            if ref is None:
+                return None
+            if sign == "LIKE":
+                _checkText(operand, ref.type)
+            return fitToField(literal, ref)
+        if sign == "CONTAINS":
+            raise StatementError(
+                operand.position, f"{operand.text} is not an array; compare it with ="
+            )
+        if self._named or isinstance(operand, Node):
+            return fitToText(literal, operand.text)
+        if sign == "LIKE":
+            _checkText(operand, "time")
+        return fitToTime(literal)
+
+    def _field(self, path: Path, array: Optional[bool] = False) -> Optional[FieldRef]:
+        found = self._resolved(path, lambda definition: [fieldOf(path, definition, array)])
         return found[0] if found else None
 
     def _fields(self, path: Path) -> list[FieldRef]:
@@ -156,7 +198,7 @@ class Scope:
                     f"{names[1]}; ask for them in two statements, or name an element: "
                     f"{names[1]}[0]",
                 )
-                self._findings.wrong(-1 - path.position, problem)
+                self._findings.wrong(_BESIDE - path.position, problem)
                 continue
             self._unnested.append(array)
 
@@ -164,3 +206,18 @@ class Scope:
         if ref not in self._refs:
             self._refs.append(ref)
         return 2 + self._refs.index(ref)
+
+
+def _wantsArray(leaf: Leaf) -> Optional[bool]:
+    """Whether the operand is an array as a whole; None = either."""
+    if isinstance(leaf, IsNull):
+        return None
+    return isinstance(leaf, Compare) and leaf.operator == "CONTAINS"
+
+
+def _checkText(operand: Union[Path, Key], kind: str) -> None:
+    if kind != "string":
+        raise StatementError(
+            operand.position,
+            f"{operand.text} is a {kind}, and LIKE is for text; compare it with = < > or BETWEEN",
+        )

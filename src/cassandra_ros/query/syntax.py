@@ -77,20 +77,41 @@ class Node:
     text = "NODE"
 
 
-@dataclass(frozen=True)
-class CountAll:
-    """``count(*)``."""
-
-    position: int
-    text = "count(*)"
-
-
 Operand = Union[Path, Key, Node]
 
 
 @dataclass(frozen=True)
+class Aggregate:
+    """``min(field)`` and its like: one value made of those of all rows."""
+
+    function: str
+    """min, max, sum, avg or count."""
+    operand: Optional[Operand]
+    """None = ``*``, of count only."""
+    position: int
+
+    @property
+    def text(self) -> str:
+        """The aggregate as a column's name."""
+        return f"{self.function}({'*' if self.operand is None else self.operand.text})"
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a statement selects, and the name that it gives it."""
+
+    what: Union[Operand, Aggregate]
+    alias: Optional[str] = None
+
+    @property
+    def text(self) -> str:
+        """The column's name."""
+        return self.what.text if self.alias is None else self.alias
+
+
+@dataclass(frozen=True)
 class Compare:
-    """``operand operator value``; the operator is one of = != < <= > >=."""
+    """``operand operator value``; the operator is one of = != < <= > >= LIKE CONTAINS."""
 
     operand: Operand
     operator: str
@@ -105,6 +126,13 @@ class OneOf:
     values: tuple[Value, ...]
     whole: bool = False
     """The one value is the list itself."""
+
+
+@dataclass(frozen=True)
+class IsNull:
+    """``operand IS NULL``."""
+
+    operand: Operand
 
 
 @dataclass(frozen=True)
@@ -128,7 +156,8 @@ class Negation:
     item: Expression
 
 
-Expression = Union[Compare, OneOf, All, Either, Negation]
+Leaf = Union[Compare, OneOf, IsNull]
+Expression = Union[Leaf, All, Either, Negation]
 
 
 def parts(expression: Expression) -> tuple[Expression, ...]:
@@ -138,9 +167,16 @@ def parts(expression: Expression) -> tuple[Expression, ...]:
     return (expression.item,) if isinstance(expression, Negation) else ()
 
 
-def leaves(expression: Optional[Expression]) -> Iterator[Union[Compare, OneOf]]:
+def given(leaf: Leaf) -> tuple[Value, ...]:
+    """Return the values that a comparison compares with."""
+    if isinstance(leaf, Compare):
+        return (leaf.value,)
+    return leaf.values if isinstance(leaf, OneOf) else ()
+
+
+def leaves(expression: Optional[Expression]) -> Iterator[Leaf]:
     """Yield the comparisons of an expression, from left to right."""
-    if isinstance(expression, (Compare, OneOf)):
+    if isinstance(expression, (Compare, OneOf, IsNull)):
         yield expression
     elif expression is not None:
         for part in parts(expression):
@@ -152,8 +188,8 @@ class Select:
     """A SELECT statement with all its values bound."""
 
     text: str
-    columns: Optional[tuple[Union[Path, Key, Node, CountAll], ...]]
-    """None = ``*``."""
+    columns: Optional[tuple[Column, ...]]
+    """None = ``*``; either all of them are aggregates or none is."""
     topic: str
     topic_position: int
     condition: Optional[Expression]
@@ -161,6 +197,12 @@ class Select:
     limit: Optional[int] = None
 
     @property
+    def aggregates(self) -> tuple[Aggregate, ...]:
+        """What its columns are made of; empty where they are no aggregates."""
+        found = (column.what for column in self.columns or ())
+        return tuple(what for what in found if isinstance(what, Aggregate))
+
+    @property
     def counts(self) -> bool:
-        """Whether it asks for the number of rows."""
-        return self.columns is not None and isinstance(self.columns[0], CountAll)
+        """Whether it asks for the number of rows, and for nothing else."""
+        return bool(self.aggregates) and all(a.operand is None for a in self.aggregates)
