@@ -18,6 +18,9 @@ from cassandra_ros.topics.topic_table import TopicTable
 
 _log = logging.getLogger(__name__)
 
+MAX_CLASSES = 1024
+"""Connections of a table whose message class is kept: anonymous publishers come without end."""
+
 Key = Union[Stamp, RowName]
 """What finds one stored message again: a time, or the name under which it is kept."""
 
@@ -141,6 +144,14 @@ class StoredRow:
 
     def messageClass(self) -> Any:
         """Return the class of the message: installed, generated, or RawMessage."""
+        known = self.table.classes.get(self._row.conn)
+        if known is None:
+            if len(self.table.classes) >= MAX_CLASSES:
+                self.table.classes.clear()
+            known = self.table.classes[self._row.conn] = self._findClass()
+        return known
+
+    def _findClass(self) -> Any:
         table, type_ = self.table, self.type
         definition = table.definition
         if definition is None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import threading
-from typing import Optional
+from typing import Any, Optional
 
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
@@ -45,6 +45,8 @@ class TopicTable(RowTable):
         )
         self.key_part = _keyPart(metadata, definition)
         """The field that is the key, where there is one."""
+        self.classes: dict[int, Any] = {}
+        """Message classes by the number of the connection."""
 
     @property
     def valued(self) -> bool:
