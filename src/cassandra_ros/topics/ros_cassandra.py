@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Any, Iterable, Iterator, Mapping, Optional, Sequence
 
 from cassandra_ros.formats.table import DEFAULT_FORMAT
-from cassandra_ros.keys import Position, newWriterId
+from cassandra_ros.keys import newWriterId
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import toNs
 from cassandra_ros.metadata import checkUserKeys
@@ -15,17 +15,18 @@ from cassandra_ros.store.buckets import checkTtl
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.write_stats import LossCallback
 from cassandra_ros.store.writer import RowWriter
-from cassandra_ros.topics.cassandra_topic import CassandraTopic, Time
-from cassandra_ros.topics.keyspace_connection import KeyspaceConnection
+from cassandra_ros.topics.asking import Asking
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.message_writer import MessageWriter
 from cassandra_ros.topics.selection import LAST_NS
 from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.topic_rows import Time
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.totals import TopicInfo
 from cassandra_ros.topics.wish import Wish
 
 
-class RosCassandra(KeyspaceConnection):
+class RosCassandra(Asking):
     """Keeps ROS topics in a Cassandra cluster. Safe to share between threads.
 
     Args:
@@ -218,42 +219,3 @@ class RosCassandra(KeyspaceConnection):
     def runs(self) -> list[Run]:
         """List the recordings and imports of the keyspace."""
         return self.parts.registry.runs()
-
-    # ---------------------------------------------------------------- queries
-
-    def executeCQL(
-        self,
-        statement: str,
-        params: Sequence[Any] = (),
-        *,
-        nodeID: Optional[str] = None,
-        limit: Optional[int] = None,
-    ) -> Any:
-        """Run a statement and return all its rows: a list of tuples with ``.columns``.
-
-        Args:
-            statement: CQL with topic names, dotted fields and KEY (paper 3.2).
-            params: Values for its ``?`` and ``%s`` markers.
-            nodeID: Only messages of this node; None = of all.
-            limit: At most so many rows.
-
-        Raises:
-            InvalidQuery: Shows the statement with a caret under the spot.
-        """
-        from cassandra_ros.query import executeAll
-
-        return executeAll(self, statement, params, nodeID=nodeID, limit=limit)
-
-    def iterCQL(
-        self,
-        statement: str,
-        params: Sequence[Any] = (),
-        *,
-        nodeID: Optional[str] = None,
-        limit: Optional[int] = None,
-        after: Optional[Position] = None,
-    ) -> Any:
-        """Run a statement lazily: an iterator of tuples with ``.columns``; as executeCQL."""
-        from cassandra_ros.query import execute
-
-        return execute(self, statement, params, nodeID=nodeID, limit=limit, after=after)
