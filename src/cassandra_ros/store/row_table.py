@@ -179,11 +179,7 @@ class RowTable:
     ) -> PreparedStatement:
         """SELECT of one partition from (t, seq) to (t, seq), both included.
 
-        Args:
-            columns: Of the format's columns these.
-            reverse: Newest first.
-            terms: Column and operator of what the server is to check besides; their values come
-                behind the four of the range.
+        The values of ``terms``, columns and operators of a filter, come behind those four.
         """
         names = ", ".join(quoteName(n) for n in (*_OWN, *self._received, *columns))
         order = ' ORDER BY "_t" DESC, "_seq" DESC' if reverse else ""
