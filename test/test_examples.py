@@ -101,6 +101,7 @@ def test_the_storyboard_finds_what_the_bag_holds(cassandra, keyspace, ros_env):
     assert not done.stderr
     for text in wanted:
         assert text in done.stdout
+    assert done.stdout.partition("replay:")[0] in (ROOT / "README.md").read_text()
 
 
 def test_the_storyboard_replays_the_window(cassandra, keyspace, rosCas, roscore):
