@@ -78,6 +78,20 @@ class TestTimeField:
             assert topic.removeData(3.0, 4.0) == 2
             assert rosCas.info(["/imu"])[0].count == 2
 
+    def test_equal_times_of_reception_are_in_the_order_of_nodes(self, rosCas):
+        rosCas.addTopic("/imu", key_format="msg_part", key_part="header.stamp").addData(imu(SEC))
+        for node, writer_id in (("a", 9), ("b", 5)):
+            with rosCas.messageWriter(writer_id=writer_id, nodeID=node) as writer:
+                for name in ("/imu", "/other"):
+                    handle = writer.connect(apiConnection(name, definitionOf(Imu), "/x"))
+                    for number in range(2):
+                        wire = serialize(imu((9 - number) * SEC, number))
+                        writer.write(handle, T0, number + 10 * (name == "/imu"), wire)
+        rows = list(rosCas.readMessages(to_key=T0, received=True))
+        order = [(row.received, row.node, row.seq) for row in rows]
+        assert [row.node for row in rows] == ["a"] * 4 + ["b"] * 4
+        assert order == sorted(order)
+
     def test_times_that_are_none(self, rosCas):
         """What has no time lies where it was received; nothing is refused."""
         topic = rosCas.addTopic(
