@@ -9,7 +9,7 @@ from itertools import islice
 from typing import Any, Callable, Iterable, Iterator, Optional, Sequence, Union
 
 from cassandra_ros.errors import CorruptMessage, InvalidKey
-from cassandra_ros.keys import Position, RowName
+from cassandra_ros.keys import Position, RowName, isBehind
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.store.chunks import readChunks
 from cassandra_ros.store.connection import Cassandra
@@ -90,7 +90,7 @@ class Rows:
             for table in tables
             for key in listNames(self._cassandra, table, scan.nodes)
             if scan.low <= key.position.t <= scan.high
-            and (scan.after is None or _isBehind(key.position, scan.after, scan.reverse))
+            and isBehind(key.position, scan.after, scan.reverse)
         ]
         keys.sort(key=lambda key: key.position, reverse=scan.reverse)
         return fetchRows(self._cassandra, keys)
@@ -206,7 +206,3 @@ def encoded(tables: Sequence[TopicTable], value: Any) -> list[tuple[TopicTable, 
     if problems and len(problems) == len(valued):
         raise problems[0]
     return found
-
-
-def _isBehind(position: Position, after: Position, reverse: bool) -> bool:
-    return position < after if reverse else position > after
