@@ -139,7 +139,7 @@ class Finder:
 
     def absent(self, key: Any, nearest: Optional[str]) -> str:
         """Say that there is no message at a key, and what lies near."""
-        wanted = selectOne(self._topic, self._key_format, self._tables, key)
+        wanted = self._one(key)
         if not isinstance(wanted, Stretch):
             return absentName(self._topic, key, self._node, isinstance(wanted, Named))
         near = self._near(toNs(key), "either") if nearest is None else None

@@ -143,9 +143,7 @@ class Rows:
         own = self.read([t for t in tables if t not in foreign], low, high, nodes=nodes)
         scan = Scan(0, LAST_NS, None, nodes, columns=lambda table: ())
         found = readRows(self._cassandra, self._directory, foreign, scan)
-        keys = [
-            (r.received, r.node, r.seq, r.position) for r in found if low <= r.received <= high
-        ]
+        keys = [(r.received, r.node, r.seq, r.position) for r in found if low <= r.received <= high]
         keys.sort()
         wanted = (Wanted(by_name[position.table], position) for *_, position in keys)
         rows = fetchRows(self._cassandra, wanted)

@@ -54,11 +54,6 @@ def checkKeyFormat(key_format: str, key_part: str) -> None:
         )
 
 
-def isNamed(key_format: str) -> bool:
-    """Say whether messages are kept under names."""
-    return key_format in NAMED_FORMATS
-
-
 def checkMessageName(topic: str, name: Any) -> str:
     """Return a name under which a message can be kept.
 
@@ -108,7 +103,7 @@ def selectMany(
     """
     if key is None and to_key is None:
         return Stretch()
-    named = isNamed(key_format)
+    named = key_format in NAMED_FORMATS
     if named and to_key is not None:
         raise InvalidKey(
             f"messages of topic {topic} are kept under names (key_format {key_format}), and names "
@@ -136,7 +131,7 @@ def selectOne(topic: str, key_format: str, tables: Sequence[TopicTable], key: An
     Raises:
         InvalidKey: It cannot be a key of the topic.
     """
-    if isNamed(key_format):
+    if key_format in NAMED_FORMATS:
         return Named(checkMessageName(topic, key))
     if _isValue(tables, key):
         return Valued(key)

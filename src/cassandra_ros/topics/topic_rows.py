@@ -7,10 +7,10 @@ from __future__ import annotations
 from typing import Any, Iterator, Optional
 
 from cassandra_ros.errors import TopicNotFound
-from cassandra_ros.keys import Position
+from cassandra_ros.keys import NAMED_FORMATS, Position
 from cassandra_ros.messages.stamps import Stamp, isIsoText, toNs
 from cassandra_ros.topics.finding import Finder
-from cassandra_ros.topics.selection import LAST_NS, isNamed, valueOfText
+from cassandra_ros.topics.selection import LAST_NS, valueOfText
 from cassandra_ros.topics.stored_row import Key, StoredRow
 from cassandra_ros.topics.topic_facts import TopicFacts
 from cassandra_ros.topics.topic_table import TopicTable
@@ -46,7 +46,7 @@ class TopicRows(TopicFacts):
             InvalidKey: The text is no key of the topic.
         """
         tables = self._stored()
-        if isNamed(self._wish.key_format) or any(table.named for table in tables):
+        if self._wish.key_format in NAMED_FORMATS or any(table.named for table in tables):
             return text
         valued = [table for table in tables if table.valued]
         if valued and not isIsoText(text):
