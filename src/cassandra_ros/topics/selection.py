@@ -75,13 +75,15 @@ def checkMessageName(topic: str, name: Any) -> str:
 def valueOfText(tables: Sequence[TopicTable], text: str) -> Any:
     """Read the value of a key field that a person typed, as the first table that can takes it.
 
+    Fields of text come last, for they take anything.
+
     Raises:
         InvalidKey: The text is a value in none of the tables.
     """
     problem: Optional[InvalidKey] = None
-    for table in tables:
+    for part in sorted((table.keyPart() for table in tables), key=lambda part: part.is_text):
         try:
-            return table.keyPart().fromText(text)
+            return part.fromText(text)
         except InvalidKey as exc:
             problem = problem or exc
     raise problem or InvalidKey(f"{text!r:.80} is no key")
