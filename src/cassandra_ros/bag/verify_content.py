@@ -82,4 +82,6 @@ def _ofBag(wanted: Ordered, connection: Connection) -> Content:
 
 
 def _stored(row: StoredRow) -> Content:
-    return Content(row.type, row.md5sum, rowFingerprint(row), describePlace(row.topic, row.received))
+    return Content(
+        row.type, row.md5sum, rowFingerprint(row), describePlace(row.topic, row.received)
+    )
