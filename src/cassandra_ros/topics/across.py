@@ -157,12 +157,12 @@ class AcrossTopics(Asking):
                 streams.append(filter(filters[name].test, every))
             elif own:
                 streams.append(filters[name].rows(low, high))
-        return heapq.merge(*streams, key=_reception if received else _position)
+        return heapq.merge(*streams, key=_arrival if received else _position)
 
 
 def _position(row: StoredRow) -> Any:
     return row.position
 
 
-def _reception(row: StoredRow) -> Any:
-    return row.received, row.node, row.seq
+def _arrival(row: StoredRow) -> Any:
+    return row.arrival

@@ -143,12 +143,16 @@ class Rows:
         own = self.read([t for t in tables if t not in foreign], low, high, nodes=nodes)
         scan = Scan(0, LAST_NS, None, nodes, columns=lambda table: ())
         found = readRows(self._cassandra, self._directory, foreign, scan)
-        keys = [(r.received, r.node, r.seq, r.position) for r in found if low <= r.received <= high]
+        keys = [
+            (r.received, r.node, r.seq, r.table, r.position)
+            for r in found
+            if low <= r.received <= high
+        ]
         keys.sort()
         wanted = (Wanted(by_name[position.table], position) for *_, position in keys)
         rows = fetchRows(self._cassandra, wanted)
         late = (self._stored(row, by_name[row.table]) for row in rows)
-        return heapq.merge(own, late, key=lambda row: (row.received, row.node, row.seq))
+        return heapq.merge(own, late, key=lambda row: row.arrival)
 
     # ---------------------------------------------------------------- one
 
