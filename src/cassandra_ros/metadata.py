@@ -42,6 +42,8 @@ class TopicMetadata:
     """The key is not the receive time, which then has a column of its own."""
     indexes: Mapping[str, str] = field(default_factory=dict)
     """Indexed field -> shadow column."""
+    index_names: Mapping[str, str] = field(default_factory=dict)
+    """Name given in CREATE INDEX -> field; void where the field is not indexed (any more)."""
     columns: tuple[Mapping[str, Any], ...] = ()
     """How each column holds its field, as the format describes it."""
     user: Mapping[str, Any] = field(default_factory=dict)
