@@ -78,7 +78,8 @@ class TopicMetadata:
     def withoutIndex(self, field: str) -> TopicMetadata:
         """Return a copy without an index."""
         indexes = {name: shadow for name, shadow in self.indexes.items() if name != field}
-        return self.with_(indexes=indexes, index_count=self.nextShadow)
+        names = {name: indexed for name, indexed in self.index_names.items() if indexed != field}
+        return self.with_(indexes=indexes, index_names=names, index_count=self.nextShadow)
 
     @property
     def receivedColumns(self) -> dict[str, str]:

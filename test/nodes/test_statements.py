@@ -111,6 +111,11 @@ def test_writes(write, store):
     assert not answer["success"] and "NODE" in answer["message"]
     assert rows(write("truncate written")) == []
     assert topic.countTopicData() == 0
+    answer = write("create index w on written (data)")
+    assert (rows(answer), answer["columns"]) == ([], [])
+    assert set(store.getTopic("written").getMeta["indexes"]) == {"data"}
+    assert rows(write("drop index w")) == []
+    assert not store.getTopic("written").getMeta["indexes"]
     cursor = write("select KEY from numbers", limit=1)["next_cursor"]
     answer = write("delete from numbers where KEY > 0", cursor=cursor)
     assert not answer["success"] and "cursor" in answer["message"]

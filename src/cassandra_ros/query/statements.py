@@ -15,12 +15,10 @@ from __future__ import annotations
 
 from typing import Any, Iterable, Optional, Sequence, Union
 
-from cassandra_ros.errors import InvalidName, InvalidQuery, TopicNotFound
+from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, TopicNotFound
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.bounds import SECONDS_BELOW, meantAsSeconds
-from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.conditions import Condition
-from cassandra_ros.query.fields import fieldOf
 from cassandra_ros.query.parse import nearest, parseStatement
 from cassandra_ros.query.run import Rows, execute, findTopic
 from cassandra_ros.query.syntax import (
@@ -33,6 +31,7 @@ from cassandra_ros.query.syntax import (
     Select,
     Truncate,
 )
+from cassandra_ros.topics.topic_indexes import checkIndexable
 
 
 def executeAll(
@@ -127,43 +126,24 @@ def _removeRows(rosCas: Any, rows: Iterable[Any]) -> int:
 def _createIndex(rosCas: Any, statement: CreateIndex) -> None:
     text, on, name = statement.text, statement.on, statement.name
     topic = findTopic(rosCas, text, on.topic, on.topic_position)
-    field = _checkField(topic, statement)
-    if field in topic.getMeta["indexes"]:
-        if statement.unless_exists:
-            return
+    field = on.field.text
+    if topic.hasIndex(field) and not statement.unless_exists:
         raise InvalidQuery(
             text,
             on.field.position,
-            f"topic {topic.name} has an index on {field} already; DROP INDEX removes it, and IF "
-            "NOT EXISTS accepts it",
+            f"topic {topic.name} has an index on {field} already; IF NOT EXISTS accepts that, and "
+            "completes one whose making was interrupted",
         )
+    try:
+        checkIndexable(topic.name, topic.tables, field)
+    except (InvalidName, InvalidOption, TopicNotFound) as exc:
+        raise InvalidQuery(text, on.field.position, str(exc)) from exc
     if name is not None:
         try:
             rosCas.parts.index_names.give(topic.name, field, name.text)
         except InvalidName as exc:
             raise InvalidQuery(text, name.position, str(exc)) from exc
-    try:
-        topic.createIndex(field)
-    except ValueError as exc:  # what the field cannot be, in the words of whoever makes the index
-        raise InvalidQuery(text, on.field.position, str(exc)) from exc
-
-
-def _checkField(topic: Any, statement: CreateIndex) -> str:
-    """Return the name of the field, if the messages of some table of the topic have it."""
-    problem: Optional[StatementError] = None
-    for table in topic.tables:
-        if table.definition is None:
-            continue
-        try:
-            return fieldOf(statement.on.field, table.definition, None).name
-        except StatementError as exc:
-            problem = problem or exc
-    on = statement.on
-    problem = problem or StatementError(
-        on.topic_position,
-        f"the messages of topic {topic.name} have no definition, or none has come yet",
-    )
-    raise InvalidQuery(statement.text, problem.position, problem.reason)
+    topic.createIndex(field)
 
 
 def _dropIndex(rosCas: Any, statement: DropIndex) -> None:
@@ -178,9 +158,9 @@ def _dropIndex(rosCas: Any, statement: DropIndex) -> None:
     topic, field = found
     try:
         topic.removeIndex(field)
-    except ValueError as exc:
-        raise _refused(statement, str(exc)) from exc
-    rosCas.parts.index_names.forget(topic.name)
+    except (InvalidName, InvalidOption) as exc:  # or somebody was quicker; or the key needs it
+        spot = index.position if isinstance(index, IndexName) else index.field.position
+        raise InvalidQuery(statement.text, spot, str(exc)) from exc
 
 
 def _named(rosCas: Any, statement: DropIndex, name: IndexName) -> Optional[tuple[Any, str]]:

@@ -45,14 +45,6 @@ class IndexNames:
 
         self._schema.changeTopic(topic, change, check)
 
-    def forget(self, topic: str) -> None:
-        """Forget the names of indexes that a topic does not have any more."""
-        if any(
-            metadata.topic == topic and _valid(metadata) != metadata.index_names
-            for metadata in self._schema.tables(fresh=True).values()
-        ):
-            self._schema.changeTopic(topic, lambda m: m.with_(index_names=_valid(m)))
-
 
 def _known(tables: Named) -> dict[str, list[tuple[str, str]]]:
     found: dict[str, set[tuple[str, str]]] = {}
