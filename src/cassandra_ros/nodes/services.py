@@ -75,12 +75,16 @@ class Services:
     def getData(self, request: Any) -> Any:
         """Answer GetData."""
         topic = self._rosCas.getTopic(request.topic)
-        where = {"nearest": request.nearest or None, "nodeID": request.node_id or None}
+        which = {
+            "nearest": request.nearest or None,
+            "nodeID": request.node_id or None,
+            "where": request.where or None,
+        }
         key = topic.keyOfText(request.key_text) if request.key_text.strip() else request.key
-        row = topic.getRow(key, **where)
+        row = topic.getRow(key, **which)
         if row is None:
-            topic.getData(key, **where)  # raises with what lies near
-            row = topic.getRow(key, **where)
+            topic.getData(key, **which)  # raises with what lies near
+            row = topic.getRow(key, **which)
         return GetDataResponse(True, "", pack(row, request.omit_data, request.omit_yaml))
 
     @_answers(RangeResponse)
