@@ -81,6 +81,8 @@ class _Lookup:
         search = self._search(None)
         path = search.run(search.last)
         moving = search.tree.moving(path or [])
+        if not moving and path == []:
+            moving = search.tree.moving([self._failure.frames[0]])
         if not moving:
             return self._computed(search.tree, path, None)
         oldest = min(moving)

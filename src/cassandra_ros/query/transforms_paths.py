@@ -44,9 +44,9 @@ class Tree:
         return up[: up.index(meeting)] + down[: down.index(meeting)]
 
     def moving(self, frames: list[str]) -> list[Sample]:
-        """Return the transforms before the time of those frames that are not fixed."""
-        moving = (frame for frame in frames if frame not in self.fixed.before)
-        return [self.nearest.before[frame] for frame in moving]
+        """Return the transforms before the time of those frames that move."""
+        before, fixed = self.nearest.before, self.fixed.before
+        return [before[frame] for frame in frames if frame in before and frame not in fixed]
 
     def loop(self, frame: str) -> Optional[list[str]]:
         """Return the loop into which the way up from a frame leads, or None."""

@@ -63,8 +63,10 @@ class Search:
     def _path(self) -> Optional[list[str]]:
         """Return the path if more transforms cannot change it."""
         path = self.tree.path(self._target, self._source)
-        if path is None or (not path and self._target not in self.tree.frames()):
+        if path is None:
             return None
+        if not path and self.tree.nearest.time is None:
+            return path if self._windows else None  # a frame to itself: its newest time
         return path if all(self._isNearest(s) for s in self.tree.moving(path)) else None
 
     def _isNearest(self, before: Sample) -> bool:
