@@ -233,6 +233,7 @@ class Store:
             self.add(made, key=stamp + delay, **options)
 
     def look(self, target, source, time, **options):
+        options.setdefault("nodeID", self.nodeID)
         return self.rosCas.lookupTransform(target, source, time, **options)
 
     def x(self, target, source, time, **options):
@@ -249,8 +250,23 @@ class Store:
         return assert_same(self.rosCas, whole, target, source, time, nodeID=self.nodeID)
 
 
+@pytest.fixture(scope="module")
+def shared(cassandra, cql):
+    name = f"t_{uuid.uuid4().hex[:16]}"
+    with RosCassandra(cassandra.host, cassandra.port, keyspace=name) as rosCas:
+        yield rosCas
+    cql.execute(f"DROP KEYSPACE {name}")
+
+
 @pytest.fixture
-def store(rosCas):
+def store(shared):
+    """Each test is a robot of its own, for a keyspace takes longer than most of them."""
+    return Store(shared, nodeID=uuid.uuid4().hex)
+
+
+@pytest.fixture
+def alone(rosCas):
+    """A keyspace of its own."""
     return Store(rosCas)
 
 
@@ -333,19 +349,19 @@ def test_a_frame_of_tf_static_is_fixed(store):
     assert store.x("map", "base", 0) == 77.0
 
 
-def test_without_tf_static(store):
-    store.track("map", "base")
+def test_without_tf_static(alone):
+    alone.track("map", "base")
     with pytest.raises(LookupException) as error:
-        store.look("map", "laser", T0 + SEC)
+        alone.look("map", "laser", T0 + SEC)
     assert "topic /tf_static (which is not stored)" in str(error.value)
 
 
-def test_without_tf(store):
-    store.add(transform("base", "arm", T0, 1.0), topic="/tf_static")
-    assert store.x("base", "arm", T0) == 1.0
+def test_without_tf(alone):
+    alone.add(transform("base", "arm", T0, 1.0), topic="/tf_static")
+    assert alone.x("base", "arm", T0) == 1.0
     for time in (T0, 0):
         with pytest.raises(LookupException) as error:
-            store.look("map", "arm", time)
+            alone.look("map", "arm", time)
         assert "topic /tf (which is not stored)" in str(error.value)
 
 
@@ -364,14 +380,14 @@ def test_empty_topics(rosCas):
             assert "there is no transform at all" in str(error.value)
 
 
-def test_topics_of_other_names_and_types(store):
-    store.track("map", "base", topic="/robot/tf")
-    store.add(transform("base", "arm", T0, 1.0), topic="/robot/tf_static")
+def test_topics_of_other_names_and_types(alone):
+    alone.track("map", "base", topic="/robot/tf")
+    alone.add(transform("base", "arm", T0, 1.0), topic="/robot/tf_static")
     topics = {"tf": "robot/tf", "tf_static": "/robot/tf_static"}
-    assert store.x("map", "arm", T0 + SEC, **topics) == pytest.approx(2.0)
-    store.rosCas.addTopic("/tf").addData(String(data="x"), key=T0)
+    assert alone.x("map", "arm", T0 + SEC, **topics) == pytest.approx(2.0)
+    alone.rosCas.addTopic("/tf").addData(String(data="x"), key=T0)
     with pytest.raises(TypeMismatch) as error:
-        store.look("map", "arm", T0)
+        alone.look("map", "arm", T0)
     assert "topic /tf holds std_msgs/String" in str(error.value)
 
 
@@ -386,12 +402,15 @@ def test_outside_of_what_was_recorded(store):
     text = str(error.value)
     assert "from base to map" in text
     assert f"({end + SEC // 2} ns)" in text
-    assert f"last transform of frame base on topic /tf is at {isoTime(end)} ({end} ns)" in text
+    assert (
+        f"last transform of frame base on topic /tf of node {store.nodeID} is at {isoTime(end)}"
+        in text
+    )
     assert "0.5 s before" in text
     with pytest.raises(ExtrapolationException) as error:
         store.look("map", "base", T0 - 1)
     text = str(error.value)
-    assert f"first transform of frame base on topic /tf is at {isoTime(T0)}" in text
+    assert "first transform of frame base on topic /tf of node" in text
     assert f"({T0} ns), 1e-09 s after" in text
     assert isinstance(error.value, (TransformException, CassandraRosError))
     assert isinstance(error.value.__cause__, tf2_py.ExtrapolationException)
@@ -507,12 +526,12 @@ def test_the_first_of_equal_stamps_counts(store):
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(data=st.data())
-def test_any_order_any_parent(rosCas, data):
+def test_any_order_any_parent(shared, data):
     """Few stamps, so that they are often equal, received in any order; one node an example."""
     stamps = st.integers(0, 12)
     one = st.tuples(st.sampled_from(["ab", "bc", "ac", "cd", "bd"]), stamps, st.integers(-5, 5))
     messages = data.draw(st.lists(st.lists(one, min_size=1, max_size=3), min_size=1, max_size=25))
-    store = Store(rosCas, nodeID=uuid.uuid4().hex)
+    store = Store(shared, nodeID=uuid.uuid4().hex)
     for n, message in enumerate(messages):
         made = [transform(e[0], e[1], T0 + s * SEC, x, x / 3) for e, s, x in message]
         store.add(*made, key=T0 + n * SEC)
@@ -653,22 +672,22 @@ def test_the_newest_time_is_the_newest_that_all_have(store):
 # -------------------------------------------------------------------- two robots
 
 
-def test_two_robots(store):
-    store.track("map", "base", nodeID="red")
-    store.track("map", "base", start=T0 + SEC // 8, speed=-1.0, nodeID="blue")
-    store.add(transform("base", "arm", T0, 1.0), topic="/tf_static", nodeID="red")
-    store.add(transform("base", "hand", T0, 1.0), topic="/tf_static", nodeID="blue")
+def test_two_robots(alone):
+    alone.track("map", "base", nodeID="red")
+    alone.track("map", "base", start=T0 + SEC // 8, speed=-1.0, nodeID="blue")
+    alone.add(transform("base", "arm", T0, 1.0), topic="/tf_static", nodeID="red")
+    alone.add(transform("base", "hand", T0, 1.0), topic="/tf_static", nodeID="blue")
     time = T0 + SEC + 1
-    assert store.x("map", "base", time, nodeID="red") == pytest.approx(1.000000001)
-    assert store.x("map", "base", time, nodeID="blue") == pytest.approx(-1.000000001)
-    assert store.x("map", "arm", time, nodeID="red") == pytest.approx(2.000000001)
-    assert store.same("map", "base", time) is None
-    assert store.same("arm", "hand", time) is None
+    assert alone.x("map", "base", time, nodeID="red") == pytest.approx(1.000000001)
+    assert alone.x("map", "base", time, nodeID="blue") == pytest.approx(-1.000000001)
+    assert alone.x("map", "arm", time, nodeID="red") == pytest.approx(2.000000001)
+    assert alone.same("map", "base", time) is None
+    assert alone.same("arm", "hand", time) is None
     with pytest.raises(LookupException) as error:
-        store.look("map", "arm", time, nodeID="blue")
+        alone.look("map", "arm", time, nodeID="blue")
     assert "of node blue" in str(error.value)
     with pytest.raises(LookupException):
-        store.look("map", "base", time, nodeID="green")
+        alone.look("map", "base", time, nodeID="green")
 
 
 # -------------------------------------------------------------------- times beyond 2038
@@ -678,8 +697,8 @@ BEYOND = """
 import sys
 from cassandra_ros import RosCassandra
 with RosCassandra(sys.argv[1], int(sys.argv[2]), keyspace=sys.argv[3]) as rosCas:
-    for time in map(int, sys.argv[4:]):
-        found = rosCas.lookupTransform("map", "arm", time)
+    for time in map(int, sys.argv[5:]):
+        found = rosCas.lookupTransform("map", "arm", time, nodeID=sys.argv[4])
         print(found.header.stamp.to_nsec(), found.transform.translation.x)
 """
 
@@ -691,7 +710,7 @@ def test_stamps_over_2_to_the_31(store, cassandra):
         store.add(transform("map", "base", start + n * SEC, n), key=start + n * SEC)
     store.add(transform("base", "arm", 2**32 * SEC - 1, 0.5), topic="/tf_static")
     times = [start + SEC // 2, start + 7 * SEC + 1, start + 19 * SEC]
-    where = [cassandra.host, str(cassandra.port), store.rosCas.keyspace]
+    where = [cassandra.host, str(cassandra.port), store.rosCas.keyspace, store.nodeID]
     root = Path(__file__).resolve().parents[2]
     done = subprocess.run(
         [sys.executable, "-c", BEYOND, *where, *map(str, times)],

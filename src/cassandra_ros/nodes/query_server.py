@@ -12,7 +12,7 @@ from cassandra_ros.errors import InvalidName
 from cassandra_ros.nodes.node_name import fullName, isTaken, wantedName
 from cassandra_ros.nodes.rosout import forwardLogging
 from cassandra_ros.nodes.services import Services
-from cassandra_ros.srv import ExecuteCQL, GetData, Range
+from cassandra_ros.srv import ExecuteCQL, GetData, LookupTransform, Range
 
 NAME = "cassandra_ros"
 PARAMETERS = ("host", "port", "keyspace")
@@ -52,6 +52,7 @@ def serve(rosCas: Any, say: Say) -> None:
     rospy.Service("~getData", GetData, services.getData)
     rospy.Service("~range", Range, services.range)
     rospy.Service("~executeCQL", ExecuteCQL, services.executeCQL)
+    rospy.Service("~lookupTransform", LookupTransform, services.lookupTransform)
     say(f"services under {rospy.get_name()}")
     say(f"serving keyspace {rosCas.keyspace}")
     rospy.spin()

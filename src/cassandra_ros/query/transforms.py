@@ -12,7 +12,7 @@ from cassandra_ros.messages.stamps import Stamp, toNs
 from cassandra_ros.query.transforms_buffer import Buffer
 from cassandra_ros.query.transforms_failure import Failure
 from cassandra_ros.query.transforms_paths import Tree
-from cassandra_ros.query.transforms_samples import Fixed, Nearest, Recorded, stripped
+from cassandra_ros.query.transforms_samples import Fixed, Nearest, Recorded, named, stripped
 from cassandra_ros.query.transforms_search import Search
 
 
@@ -95,9 +95,12 @@ class _Lookup:
         moving, fixed = tree.nearest.all(), tree.fixed.all()
         if path:
             # tf2 goes up to the root and down again, which only adds the rounding of both.
-            moving, fixed = ([s for s in part if s.child in path] for part in (moving, fixed))
-            fixed_names = {sample.child for sample in fixed}
-            moving = [sample for sample in moving if sample.child not in fixed_names]
+            fixed = [sample for sample in fixed if sample.child in path]
+            moving = [s for s in moving if s.child in path and s.child not in tree.fixed.before]
+        else:
+            # It remembers every frame that it has heard of, and its errors depend on it.
+            known = tree.frames().intersection(self._failure.frames)
+            fixed.extend(named(frame) for frame in known)
         buffer = Buffer(time, moving, fixed)
         found = buffer.lookup(*self._failure.frames, lambda kind: self._failure.text(kind, tree))
         found.header.stamp = Stamp.fromNs(time or 0)

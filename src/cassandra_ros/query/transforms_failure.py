@@ -20,7 +20,7 @@ class Failure:
 
     Args:
         frames: Target and source.
-        topics: Of the moving and of the fixed transforms, with what is to be said of them.
+        topics: What to call those of the moving and of the fixed transforms.
         nodeID: The node that was asked for, or None.
         asked: The time as the user gave it.
     """
@@ -79,7 +79,7 @@ class Failure:
             away = abs(sample.stamp - nearest.time) / SECOND_NS
             which = "last" if before else "first"
             return (
-                f"the {which} transform of frame {frame} on topic {self._topics[0]}{self._whose} "
+                f"the {which} transform of frame {frame} on {self._topics[0]}{self._whose} "
                 f"is at {_shown(sample.stamp)}, {away:.9g} s {'before' if before else 'after'}"
                 f"{_ignored(frame, tree)}; ask for a time within what was recorded, or for the "
                 "time 0, which means the newest"

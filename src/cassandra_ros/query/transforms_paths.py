@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Optional
 
-from cassandra_ros.query.transforms_samples import Fixed, Nearest, Sample
+from cassandra_ros.query.transforms_samples import Fixed, Nearest, Sample, stripped
 
 
 class Tree:
@@ -22,9 +22,8 @@ class Tree:
         self.fixed = fixed
 
     def frames(self) -> set[str]:
-        """List all frames that are known, also at other times."""
-        samples = [*self.nearest.all(), *self.fixed.all()]
-        return {name for sample in samples for name in (sample.child, sample.parent)}
+        """List all frames that were found, also at other times."""
+        return {stripped(name) for name in self.nearest.names | self.fixed.names} - {""}
 
     def climb(self, frame: str) -> list[str]:
         """Return the frames from one upwards, as far as the time has transforms."""

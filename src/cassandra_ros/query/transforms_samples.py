@@ -20,8 +20,10 @@ _log = logging.getLogger(__name__)
 
 TRANSFORMS_MD5 = "94810edda583a504dfda3829e70d7eec"
 """Of tf2_msgs/TFMessage, and of tf/tfMessage, its name before tf2."""
-_HEAD = ("transforms.header.stamp", "transforms.child_frame_id")
-_REST = ("transforms.header.frame_id",) + tuple(
+_HEAD = tuple(
+    f"transforms.{name}" for name in ("header.stamp", "header.frame_id", "child_frame_id")
+)
+_REST = tuple(
     f"transforms.transform.{name}"
     for name in (*(f"translation.{c}" for c in "xyz"), *(f"rotation.{c}" for c in "xyzw"))
 )
@@ -64,6 +66,8 @@ class Nearest:
         """The last one at the time or before."""
         self.after: dict[str, Sample] = {}
         """The first one behind it."""
+        self.names: set[str] = set()
+        """All frames, as they are written, also those of other times."""
         self.ignored: dict[str, str] = {}
         """Child frames of which some were left out, and why."""
 
@@ -142,13 +146,13 @@ class Recorded:
     def _add(self, nearest: Nearest, row: Any) -> None:
         heads, rests = self._extractor(row.table)
         rest: list[Any] = []
-        for number, (stamp, name) in enumerate(_elements(heads, row)):
-            child, order = stripped(name), (*row.position, number)
-            if not nearest.wants(child, stamp, order):
-                continue
-            rest = rest or list(_elements(rests, row))
-            parent, *numbers = rest[number]
-            nearest.add(Sample(stamp, stripped(parent), child, tuple(numbers), row.t, order))
+        for number, (stamp, *names) in enumerate(_elements(heads, row)):
+            nearest.names.update(names)
+            parent, child = map(stripped, names)
+            order = (*row.position, number)
+            if nearest.wants(child, stamp, order):
+                rest = rest or list(_elements(rests, row))
+                nearest.add(Sample(stamp, parent, child, rest[number], row.t, order))
 
     def _extractor(self, table: Any) -> tuple[Extractor, Extractor]:
         if table.name not in self._extractors:
@@ -179,6 +183,11 @@ def _elements(extractor: Extractor, row: Any) -> Iterator[tuple[Any, ...]]:
 def stripped(frame: str) -> str:
     """Return a frame's name as tf2 knows it: tf wrote it with a slash in front."""
     return frame.lstrip("/")
+
+
+def named(frame: str) -> Sample:
+    """Return a transform by which tf2 gets to know a frame, and nothing else."""
+    return Sample(0, frame, f"{frame} of another time", (0, 0, 0, 0, 0, 0, 1), 0, ())
 
 
 def _problem(sample: Sample) -> str:
