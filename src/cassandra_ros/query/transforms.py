@@ -67,7 +67,8 @@ class _Lookup:
         self._moving = moving
         self._fixed = Fixed()
         if fixed is not None:
-            fixed.read(self._fixed, 0, MAX_NS)
+            # Newest first: those that repeat it then need no look.
+            fixed.read(self._fixed, 0, MAX_NS, reverse=True)
         self._failure = failure
 
     def at(self, time: int, centre: Optional[int] = None) -> Any:
