@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Optional
 
-from cassandra_ros.query.transforms_samples import Fixed, Nearest, Sample, stripped
+from cassandra_ros.query.transforms_samples import Fixed, Nearest, Sample
 
 
 class Tree:
@@ -23,7 +23,8 @@ class Tree:
 
     def frames(self) -> set[str]:
         """List all frames that were found, also at other times."""
-        return {stripped(name) for name in self.nearest.names | self.fixed.names} - {""}
+        moving, fixed = self.nearest, self.fixed
+        return {*moving.before, *moving.after, *moving.parents, *fixed.before, *fixed.parents}
 
     def climb(self, frame: str) -> list[str]:
         """Return the frames from one upwards, as far as the time has transforms."""

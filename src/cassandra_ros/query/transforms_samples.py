@@ -66,8 +66,8 @@ class Nearest:
         """The last one at the time or before."""
         self.after: dict[str, Sample] = {}
         """The first one behind it."""
-        self.names: set[str] = set()
-        """All frames, as they are written, also those of other times."""
+        self.parents: set[str] = set()
+        """Also those of other times."""
         self.ignored: dict[str, str] = {}
         """Child frames of which some were left out, and why."""
 
@@ -79,15 +79,17 @@ class Nearest:
         known = self.after.get(child)
         return known is None or (stamp, order) < (known.stamp, known.order)
 
-    def add(self, sample: Sample) -> None:
-        """Take a wanted transform, or leave it out as tf2 would."""
+    def add(self, sample: Sample) -> bool:
+        """Take a wanted transform, or leave it out as tf2 would; say which."""
         problem = _problem(sample)
         if problem:
             self.ignored.setdefault(sample.child, problem)
-        elif self.time is None or sample.stamp <= self.time:
+            return False
+        if self.time is None or sample.stamp <= self.time:
             self.before[sample.child] = sample
         else:
             self.after[sample.child] = sample
+        return True
 
     def at(self, child: str) -> Optional[Sample]:
         """Return what says the frame's parent at the time; None where tf2 would extrapolate."""
@@ -147,12 +149,13 @@ class Recorded:
         heads, rests = self._extractor(row.table)
         rest: list[Any] = []
         for number, (stamp, *names) in enumerate(_elements(heads, row)):
-            nearest.names.update(names)
             parent, child = map(stripped, names)
             order = (*row.position, number)
             if nearest.wants(child, stamp, order):
                 rest = rest or list(_elements(rests, row))
-                nearest.add(Sample(stamp, parent, child, rest[number], row.t, order))
+                if not nearest.add(Sample(stamp, parent, child, rest[number], row.t, order)):
+                    continue
+            nearest.parents.add(parent)
 
     def _extractor(self, table: Any) -> tuple[Extractor, Extractor]:
         if table.name not in self._extractors:
