@@ -48,6 +48,7 @@ DOORS = {
     "rosbag": {"bag"},
     "roslz4": {"bag"},
     "tf2_py": {"query"},
+    "geometry_msgs": {"query"},
     "lark": {"query"},
     "argparse": {"cli"},
 }

@@ -23,7 +23,12 @@ from cassandra_ros.query import (
     parseStatement,
     toJson,
 )
-from cassandra_ros.srv import ExecuteCQLResponse, GetDataResponse, RangeResponse
+from cassandra_ros.srv import (
+    ExecuteCQLResponse,
+    GetDataResponse,
+    LookupTransformResponse,
+    RangeResponse,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -158,3 +163,13 @@ class Services:
             if not full or (result.direct and next(result, None) is None):
                 response.next_cursor = ""
         return response
+
+    @_answers(LookupTransformResponse)
+    def lookupTransform(self, request: Any) -> Any:
+        """Answer LookupTransform."""
+        asked = {"nodeID": request.node_id, "tf": request.tf, "tf_static": request.tf_static}
+        found = self._rosCas.lookupTransform(
+            *(request.target_frame, request.source_frame, request.time),
+            **{name: value for name, value in asked.items() if value},
+        )
+        return LookupTransformResponse(True, "", found)
