@@ -217,7 +217,7 @@ def _keyspace_name():
     return f"t_{uuid.uuid4().hex[:16]}"
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def fresh(cassandra, cql):
     """Makes a RosCassandra that is connected to a fresh keyspace, dropped when it is left."""
     from cassandra_ros import RosCassandra
