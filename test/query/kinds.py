@@ -37,7 +37,7 @@ T0 = 1_400_000_040 * SECOND
 """Where a bucket of a minute begins."""
 BUCKET = 60 * SECOND
 NODES = ("husky", "husky_2")
-BUCKETS = 7
+BUCKETS = 6
 CHUNKED = 530 * 1024
 """Bytes; above 512 KiB a message lies in chunks."""
 
@@ -278,12 +278,16 @@ class Stored:
                 t = T0 + n * BUCKETS * BUCKET // len(wires)
             value = types.root().deserialize(wire) if readable else None
             writer = self._numbers.randrange(3)
-            message = Message(t, self._numbers.choice(NODES), (writer + 1, n), types, value)
+            # The second node has been about for a third of the time.
+            node = self._numbers.choice(NODES if n * 3 < len(wires) else NODES[:1])
+            message = Message(t, node, (writer + 1, n), types, value)
             self._rows.append((message, wire))
         times = [message.t for message, _ in self._rows]
         # One stretch that begins and ends inside of buckets, and one whole bucket.
-        self._removed = [(times[len(times) // 5], times[len(times) // 4]), (T0 + 5 * BUCKET,) * 2]
-        self._removed[1] = (T0 + 5 * BUCKET, T0 + 6 * BUCKET - 1)
+        self._removed = [
+            (times[len(times) // 5], times[len(times) // 4]),
+            (T0 + 4 * BUCKET, T0 + 5 * BUCKET - 1),
+        ]
         self.messages = [
             message
             for message, _ in self._rows
