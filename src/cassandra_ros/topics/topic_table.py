@@ -45,8 +45,6 @@ class TopicTable(RowTable):
         super().__init__(cassandra, keyspace, name, metadata, columns)
         self.key_part = _keyPart(metadata, definition)
         """The field that is the key, where there is one."""
-        self.index_fields: dict[str, Any] = {}
-        """The indexes that conditions can use, by their field."""
         self.classes: dict[int, Any] = {}
         """Message classes by the number of the connection."""
         self._indexes: tuple[Mapping[str, str], dict[str, IndexField]] = ({}, {})
