@@ -32,8 +32,18 @@ MAX_STORED = 25
 
 INTS = [0, 1, -1, 255, 256, 2**24 + 1, 2**31 - 1, 2**31, -(2**31) - 1, 2**32, 2**53 + 1, 2**63 - 1]
 INTS += [2**63, -(2**63), -(2**63) - 1, 2**64 - 1, 2**64, 10**30, -(10**40), 10**310]
-FLOATS = [0.0, -0.0, math.nan, math.inf, -math.inf, 0.5, 0.1, 1e-45, 5e-324, -5e-324, 1e308]
-FLOATS += [3.4028234663852886e38, 3.4028235e38, 3.5e38, 2.0**53, 2.0**63, 2.0**64, 1e19, 1e300]
+FLOATS = [0.0, -0.0, math.inf, -math.inf, *[math.nan] * 4, 0.5, 0.1, 1e-45, 5e-324, -5e-324]
+FLOATS += [
+    1e308,
+    3.4028234663852886e38,
+    3.4028235e38,
+    3.5e38,
+    2.0**53,
+    2.0**63,
+    2.0**64,
+    1e19,
+    1e300,
+]
 TEXTS = ["", "'", "''", '"', "%", "_", "a%", "\x00", "\uffff", "\U0010ffff", "\udcff", "zzz", "A"]
 TIMES = [0, -1, 1, 2**32 * SECOND - 1, 2**32 * SECOND, 2**63, -(2**63) - 1, 10**30]
 
@@ -121,6 +131,8 @@ def _iso(seconds):
 
 
 def textsBeside(value):
+    if not value:
+        return
     yield from (value, value + "a", value[:-1], value.swapcase(), value[: len(value) // 2])
     yield from (value[1:], value + "\x00", value[:-1] + chr(min(ord(value[-1]) + 1, 0xD7FF)))
 
@@ -132,6 +144,21 @@ def patternsBeside(value, numbers):
     yield from (value[:cut] + "_" + value[cut + 1 :], value[:cut] + "_" + value[cut:])
     yield from (value[:cut] + "%_", "_" * min(len(value), 40), value[:2] + "%" + value[-2:])
     yield from (value, value.upper())
+
+
+def fits(kind, value):
+    """Say whether a stored value is of a kind."""
+    return isinstance(value, str) if kind == "text" else isinstance(value, (int, float))
+
+
+VALUES = {
+    "number": (number, numbersBeside, INTS + FLOATS),
+    "bool": (number, lambda value: [], [True, False, 0, 1, 2, -0.0, 0.5, math.nan]),
+    "text": (text, textsBeside, TEXTS),
+    "time": (time, lambda ns: [ns - 1, ns + 1, ns - SECOND, ns + SECOND // 10], TIMES),
+    "duration": (duration, lambda ns: [ns - 1, ns + 1], [0, -1, 2**63, -(10**30)]),
+}
+"""By the kind of a field: makes a Value, what lies beside one, what lies at the edges."""
 
 
 # -------------------------------------------------------------------- fields
@@ -166,7 +193,7 @@ class Asker:
     def __init__(self, types, messages, indexes):
         self._types, self._messages = types, messages
         self._numbers = random.Random(str(indexes))
-        self._values, self._made = {}, {}
+        self._made = {}
         paths = {path: None for t in types for path in pathsOf(t)}
         self._chains = {}
         for path in paths:
@@ -234,7 +261,7 @@ class Asker:
         return self._made[operand]
 
     def _makeLeaves(self, operand):
-        values = st.sampled_from(self._valuesOf(operand))
+        values = self._valuesOf(operand)
         kinds = self._kinds(operand)
         array = self._isArray(operand)
         null = st.builds(Leaf, st.just(operand), st.just("NULL"), st.just(()), st.booleans())
@@ -277,15 +304,17 @@ class Asker:
     # ---------------------------------------------------------------- values of a field
 
     def _valuesOf(self, operand):
-        if operand not in self._values:
-            stored = self._stored(operand)
-            found = [
-                value
-                for kind, _ in sorted(self._kinds(operand))
-                for value in getattr(self, "_" + kind)(stored)
-            ]
-            self._values[operand] = found
-        return self._values[operand]
+        """Strategy of values: half of them stored ones, and as many beside them as at the edges."""
+        stored = self._stored(operand)
+        found = []
+        for kind in sorted({kind for kind, _ in self._kinds(operand)}):
+            make, beside, edges = VALUES[kind]
+            fitting = [value for value in stored if fits(kind, value)]
+            near = [other for value in fitting for other in beside(value)]
+            found += [st.sampled_from([make(v) for v in near + edges])]
+            found += [st.sampled_from([make(v) for v in edges])]
+            found += [st.sampled_from([make(v) for v in fitting or edges])] * 2
+        return st.one_of(found)
 
     def _stored(self, operand):
         rows = [row for message in self._messages for row in rowsOf(message, [operand])]
@@ -301,24 +330,3 @@ class Asker:
         stored = [v for v in self._stored(operand) if isinstance(v, str)]
         found = [p for value in stored for p in patternsBeside(value, self._numbers)]
         return [text(pattern) for pattern in [*found, "", "%", "%%", "_", "%a%b%", "\n%"]]
-
-    def _number(self, stored):
-        stored = [v for v in stored if isinstance(v, (int, float))]
-        beside = [near for value in stored for near in numbersBeside(value)]
-        return [number(value) for value in [*stored * 3, *beside, *INTS, *FLOATS]]
-
-    def _bool(self, stored):
-        return [number(value) for value in [True, False, True, False, 0, 1, 2, -0.0, 0.5, math.nan]]
-
-    def _text(self, stored):
-        stored = [value for value in stored if isinstance(value, str)]
-        beside = [near for value in stored if value for near in textsBeside(value)]
-        return [text(value) for value in [*stored * 4, *beside, *TEXTS]]
-
-    def _time(self, stored):
-        beside = [ns + n for ns in stored for n in (0, 0, 0, -1, 1, -SECOND, SECOND // 10)]
-        return [time(ns) for ns in [*beside, *TIMES]]
-
-    def _duration(self, stored):
-        beside = [ns + n for ns in stored for n in (0, 0, 0, -1, 1)]
-        return [duration(ns) for ns in [*beside, 0, -1, 2**63, -(10**30)]]
