@@ -42,7 +42,14 @@ WITHOUT_SYNC = (
     "-Dcassandra.settings.commitlog_sync_period=10000ms"
 )
 
-ONE_BY_ONE = {"nodes", "rostest", "local_server", "cli", "test_import_process.py"}
+ONE_BY_ONE = {
+    "nodes",
+    "rostest",
+    "local_server",
+    "cli",
+    "test_import_process.py",
+    "test_examples.py",
+}
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.selection import checkMessageName
 from cassandra_ros.topics.stored_row import Key
+from cassandra_ros.topics.topic_indexes import TopicIndexes, checkField
 from cassandra_ros.topics.topic_rows import AnyKey, Time, TopicRows
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.wish import Wish
@@ -20,7 +21,7 @@ from cassandra_ros.topics.wish import Wish
 _REQUIRED: Any = object()
 
 
-class CassandraTopic(TopicRows):
+class CassandraTopic(TopicIndexes, TopicRows):
     """The stored messages of one topic. Got from RosCassandra, safe to share between threads.
 
     What a key is follows from the ``key_format`` that addTopic was given:
@@ -76,6 +77,8 @@ class CassandraTopic(TopicRows):
 
     def makeTable(self, definition: Definition) -> TopicTable:
         """Find or make the table for messages of this definition, in the topic's format."""
+        for field in self._wish.index:
+            checkField(definition, field)
         table = self._keyspace.makeTable(self._wish.metadata(self.name, definition), definition)
         if self._wish.asked:
             self._wish.check(table.metadata, None)  # another client may have been quicker
