@@ -49,7 +49,7 @@ STATEMENTS = [
     "select KEY, data from /maps where KEY like '%a%' and data != '3' order by KEY desc limit 9",
     "select KEY, NODE, transforms.child_frame_id from /both",
     "select KEY, NODE, transforms.child_frame_id from /both order by KEY desc",
-    "select KEY, NODE from /both where transforms.child_frame_id in ('0', '1', '3')",
+    "select KEY, NODE from /both where transforms.child_frame_id in ('', '1', '3')",
 ]  # fmt: skip
 
 
