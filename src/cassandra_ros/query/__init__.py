@@ -4,12 +4,26 @@
 
 ``cql.lark`` is the grammar and ``syntax`` the tree that ``parse`` makes of a statement; ``fields``
 finds the fields that it names, ``literals`` fits its values to their types, ``evaluate`` says what
-it means, ``bounds`` what the store may leave out, ``extract`` takes values out of messages,
-``plan`` makes rows of them, and ``run`` joins all. No driver, no rospy.
+it means, ``bounds``, ``terms`` and ``pushdown`` what the store may leave out, ``extract`` takes
+values out of messages, ``plan`` makes rows of them, ``run`` joins all, and ``explain`` tells how.
+``statements`` runs what changes the store. No driver, no rospy.
 """
 
 from cassandra_ros.query.conditions import Condition
 from cassandra_ros.query.json_values import fromJson, toJson
-from cassandra_ros.query.run import QueryResult, Rows, execute, executeAll
+from cassandra_ros.query.parse import parseStatement
+from cassandra_ros.query.run import QueryResult, Rows, execute
+from cassandra_ros.query.statements import executeAll
+from cassandra_ros.query.syntax import Select
 
-__all__ = ["Condition", "QueryResult", "Rows", "execute", "executeAll", "fromJson", "toJson"]
+__all__ = [
+    "Condition",
+    "QueryResult",
+    "Rows",
+    "Select",
+    "execute",
+    "executeAll",
+    "fromJson",
+    "parseStatement",
+    "toJson",
+]

@@ -4,10 +4,10 @@
 
 from __future__ import annotations
 
-from typing import Any, Generator, Iterator, Optional, Sequence, Tuple, Union
+from typing import Any, Generator, Iterable, Iterator, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.errors import InvalidQuery, TopicNotFound
-from cassandra_ros.keys import Position
+from cassandra_ros.keys import Position, isBehind
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.aggregates import Totals
 from cassandra_ros.query.bounds import Bounds, boundsOf, warnOfSeconds
@@ -16,6 +16,7 @@ from cassandra_ros.query.conditions import boundedRows
 from cassandra_ros.query.cursor import Place, readPlace
 from cassandra_ros.query.parse import parseSelect
 from cassandra_ros.query.plan import TablePlan, uniteColumns
+from cassandra_ros.query.pushdown import Pushdown
 from cassandra_ros.query.scope import Findings
 from cassandra_ros.query.syntax import Select
 
@@ -29,21 +30,35 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     Attributes:
         columns: Names of the columns.
         direct: Every message that the store gives is a row: to look for one more costs nothing.
+        select: The statement.
+        pushdown: What the server checks of it.
+        read: How many rows have come from the server.
+        counted: The directory knew the answer.
     """
 
     def __init__(
-        self, select: Select, topic: Any, bounds: Bounds, place: Place, limit: Optional[int]
+        self,
+        select: Select,
+        topic: Any,
+        bounds: Bounds,
+        place: Place,
+        limit: Optional[int],
+        plan: str = "auto",
     ) -> None:
         findings = Findings(select.text)
-        self._select = select
+        self.select = select
         self._plans = {
             t.name: TablePlan(select, t.definition, findings, t.named) for t in topic.tables
         }
         findings.check()
         self._names = uniteColumns(select, list(self._plans.values()))
         self.columns = tuple(name for names in self._names for name in names)
+        self.pushdown = Pushdown(None if bounds.whole else select.condition, plan)
+        self._reading: Any = {"columns": self._columns, "chooser": self.pushdown}
         self.direct = bounds.whole and not any(p.unnests for p in self._plans.values())
         self._place = place
+        self.read = 0
+        self.counted = bool(select.counts and bounds.whole and bounds.name is None)
         left = None if select.limit is None else max(0, select.limit - place.given)
         if limit is not None:
             left = limit if left is None else min(left, limit)
@@ -77,6 +92,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         if last == given:
             return
         for row in self._stored(topic, bounds, place, left):
+            self.read += 1
             found = self._plan(row.table).rows(row)
             for number in range(place.skip if row.position == place.position else 0, len(found)):
                 given += 1
@@ -90,37 +106,44 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     def _stored(
         self, topic: Any, bounds: Bounds, place: Place, left: Optional[int]
     ) -> Iterator[Any]:
-        reverse, at = self._select.descending, place.position
+        reverse, at = self.select.descending, place.position
         if at is None or not (place.skip or reverse):
-            return boundedRows(topic, bounds, at, reverse, left if self.direct else None)
+            limit = left if self.direct else None
+            return boundedRows(topic, bounds, at, reverse, limit, **self._reading)
         # Begin with the message at the cursor: some of its rows may be still to come, and the
         # store goes on behind a position only upwards.
         narrowed = bounds.within(None, at.t) if reverse else bounds.within(at.t, None)
-        rows = boundedRows(topic, narrowed, None, reverse)
-        return (row for row in rows if _isLeft(row.position, at, reverse, bool(place.skip)))
+        rows = boundedRows(topic, narrowed, None, reverse, **self._reading)
+        return (
+            row
+            for row in rows
+            if isBehind(row.position, at, reverse) or (place.skip and row.position == at)
+        )
 
     def _aggregated(self, topic: Any, bounds: Bounds, place: Place, left: Optional[int]) -> _Rows:
         if place.position is not None or left == 0:
             return
-        if self._select.counts and bounds.whole and not bounds.empty:
-            yield (self._countedByKey(topic, bounds),) * len(self._select.aggregates)
+        if self.counted and not bounds.empty:
+            yield (self._countedByKey(topic, bounds),) * len(self.select.aggregates)
             return
-        totals = Totals(self._select)
-        for row in boundedRows(topic, bounds):
+        totals = Totals(self.select)
+        for row in boundedRows(topic, bounds, **self._reading):
+            self.read += 1
             totals.add(self._plan(row.table).rows(row))
         yield totals.values()
 
     def _countedByKey(self, topic: Any, bounds: Bounds) -> int:
-        if bounds.name is not None:
-            return sum(1 for _ in boundedRows(topic, bounds))
         if any(table.named for table in topic.tables):
             return int(topic.countTopicData(nodeID=bounds.node))
         ends = (Stamp.fromNs(bounds.low), Stamp.fromNs(bounds.high))
         return int(topic.countTopicData(*ends, bounds.node))
 
+    def _columns(self, table: Any) -> Optional[Sequence[str]]:
+        return self._plan(table).columns(table)
+
     def _plan(self, table: Any) -> TablePlan:
         if table.name not in self._plans:  # made since the statement was planned
-            select = self._select
+            select = self.select
             findings = Findings(select.text)
             self._plans[table.name] = TablePlan(select, table.definition, findings, table.named)
             self._plans[table.name].follow(self._names)
@@ -129,62 +152,61 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
 
 def execute(
     rosCas: Any,
-    statement: str,
+    statement: Union[str, Select],
     params: Sequence[Any] = (),
     nodeID: Optional[str] = None,
     limit: Optional[int] = None,
     after: Cursor = None,
+    plan: str = "auto",
 ) -> QueryResult:
-    """Run a statement.
+    """Run a SELECT statement.
 
     Args:
         rosCas: A RosCassandra connected to a keyspace.
-        statement: A SELECT statement.
+        statement: Its text, or the tree that was made of it with its parameters.
         params: Values of its ``?`` and ``%s``, in their order.
         nodeID: Only messages of this node; None = of all.
         limit: At most so many rows, besides the statement's LIMIT; None = no bound.
         after: ``cursor`` of an earlier result of the same statement: go on behind its last row.
+        plan: What the server may check, one of pushdown.PLANS; the answer is always the same.
 
     Raises:
         InvalidQuery: The statement cannot be understood, or names something unknown.
         InvalidKey: ``after`` is no cursor.
     """
-    select = parseSelect(statement, params)
-    try:
-        topic = rosCas.getTopic(select.topic)
-    except TopicNotFound as exc:
-        raise InvalidQuery(statement, select.topic_position, str(exc)) from exc
+    select = statement if isinstance(statement, Select) else parseSelect(statement, params)
+    topic = findTopic(rosCas, select.text, select.topic, select.topic_position)
     try:
         named = any(table.named for table in topic.tables)
         bounds = boundsOf(select.condition, nodeID, named)
     except StatementError as exc:
-        raise InvalidQuery(statement, exc.position, exc.reason) from None
+        raise InvalidQuery(select.text, exc.position, exc.reason) from None
     if not named:
         warnOfSeconds(select.condition)
-    return QueryResult(select, topic, bounds, readPlace(after), limit)
+    return QueryResult(select, topic, bounds, readPlace(after), limit, plan)
+
+
+def findTopic(rosCas: Any, text: str, topic: str, position: int) -> Any:
+    """Find the topic that a statement names.
+
+    Args:
+        rosCas: A RosCassandra connected to a keyspace.
+        text: The statement.
+        topic: The name.
+        position: Where it stands.
+
+    Raises:
+        InvalidQuery: There is none; the text gives the nearest names.
+    """
+    try:
+        return rosCas.getTopic(topic)
+    except TopicNotFound as exc:
+        raise InvalidQuery(text, position, str(exc)) from exc
 
 
 class Rows(list):  # type: ignore[type-arg]
     """All rows of a result: a list of tuples that knows its columns."""
 
-    def __init__(self, result: QueryResult) -> None:
-        super().__init__(result)
-        self.columns = result.columns
-
-
-def executeAll(
-    rosCas: Any,
-    statement: str,
-    params: Sequence[Any] = (),
-    nodeID: Optional[str] = None,
-    limit: Optional[int] = None,
-) -> Rows:
-    """Run a statement and return all its rows; see ``execute``."""
-    return Rows(execute(rosCas, statement, params, nodeID, limit))
-
-
-def _isLeft(position: Position, at: Position, reverse: bool, included: bool) -> bool:
-    """Say whether a row lies behind a position, in the direction of reading, or at it."""
-    if position == at:
-        return included
-    return position < at if reverse else position > at
+    def __init__(self, rows: Iterable[tuple[Any, ...]], columns: Sequence[str]) -> None:
+        super().__init__(rows)
+        self.columns = tuple(columns)

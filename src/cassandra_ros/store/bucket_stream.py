@@ -21,19 +21,23 @@ _ALL: Query = ((), False)
 
 
 class BucketStream:
-    """The rows of one bucket in their order; the first pages are asked for at once."""
+    """The rows of one bucket in their order; the first pages are asked for at once.
+
+    Attributes:
+        filtered: The server leaves rows out.
+    """
 
     def __init__(self, cassandra: Cassandra, piece: Piece, scan: Scan) -> None:
         self._piece = piece
         self._scan = scan
         chosen = None if scan.chooser is None else scan.chooser.choose(piece.table, piece.rows)
-        self._filtered = chosen is not None
+        self.filtered = chosen is not None
         queries = [_ALL] if chosen is None else chosen
         self._streams = [_Stream(cassandra, piece, scan, query) for query in queries]
 
     def rows(self) -> Iterator[TableRow]:
         """Yield the rows; one that several queries find comes once."""
-        if not self._filtered:
+        if not self.filtered:
             return self._streams[0].rows()
         return self._found()
 

@@ -129,7 +129,6 @@ class _Prefetched:
         self._next = 0
         self._asked: Deque[BucketStream] = deque()
         self._ahead = 1
-        self._most = 1 if scan.chooser is None else AHEAD
 
     @property
     def left(self) -> bool:
@@ -144,5 +143,6 @@ class _Prefetched:
         for piece in self._pieces[self._next + len(self._asked) : end]:
             self._asked.append(BucketStream(self._cassandra, piece, self._scan))
         self._next += 1
-        self._ahead = min(2 * self._ahead, self._most)
-        return self._asked.popleft().rows()
+        stream = self._asked.popleft()
+        self._ahead = min(2 * self._ahead, AHEAD) if stream.filtered else 1
+        return stream.rows()

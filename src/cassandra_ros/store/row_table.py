@@ -165,11 +165,7 @@ class RowTable:
     ) -> PreparedStatement:
         """SELECT of one partition from (t, seq) to (t, seq), both included.
 
-        Args:
-            columns: Of the format's columns these.
-            reverse: Newest first.
-            terms: Column and operator of what the server is to check besides; their values come
-                behind the four of the range.
+        The values of ``terms``, columns and operators of a filter, come behind those four.
         """
         order = ' ORDER BY "_t" DESC, "_seq" DESC' if reverse else ""
         checks = "".join(f" AND {quoteName(name)} {operator} ?" for name, operator in terms)
@@ -211,10 +207,11 @@ class RowTable:
             'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
         )
 
-    def deleteChunks(self) -> str:
-        """DELETE of the pieces of one large message."""
+    def deleteOne(self, *, chunks: bool = False) -> str:
+        """DELETE of one row, or of the pieces of its message."""
+        name = self._chunks if chunks else self.qualified
         return (
-            f'DELETE FROM {self._chunks} WHERE "_node" = ? AND "{self.partition}" = ? '
+            f'DELETE FROM {name} WHERE "_node" = ? AND "{self.partition}" = ? '
             'AND "_t" = ? AND "_seq" = ?'
         )
 

@@ -23,11 +23,14 @@ class Asking(KeyspaceConnection):
     ) -> Any:
         """Run a statement and return all its rows: a list of tuples with ``.columns``.
 
+        SELECT gives what was asked for; DELETE one row with the number of messages that it
+        removed; TRUNCATE, CREATE INDEX and DROP INDEX give no row.
+
         Args:
             statement: CQL with topic names, dotted fields and KEY (paper 3.2).
             params: Values for its ``?`` and ``%s`` markers.
-            nodeID: Only messages of this node; None = of all.
-            limit: At most so many rows.
+            nodeID: Only messages of this node, for SELECT and DELETE; None = of all.
+            limit: At most so many rows, for SELECT.
 
         Raises:
             InvalidQuery: Shows the statement with a caret under the spot.
@@ -45,7 +48,24 @@ class Asking(KeyspaceConnection):
         limit: Optional[int] = None,
         after: Optional[Position] = None,
     ) -> Any:
-        """Run a statement lazily: an iterator of tuples with ``.columns``; as executeCQL."""
+        """Run a SELECT lazily: an iterator of tuples with ``.columns``; as executeCQL."""
         from cassandra_ros.query import execute
 
         return execute(self, statement, params, nodeID=nodeID, limit=limit, after=after)
+
+    def explainCQL(
+        self, statement: str, params: Sequence[Any] = (), *, nodeID: Optional[str] = None
+    ) -> Any:
+        """Run a SELECT statement and say how it was answered; ``print`` what comes back.
+
+        Returns:
+            An Explanation: how many buckets were read of how many and in which way (by an index,
+            filtered by the server, whole), what the server checked, what was left to this side,
+            rows read and returned.
+
+        Raises:
+            InvalidQuery: As executeCQL.
+        """
+        from cassandra_ros.query.explain import explain
+
+        return explain(self, statement, params, nodeID)

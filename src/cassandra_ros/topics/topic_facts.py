@@ -39,6 +39,16 @@ class TopicFacts:
         indexes = {field: "" for t in tables for field in t.metadata.indexes}
         return MetaView(metadata.with_(indexes=indexes or metadata.indexes), sorted(found))
 
+    def countBuckets(self) -> int:
+        """Count the partitions: stretches of time of a node in a table; 0 for named messages."""
+        directory = self._keyspace.directory
+        rows = [
+            (table.name, row.node, row.bucket)
+            for table in self.tables
+            for row in directory.buckets(table.name, -(2**63), LAST_NS, ttl=table.metadata.ttl)
+        ]
+        return len(set(rows))
+
     def setMeta(self, **keys: Any) -> None:
         """Set keys of your own in the topic's metadata: ``setMeta(site='lab')``.
 
