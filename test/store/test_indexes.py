@@ -177,6 +177,17 @@ def test_rows_of_an_earlier_release_fill_nothing(rosCas, cql):
     assert rosCas.getTopic("/t").createIndex("data") == 5
 
 
+def test_a_writer_does_not_list_what_its_earlier_rows_lack(rosCas):
+    table = store(rosCas, "/t", 10, writer_id=9)
+    assert add(rosCas, table) == "_ix0"
+    store(rosCas, "/t", 5, writer_id=9)
+    store(rosCas, "/t", 5, writer_id=10)
+    ends = (table.bucketOf(T0),) * 2
+    rows = {row.writer: row.filled for row in rosCas.parts.directory.buckets(table.name, *ends)}
+    assert rows == {9: frozenset(), 10: {"_ix0"}}
+    assert rosCas.getTopic("/t").createIndex("data") == 10
+
+
 # ---------------------------------------------------------------- schema
 
 
