@@ -1,0 +1,141 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The fields of many messages as numpy arrays: no Python object is kept for a number."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Callable, Iterable, Iterator, NamedTuple, Optional, Sequence, Tuple, Union
+
+import numpy as np
+
+from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.query.array_join import castValues, emptyValues, joinValues
+from cassandra_ros.query.array_types import MIXED, ArrayType, uniteTypes
+from cassandra_ros.query.conditions import Condition
+from cassandra_ros.query.outputs import uniteOutputs
+from cassandra_ros.query.parse import parseSelect
+from cassandra_ros.query.scope import Findings
+from cassandra_ros.query.syntax import Select
+from cassandra_ros.query.table_values import TableValues
+
+Where = Union[None, str, Tuple[str, Sequence[Any]]]
+"""A condition, or a condition with the values of its ``?``."""
+Fields = Union[None, str, Sequence[str]]
+"""Names of fields; None = all."""
+ReadRows = Callable[[Optional[Condition], Optional[Sequence[str]]], Iterator[Any]]
+"""Reads stored rows that satisfy a condition; of the format's columns those named, None = all."""
+
+_PLAIN_TOPIC = re.compile(r"/[A-Za-z][A-Za-z0-9_/]*")
+
+
+class FieldArray(NamedTuple):
+    """The values of a field."""
+
+    kind: ArrayType
+    values: Any
+    missing: Any
+    """A bool for each row: the message has no such value. None where all have it."""
+
+
+def gatherFields(
+    topic: Any, fields: Fields, where: Where, nodeID: Optional[str], read: ReadRows
+) -> dict[str, FieldArray]:
+    """Gather fields from the rows of a topic.
+
+    Args:
+        topic: A CassandraTopic.
+        fields: As a SELECT statement names them, KEY and NODE included; None = all fields.
+        where: Which messages, and which elements of the arrays that are unnested.
+        nodeID: Only messages of this node; None = of all.
+        read: Reads the rows.
+
+    Raises:
+        InvalidQuery: A field or the condition cannot be understood, or is not in the topic.
+    """
+    text, params = where if isinstance(where, tuple) else (where, ())
+    condition = None if text is None else Condition(text, params, nodeID)
+    select = _statement(topic.name, fields, text, params)
+    findings = Findings(select.text)
+    tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
+    findings.check()
+    number, latest = 0, ""
+    for row in read(condition, _columns(tables.values())):
+        name = row.table.name
+        if name not in tables:  # made since
+            tables[name] = TableValues(select, row.table, Findings(select.text))
+        if latest and (number or name != latest):
+            number += 1
+        latest = name
+        tables[name].add(row, number)
+    for table in tables.values():
+        table.flush()
+    return _united(select, list(tables.values()))
+
+
+def _columns(tables: Iterable[TableValues]) -> Optional[list[str]]:
+    """Which of the format's columns are needed; None where it may be all of them."""
+    needed: list[str] = []
+    for table in tables:
+        if table.needed is None:
+            return None
+        needed += table.needed
+    return list(dict.fromkeys(needed))
+
+
+def plainArrays(found: dict[str, FieldArray]) -> dict[str, Any]:
+    """Return the values as arrays; those of which some are missing as masked arrays."""
+    return {name: _plain(array) for name, array in found.items()}
+
+
+def _plain(array: FieldArray) -> Any:
+    if array.missing is None or array.values.dtype.kind == "O":
+        return array.values
+    mask = array.missing
+    if array.values.ndim > 1:
+        mask = np.broadcast_to(mask[:, None], array.values.shape)
+    return np.ma.array(array.values, mask=mask)
+
+
+def _statement(topic: str, fields: Fields, where: Optional[str], params: Sequence[Any]) -> Select:
+    """Parse what was asked for as the statement that it is."""
+    names = [fields] if isinstance(fields, str) else ["*"] if fields is None else list(fields)
+    for name in names:
+        if not isinstance(name, str):
+            raise InvalidQuery(str(name), 0, f"a field is text, not {type(name).__name__}")
+    shown = topic if _PLAIN_TOPIC.fullmatch(topic) else '"' + topic.replace('"', '""') + '"'
+    text = f"SELECT {', '.join(names)} FROM {shown}"  # noqa: S608 (read by our own grammar)
+    select = parseSelect(text if where is None else f"{text} WHERE ({where})", params)
+    for aggregate in select.aggregates:
+        raise InvalidQuery(
+            select.text,
+            aggregate.position,
+            f"{aggregate.text} is one value, no field; executeCQL answers it",
+        )
+    return select
+
+
+def _united(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArray]:
+    names = uniteOutputs([table.outputs for table in tables])
+    if not tables:
+        columns = select.columns or ()
+        return {c.text: FieldArray(ArrayType(MIXED), np.empty(0, object), None) for c in columns}
+    filled = [table for table in tables if table.count]
+    order = None
+    if len(filled) > 1:
+        order = np.argsort(np.concatenate([table.order for table in filled]), kind="stable")
+    return {name: _column(name, uniteTypes(kinds), filled, order) for name, kinds in names}
+
+
+def _column(name: str, kind: ArrayType, tables: Sequence[TableValues], order: Any) -> FieldArray:
+    parts = []
+    for table in tables:
+        found = table.take(name)
+        if found is None:
+            parts.append(emptyValues(kind, table.count))
+        else:
+            parts.append(castValues(found[1], found[0], kind))
+    values, missing = joinValues(parts, kind)
+    if order is not None:
+        values, missing = values[order], None if missing is None else missing[order]
+    return FieldArray(kind, values, missing)
