@@ -114,3 +114,10 @@ def decodeCursor(text: str) -> Position:
     if not (0 <= position.t <= MAX_NS and 0 <= position.seq < 2**63):
         raise InvalidKey(f"{text[:80]!r} is a cursor outside of all times and writers")
     return position
+
+
+def isBehind(position: Position, after: Position | None, reverse: bool = False) -> bool:
+    """Say whether a row comes after another in the direction of reading; None = before all."""
+    if after is None:
+        return True
+    return position < after if reverse else position > after

@@ -8,12 +8,13 @@ import logging
 from itertools import islice
 from typing import Any, Callable, Iterator, Optional, Sequence
 
-from cassandra_ros.errors import CorruptMessage, InvalidQuery
-from cassandra_ros.keys import Position
+from cassandra_ros.errors import CorruptMessage, InvalidQuery, MessageNotFound
+from cassandra_ros.keys import Position, isBehind
 from cassandra_ros.query.bounds import Bounds, boundsOf
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.evaluate import compileCondition
 from cassandra_ros.query.parse import parseCondition
+from cassandra_ros.query.pushdown import Pushdown
 from cassandra_ros.query.scope import Findings, Scope
 from cassandra_ros.query.syntax import Expression
 
@@ -99,7 +100,9 @@ class Condition:
         tables = topic.tables
         test = self.test(tables)
         bounds = self.bounds(any(t.named for t in tables)).within(key, to_key)
-        return (row for row in boundedRows(topic, bounds, after, reverse) if test(row))
+        pushed = Pushdown(self._expression)
+        rows = boundedRows(topic, bounds, after, reverse, chooser=pushed)
+        return (row for row in rows if test(row))
 
 
 def boundedRows(
@@ -108,30 +111,32 @@ def boundedRows(
     after: Optional[Position] = None,
     reverse: bool = False,
     limit: Optional[int] = None,
+    **reading: Any,
 ) -> Iterator[Any]:
-    """Walk through the rows of a topic inside of bounds."""
+    """Walk through the rows of a topic inside of bounds; ``reading`` goes on to topic.rows."""
     if bounds.empty:
         return iter(())
     if bounds.name is None:
+        direction: Any = {"after": after, "reverse": reverse, "limit": limit}
         rows: Iterator[Any] = topic.rows(
-            bounds.low, bounds.high, nodeID=bounds.node, after=after, reverse=reverse, limit=limit
+            bounds.low, bounds.high, nodeID=bounds.node, **direction, **reading
         )
         return rows
     every = topic.versions(bounds.name, nodeID=bounds.node, reverse=reverse)
-    found = (r for r in every if bounds.low <= r.t <= bounds.high and _isLeft(r, after, reverse))
+    found = (
+        row
+        for row in every
+        if bounds.low <= row.t <= bounds.high and isBehind(row.position, after, reverse)
+    )
     return islice(found, limit)
-
-
-def _isLeft(row: Any, after: Optional[Position], reverse: bool) -> bool:
-    if after is None:
-        return True
-    return bool(row.position < after if reverse else row.position > after)
 
 
 def readable(row: Any, values: Iterator[Sequence[Any]], width: int) -> list[Sequence[Any]]:
     """Return the values of a row; where its bytes are no message, its fields are missing."""
     try:
         return list(values)
+    except MessageNotFound:
+        return []  # removed since its columns were read
     except CorruptMessage as exc:
         _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
         key = row.name if row.table.named else row.t

@@ -42,6 +42,13 @@ class Extractor:
         self._read = self._plan.reader(self._names)
         numbers = {column.name: n for n, column in enumerate(self._plan.columns)}
         self._stored = [numbers[name] for name in self._names if name in numbers]
+        held = sorted(set(self._stored))
+        self._projected = [held.index(n) for n in self._stored]
+        self.columns: Optional[list[str]] = None
+        """The columns of format ``ros`` that hold the fields, in their order; None where one lies
+        in no column."""
+        if len(self._stored) == len(self._names):
+            self.columns = [self._plan.columns[n].name for n in held]
 
     def values(self, row: Any) -> Iterator[list[Any]]:
         """Yield the values of a stored row: once, or once per element of the unnested array.
@@ -58,11 +65,12 @@ class Extractor:
 
     def _columns(self, row: Any) -> list[Any]:
         """Values of the named columns, from the row's own where it has them."""
-        if row.table.metadata.format == "ros" and not row.odd:
-            if len(self._stored) == len(self._names):
-                raw = [row.columns[n] for n in self._stored]
-                if None not in raw:
-                    return [self._plan.value(n, r) for n, r in zip(self._stored, raw)]
+        if self.columns is not None and not row.odd and row.table.metadata.format == "ros":
+            held = row.columns
+            places = self._projected if len(held) == len(self.columns) else self._stored
+            raw = [held[n] for n in places]
+            if None not in raw:
+                return [self._plan.value(n, r) for n, r in zip(self._stored, raw)]
         return self._read(row.wire)
 
     def _unnest(self, level: int, values: list[Any]) -> Iterator[list[Any]]:

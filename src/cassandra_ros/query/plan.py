@@ -47,6 +47,12 @@ class TablePlan:
         self._shown: list[Optional[_Column]] = []
         self.follow(self.names)
 
+    def columns(self, table: Any) -> Optional[Sequence[str]]:
+        """Name the columns of its table that are read; None = all."""
+        if self._extractor is None:
+            return ()
+        return self._extractor.columns if table.metadata.format == "ros" else None
+
     def follow(self, names: Sequence[Sequence[str]]) -> None:
         """Show these columns of each path; those that the table lacks are None."""
         self._shown = []

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Any, Generator, Iterator, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.errors import InvalidQuery, TopicNotFound
-from cassandra_ros.keys import Position
+from cassandra_ros.keys import Position, isBehind
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.aggregates import Totals
 from cassandra_ros.query.bounds import Bounds, boundsOf, warnOfSeconds
@@ -16,6 +16,7 @@ from cassandra_ros.query.conditions import boundedRows
 from cassandra_ros.query.cursor import Place, readPlace
 from cassandra_ros.query.parse import parseSelect
 from cassandra_ros.query.plan import TablePlan, uniteColumns
+from cassandra_ros.query.pushdown import Pushdown
 from cassandra_ros.query.scope import Findings
 from cassandra_ros.query.syntax import Select
 
@@ -32,7 +33,13 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     """
 
     def __init__(
-        self, select: Select, topic: Any, bounds: Bounds, place: Place, limit: Optional[int]
+        self,
+        select: Select,
+        topic: Any,
+        bounds: Bounds,
+        place: Place,
+        limit: Optional[int],
+        plan: str = "auto",
     ) -> None:
         findings = Findings(select.text)
         self._select = select
@@ -42,6 +49,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         findings.check()
         self._names = uniteColumns(select, list(self._plans.values()))
         self.columns = tuple(name for names in self._names for name in names)
+        self.pushdown = Pushdown(None if bounds.whole else select.condition, plan)
+        self._reading: Any = {"columns": self._columns, "chooser": self.pushdown}
         self.direct = bounds.whole and not any(p.unnests for p in self._plans.values())
         self._place = place
         left = None if select.limit is None else max(0, select.limit - place.given)
@@ -92,12 +101,17 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     ) -> Iterator[Any]:
         reverse, at = self._select.descending, place.position
         if at is None or not (place.skip or reverse):
-            return boundedRows(topic, bounds, at, reverse, left if self.direct else None)
+            limit = left if self.direct else None
+            return boundedRows(topic, bounds, at, reverse, limit, **self._reading)
         # Begin with the message at the cursor: some of its rows may be still to come, and the
         # store goes on behind a position only upwards.
         narrowed = bounds.within(None, at.t) if reverse else bounds.within(at.t, None)
-        rows = boundedRows(topic, narrowed, None, reverse)
-        return (row for row in rows if _isLeft(row.position, at, reverse, bool(place.skip)))
+        rows = boundedRows(topic, narrowed, None, reverse, **self._reading)
+        return (
+            row
+            for row in rows
+            if isBehind(row.position, at, reverse) or (place.skip and row.position == at)
+        )
 
     def _aggregated(self, topic: Any, bounds: Bounds, place: Place, left: Optional[int]) -> _Rows:
         if place.position is not None or left == 0:
@@ -106,7 +120,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             yield (self._countedByKey(topic, bounds),) * len(self._select.aggregates)
             return
         totals = Totals(self._select)
-        for row in boundedRows(topic, bounds):
+        for row in boundedRows(topic, bounds, **self._reading):
             totals.add(self._plan(row.table).rows(row))
         yield totals.values()
 
@@ -117,6 +131,9 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             return int(topic.countTopicData(nodeID=bounds.node))
         ends = (Stamp.fromNs(bounds.low), Stamp.fromNs(bounds.high))
         return int(topic.countTopicData(*ends, bounds.node))
+
+    def _columns(self, table: Any) -> Optional[Sequence[str]]:
+        return self._plan(table).columns(table)
 
     def _plan(self, table: Any) -> TablePlan:
         if table.name not in self._plans:  # made since the statement was planned
@@ -134,6 +151,7 @@ def execute(
     nodeID: Optional[str] = None,
     limit: Optional[int] = None,
     after: Cursor = None,
+    plan: str = "auto",
 ) -> QueryResult:
     """Run a statement.
 
@@ -144,6 +162,7 @@ def execute(
         nodeID: Only messages of this node; None = of all.
         limit: At most so many rows, besides the statement's LIMIT; None = no bound.
         after: ``cursor`` of an earlier result of the same statement: go on behind its last row.
+        plan: What the server may check, one of pushdown.PLANS; the answer is always the same.
 
     Raises:
         InvalidQuery: The statement cannot be understood, or names something unknown.
@@ -161,7 +180,7 @@ def execute(
         raise InvalidQuery(statement, exc.position, exc.reason) from None
     if not named:
         warnOfSeconds(select.condition)
-    return QueryResult(select, topic, bounds, readPlace(after), limit)
+    return QueryResult(select, topic, bounds, readPlace(after), limit, plan)
 
 
 class Rows(list):  # type: ignore[type-arg]
@@ -181,10 +200,3 @@ def executeAll(
 ) -> Rows:
     """Run a statement and return all its rows; see ``execute``."""
     return Rows(execute(rosCas, statement, params, nodeID, limit))
-
-
-def _isLeft(position: Position, at: Position, reverse: bool, included: bool) -> bool:
-    """Say whether a row lies behind a position, in the direction of reading, or at it."""
-    if position == at:
-        return included
-    return position < at if reverse else position > at

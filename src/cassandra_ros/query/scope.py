@@ -71,7 +71,7 @@ class Scope:
             return KEY_PLACE
         if isinstance(leaf.operand, Node):
             return NODE_PLACE
-        ref = self._field(leaf.operand, _wantsArray(leaf))
+        ref = self._field(leaf.operand, wantsArray(leaf))
         return None if ref is None else self._place(ref)
 
     def fit(self, leaf: Leaf, literal: Literal) -> Optional[Comparable]:
@@ -158,7 +158,7 @@ class Scope:
     def _fitted(self, leaf: Leaf, literal: Literal) -> Optional[Comparable]:
         operand, sign = leaf.operand, leaf.operator if isinstance(leaf, Compare) else ""
         if isinstance(operand, Path):
-            ref = self._field(operand, _wantsArray(leaf))
+            ref = self._field(operand, wantsArray(leaf))
             if ref is None:
                 return None
             if sign == "LIKE":
@@ -218,8 +218,8 @@ class Scope:
         return 2 + self._refs.index(ref)
 
 
-def _wantsArray(leaf: Leaf) -> Optional[bool]:
-    """Whether the operand is an array as a whole; None = either."""
+def wantsArray(leaf: Leaf) -> Optional[bool]:
+    """Say whether a comparison's operand is an array as a whole; None = either."""
     if isinstance(leaf, IsNull):
         return None
     return isinstance(leaf, Compare) and leaf.operator == "CONTAINS"

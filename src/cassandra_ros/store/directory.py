@@ -44,6 +44,8 @@ class BucketRow(NamedTuple):
     odd: int
     age_sec: float
     """Seconds since the heartbeat, by the server's clock."""
+    filled: frozenset[str] = frozenset()
+    """Shadow columns that are filled in all rows of this writer in the bucket."""
 
     def expired(self, ttl: int) -> bool:
         """Say whether all rows of this writer in the bucket have outlived their ttl, seconds."""

@@ -170,13 +170,24 @@ class RowTable:
             f'WHERE "_node" = ? AND "{self.partition}" = ? AND "_t" = ? AND "_seq" = ?'
         )
 
-    def selectRange(self, columns: Sequence[str], *, reverse: bool = False) -> PreparedStatement:
-        """SELECT of one partition from (t, seq) to (t, seq), both included."""
+    def selectRange(
+        self,
+        columns: Sequence[str],
+        *,
+        reverse: bool = False,
+        terms: Sequence[tuple[str, str]] = (),
+    ) -> PreparedStatement:
+        """SELECT of one partition from (t, seq) to (t, seq), both included.
+
+        The values of ``terms``, columns and operators of a filter, come behind those four.
+        """
         names = ", ".join(quoteName(n) for n in (*_OWN, *self._received, *columns))
         order = ' ORDER BY "_t" DESC, "_seq" DESC' if reverse else ""
+        checks = "".join(f" AND {quoteName(name)} {operator} ?" for name, operator in terms)
+        allow = " ALLOW FILTERING" if terms else ""
         return self._cassandra.prepare(
             f'SELECT {names} FROM {self._qualified} WHERE "_node" = ? AND "{self.partition}" = ? '
-            f'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?){order}'
+            f'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?){checks}{order}{allow}'
         )
 
     def selectKeys(self) -> PreparedStatement:

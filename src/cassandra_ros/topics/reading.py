@@ -8,7 +8,7 @@ import heapq
 from itertools import islice
 from typing import Any, Callable, Iterable, Iterator, Optional, Sequence, Union
 
-from cassandra_ros.errors import CorruptMessage, InvalidKey
+from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
 from cassandra_ros.keys import Position, RowName
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.store.chunks import readChunks
@@ -17,8 +17,9 @@ from cassandra_ros.store.directory import Directory
 from cassandra_ros.store.fetch import Wanted, fetchRows
 from cassandra_ros.store.lookup import firstAt
 from cassandra_ros.store.named import listNames, versions
-from cassandra_ros.store.reader import Scan, readRows
+from cassandra_ros.store.reader import readRows
 from cassandra_ros.store.row_table import RowTable, TableRow
+from cassandra_ros.store.scan import Chooser, Scan
 from cassandra_ros.store.shadow import keysByShadow
 from cassandra_ros.topics.connections import Connections
 from cassandra_ros.topics.selection import LAST_NS, Named, Selection, Stretch, Valued
@@ -26,6 +27,7 @@ from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 Nodes = Optional[Sequence[str]]
+Columns = Callable[[RowTable], Optional[Sequence[str]]]
 
 
 class Rows:
@@ -68,13 +70,19 @@ class Rows:
         after: Optional[Position] = None,
         reverse: bool = False,
         limit: Optional[int] = None,
-        columns: Optional[Callable[[RowTable], Sequence[str]]] = None,
+        columns: Optional[Columns] = None,
+        chooser: Optional[Chooser] = None,
     ) -> Iterator[StoredRow]:
         """Yield rows with t in [low, high] in the order (t, node, seq, table), lazily.
 
-        Of topics whose messages lie under names all keys are listed first.
+        Of topics whose messages lie under names all keys are listed first, and all rows are read.
+
+        Args:
+            columns: Which of the format's columns to read, in their order; a row fetches the
+                others when its bytes are asked for.
+            chooser: What the server may leave out; it may leave out less.
         """
-        scan = Scan(low, high, after, nodes, reverse, columns)
+        scan = Scan(low, high, after, nodes, reverse, columns, chooser)
         by_name = {table.name: table for table in tables}
         timed = [table for table in tables if not table.named]
         rows: Iterable[TableRow] = readRows(self._cassandra, self._directory, timed, scan)
@@ -175,6 +183,8 @@ class Rows:
     def _wire(self, table: TopicTable, row: TableRow) -> bytes:
         if row.nchunks:
             return readChunks(self._cassandra, table, row)
+        if row.raw is None and len(row.columns) < len(table.columns):
+            row = self._whole(table, row)
         wire = table.format.decodeWire(row.columns, row.raw)
         if len(wire) != row.size:
             raise CorruptMessage(
@@ -182,6 +192,16 @@ class Rows:
                 f"instead of {row.size}: its columns were changed by somebody else"
             )
         return wire
+
+    def _whole(self, table: TopicTable, row: TableRow) -> TableRow:
+        """Fetch a row of which only some columns were read."""
+        found = next(fetchRows(self._cassandra, [Wanted(table, row.position)], ahead=1), None)
+        if found is None:
+            raise MessageNotFound(
+                f"the message of topic {table.metadata.topic} at {row.t} was removed while it was "
+                "read"
+            )
+        return found
 
 
 def encoded(tables: Sequence[TopicTable], value: Any) -> list[tuple[TopicTable, bytes]]:

@@ -10,6 +10,7 @@ from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Stamp, isIsoText, toNs
 from cassandra_ros.topics.finding import Finder
+from cassandra_ros.topics.reading import Columns
 from cassandra_ros.topics.selection import LAST_NS, isNamed, valueOfText
 from cassandra_ros.topics.stored_row import Key, StoredRow
 from cassandra_ros.topics.topic_facts import TopicFacts
@@ -71,6 +72,8 @@ class TopicRows(TopicFacts):
         limit: Optional[int] = None,
         after: Optional[Position] = None,
         reverse: bool = False,
+        columns: Optional[Columns] = None,
+        chooser: Any = None,
     ) -> Iterator[StoredRow]:
         """Walk through messages by their time, as items does, without making objects.
 
@@ -78,6 +81,9 @@ class TopicRows(TopicFacts):
             key, to_key: Ends, both included, whatever the topic's keys are; None = open.
             nodeID, limit, reverse: As items takes them.
             after: Begin behind this row (a cursor).
+            columns: Gives for a table those of its columns to read, in their order, None = all;
+                a row fetches the others when its bytes are asked for.
+            chooser: Tells what the server may leave out (a store.scan.Chooser).
         """
         low = 0 if key is None else toNs(key)
         high = LAST_NS if to_key is None else toNs(to_key)
@@ -87,6 +93,8 @@ class TopicRows(TopicFacts):
             after=after,
             reverse=reverse,
             limit=limit,
+            columns=columns,
+            chooser=chooser,
         )
 
     def _stored(self) -> list[TopicTable]:

@@ -45,6 +45,8 @@ class TopicTable(RowTable):
         )
         self.key_part = _keyPart(metadata, definition)
         """The field that is the key, where there is one."""
+        self.index_fields: dict[str, Any] = {}
+        """The indexes that conditions can use, by their field."""
         self.classes: dict[int, Any] = {}
         """Message classes by the number of the connection."""
 

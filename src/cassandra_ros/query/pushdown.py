@@ -1,0 +1,226 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What of a condition the server checks, bucket by bucket: by an index, by a filter, or nothing.
+
+It only has to leave out what cannot match: every row that comes is checked again here. So what
+cannot be said in CQL is left away, OR becomes several queries whose rows are united, and the rows
+whose columns are not exact (``_odd``) are read besides.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any, Iterator, NamedTuple, Optional, Sequence, Tuple
+
+from cassandra_ros.messages.wire import Column, wirePlan
+from cassandra_ros.query.builder import StatementError
+from cassandra_ros.query.fields import FieldRef, fieldOf
+from cassandra_ros.query.literals import Comparable, fitToField
+from cassandra_ros.query.scope import wantsArray
+from cassandra_ros.query.syntax import (
+    All,
+    Compare,
+    Either,
+    Expression,
+    IsNull,
+    Leaf,
+    Literal,
+    Negation,
+    Path,
+    given,
+)
+from cassandra_ros.query.terms import NEVER, Held, Ways, spanOf, waysOf
+
+PLANS = ("auto", "index", "filter", "client")
+"""What may be pushed: whatever is quickest; the same, with every index; no index; nothing."""
+MAX_QUERIES = 8
+"""Of one bucket: more would cost more than reading it."""
+FEW_VALUES = 4
+"""Of IN: for more the server is asked for their span."""
+DENSE_SHARE = 0.05
+"""Where an index finds more of a bucket than this the filter is quicker (measured: see the doc)."""
+DENSE_ROWS = 500
+LONGEST_TEXT = 64 * 1024
+"""Longer texts of large messages are in no column."""
+LONGEST_INDEXED = 1024
+_ODD = ((("_odd", "=", b"\x01"),), False)
+
+
+class Need(NamedTuple):
+    """One comparison, as the server can check it."""
+
+    leaf: Leaf
+    filtered: Ways
+    """By the column of format ``ros``."""
+    shadow: str
+    """The column with an index on the field, '' = none."""
+    indexed: Ways
+    """By the index."""
+
+
+Branch = Tuple[Need, ...]
+"""Needs that all hold."""
+
+
+class Pushdown:
+    """Decides for every bucket what the server is to check (a store.scan.Chooser).
+
+    Args:
+        expression: The condition, bound; None is always true.
+        plan: One of PLANS.
+
+    Attributes:
+        indexed, filtered, whole, skipped: How many buckets were read by an index, by a filter
+            alone, whole, and not at all.
+        used: The comparisons that the server checked, each with the way: 'index' or 'filter'.
+    """
+
+    def __init__(self, expression: Optional[Expression], plan: str = "auto") -> None:
+        if plan not in PLANS:
+            raise ValueError(f"plan {plan!r} is none of {', '.join(PLANS)}")
+        self._expression = expression
+        self._plan = plan
+        self._branches: dict[str, Optional[list[Branch]]] = {}
+        self._dense: set[str] = set()
+        self.indexed = self.filtered = self.whole = self.skipped = 0
+        self.used: dict[tuple[Leaf, str], None] = {}
+
+    def choose(self, table: Any, bucket: Sequence[Any]) -> Optional[Sequence[Any]]:
+        """Return the queries whose rows include those that match; see Chooser."""
+        chosen = self._chosen(table, bucket)
+        if chosen is None:
+            self.whole += 1
+        elif any(indexed for _, indexed in chosen):
+            self.indexed += 1
+        elif chosen:
+            self.filtered += 1
+        else:
+            self.skipped += 1
+        return chosen
+
+    def learn(self, table: Any, bucket: Sequence[Any], found: int) -> None:
+        """Leave the index alone where it finds much: each of its rows is fetched by itself."""
+        if found > DENSE_ROWS and found > DENSE_SHARE * sum(row.rows for row in bucket):
+            self._dense.add(table.name)
+
+    def _chosen(self, table: Any, bucket: Sequence[Any]) -> Optional[list[Any]]:
+        if self._plan == "client" or self._expression is None:
+            return None
+        if table.name not in self._branches:
+            self._branches[table.name] = _branches(self._expression, table)
+        branches = self._branches[table.name]
+        if branches is None:
+            return None
+        filled = self._filled(table, bucket)
+        queries: list[Any] = []
+        for branch in branches:
+            found = self._queries(branch, filled)
+            if found is None or len(queries) + len(found) > MAX_QUERIES:
+                return None
+            queries.extend(found)
+        if any(row.odd or not row.closed for row in bucket):
+            queries.append(_ODD)
+        return queries
+
+    def _filled(self, table: Any, bucket: Sequence[Any]) -> frozenset[str]:
+        """Name the shadow columns that can be used in a bucket."""
+        dense = self._plan == "auto" and table.name in self._dense
+        if self._plan == "filter" or (dense and table.metadata.format == "ros"):
+            return frozenset()
+        return frozenset.intersection(*(row.filled for row in bucket))
+
+    def _queries(self, branch: Branch, filled: frozenset[str]) -> Optional[list[Any]]:
+        """Return the queries for one branch; None where the server cannot check anything of it."""
+        if any(NEVER in (need.filtered, need.indexed) for need in branch):
+            return []
+        shadow = next(
+            (n.shadow for n in branch if n.indexed is not None and n.shadow in filled), ""
+        )
+        ways = []
+        for need in branch:
+            by_index = shadow and need.shadow == shadow and need.indexed is not None
+            way = need.indexed if by_index else need.filtered
+            if way is not None:
+                ways.append(way)
+                self.used[need.leaf, "index" if by_index else "filter"] = None
+        if not ways:
+            return None
+        return [(sum(terms, ()), bool(shadow)) for terms in product(*ways)]
+
+
+def _branches(expression: Expression, table: Any) -> Optional[list[Branch]]:
+    """Bring a condition into the form (a AND b …) OR …, weaker where it cannot be said."""
+    if isinstance(expression, Negation):
+        return None
+    if isinstance(expression, Either):
+        found = [_branches(item, table) for item in expression.items]
+        every = [branch for branches in found for branch in branches or ()]
+        return None if None in found or len(every) > MAX_QUERIES else every
+    if isinstance(expression, All):
+        return _joined([_branches(item, table) for item in expression.items])
+    need = _need(expression, table)
+    return None if need.filtered is None and need.indexed is None else [(need,)]
+
+
+def _joined(found: Sequence[Optional[list[Branch]]]) -> Optional[list[Branch]]:
+    known = sorted((branches for branches in found if branches is not None), key=len)
+    if not known:
+        return None
+    joined: list[Branch] = [()]
+    for branches in known:
+        if len(joined) * len(branches) <= MAX_QUERIES:
+            joined = [one + other for one in joined for other in branches]
+    return joined
+
+
+def _need(leaf: Leaf, table: Any) -> Need:
+    if isinstance(leaf, IsNull) or not isinstance(leaf.operand, Path) or table.definition is None:
+        return Need(leaf, None, "", None)
+    operator = leaf.operator if isinstance(leaf, Compare) else "="
+    try:
+        ref = fieldOf(leaf.operand, table.definition, wantsArray(leaf))
+    except StatementError:
+        return Need(leaf, NEVER, "", None)  # missing here, and what is missing never matches
+    values = list(_fitted(leaf, ref))
+    if not values:
+        return Need(leaf, NEVER, "", None)
+    if ref.part:
+        return Need(leaf, None, "", None)
+    index = table.index_fields.get(ref.column)
+    carried = index and Held(index.shadow, index.element_type, index.many, LONGEST_INDEXED)
+    return Need(
+        leaf,
+        _ways(_columnOf(ref, table), operator, values, FEW_VALUES),
+        index.shadow if index else "",
+        _ways(carried, operator, values, MAX_QUERIES),
+    )
+
+
+def _ways(held: Optional[Held], operator: str, values: Sequence[Comparable], most: int) -> Ways:
+    if held is None:
+        return None
+    found = waysOf(held, operator, values)
+    return found if found is None or len(found) <= most else spanOf(held, values)
+
+
+def _fitted(leaf: Leaf, ref: FieldRef) -> Iterator[Comparable]:
+    for literal in given(leaf):
+        try:
+            if isinstance(literal, Literal):
+                yield fitToField(literal, ref)
+        except StatementError:
+            continue  # of another kind: it equals nothing here
+
+
+def _columnOf(ref: FieldRef, table: Any) -> Optional[Held]:
+    """Return the column of format ``ros`` that holds a field, or all its elements."""
+    if table.metadata.format != "ros":
+        return None
+    columns: dict[str, Column] = {c.name: c for c in wirePlan(table.definition).columns}
+    column = columns.get(ref.column)
+    if column is None or column.kind in ("array", "wire"):
+        return None
+    element = column.cql_type
+    if column.is_list:
+        element = element[len("frozen<list<") : -len(">>")]
+    return Held(column.name, element, column.is_list, LONGEST_TEXT)

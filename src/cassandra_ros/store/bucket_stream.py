@@ -1,0 +1,164 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The rows of one bucket, page after page, all of them or those that the server lets through."""
+
+from __future__ import annotations
+
+import heapq
+import logging
+from typing import Any, Iterator
+
+from cassandra_ros.errors import SchemaConflict
+from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isBusy, isTableGone
+from cassandra_ros.store.patience import Patience
+from cassandra_ros.store.row_table import MAX_SEQ, MIN_SEQ, TableRow, bind, encodeLong
+from cassandra_ros.store.scan import Piece, Query, Scan
+
+_log = logging.getLogger(__name__)
+
+_ALL: Query = ((), False)
+
+
+class BucketStream:
+    """The rows of one bucket in their order; the first pages are asked for at once.
+
+    Attributes:
+        filtered: The server leaves rows out.
+    """
+
+    def __init__(self, cassandra: Cassandra, piece: Piece, scan: Scan) -> None:
+        self._piece = piece
+        self._scan = scan
+        chosen = None if scan.chooser is None else scan.chooser.choose(piece.table, piece.rows)
+        self.filtered = chosen is not None
+        queries = [_ALL] if chosen is None else chosen
+        self._streams = [_Stream(cassandra, piece, scan, query) for query in queries]
+
+    def rows(self) -> Iterator[TableRow]:
+        """Yield the rows; one that several queries find comes once."""
+        if not self.filtered:
+            return self._streams[0].rows()
+        return self._found()
+
+    def _found(self) -> Iterator[TableRow]:
+        streams = [stream.rows() for stream in self._streams]
+        count, last = 0, None
+        for row in heapq.merge(*streams, key=_place, reverse=self._scan.reverse):
+            if _place(row) != last:
+                last = _place(row)
+                count += 1
+                yield row
+        if self._scan.chooser is not None:
+            self._scan.chooser.learn(self._piece.table, self._piece.rows, count)
+
+
+def _place(row: TableRow) -> tuple[int, int]:
+    return row.t, row.seq
+
+
+class _Stream:
+    """The rows of one bucket that one statement gives."""
+
+    def __init__(self, cassandra: Cassandra, piece: Piece, scan: Scan, query: Query) -> None:
+        self._cassandra = cassandra
+        self._piece = piece
+        self._scan = scan
+        self._low = _lowest(piece, scan)
+        self._high = _highest(piece, scan)
+        self._terms, indexed = query
+        # The server cannot turn the order of what an index finds; it is little.
+        self._turned = scan.reverse and indexed
+        self._statement: Any = None
+        self._future: Any = None
+        self._start()
+
+    def _start(self) -> None:
+        wanted = None if self._scan.columns is None else self._scan.columns(self._piece.table)
+        columns = self._piece.table.columns if wanted is None else wanted
+        terms = [term[:2] for term in self._terms]
+        reverse = self._scan.reverse and not self._turned
+        try:
+            self._statement = self._piece.table.selectRange(columns, reverse=reverse, terms=terms)
+        except SchemaConflict as exc:
+            self._readAll(exc)
+            return
+        self._future = self._ask()
+
+    def _ask(self) -> Any:
+        bounds = [encodeLong(v) for v in (*self._low, *self._high)]
+        key = (self._piece.node.encode(), encodeLong(self._piece.bucket))
+        values = [value for _, _, value in self._terms]
+        bound = bind(self._statement, (*key, *bounds, *values))
+        bound.fetch_size = self._piece.page_rows
+        return self._cassandra.sendRaw(bound)
+
+    def _readAll(self, exc: BaseException) -> None:
+        """Go on with all rows from here: a server may forbid to filter, or be too slow at it."""
+        _log.info(
+            "topic %s is read whole, the server does not filter it: %s",
+            *(self._piece.table.metadata.topic, exc),
+        )
+        self._terms, self._turned = (), False
+        self._start()
+
+    def _page(self) -> list[Any]:
+        patience = Patience(f"reading topic {self._piece.table.metadata.topic}")
+        while True:
+            try:
+                return self._future.result().current_rows  # type: ignore[no-any-return]
+            except DRIVER_ERRORS as exc:
+                if self._terms and not (isBusy(exc) or isTableGone(exc)):
+                    self._readAll(exc)
+                    continue
+                patience.wait(exc)
+                self._future = self._ask()
+
+    def rows(self) -> Iterator[TableRow]:
+        if not self._turned:
+            yield from self._pages()
+            return
+        # Where reading whole took over, the rows that came before are there again.
+        found = {_place(row): row for row in self._pages()}
+        for place in sorted(found, reverse=True):
+            yield found[place]
+
+    def _pages(self) -> Iterator[TableRow]:
+        table, node = self._piece.table, self._piece.node
+        make = table.rowFromValues
+        while True:
+            page = self._page()
+            more = self._future.has_more_pages
+            if page and more:
+                # Where a later page fails the rest is asked for from here.
+                last = make(node, page[-1])
+                if self._scan.reverse and not self._turned:
+                    self._high = (last.t, last.seq - 1)
+                elif not self._turned:
+                    self._low = (last.t, last.seq + 1)
+            if more:
+                self._future.start_fetching_next_page()
+            for values in page:
+                yield make(node, values)
+            if not more:
+                return
+
+
+def _lowest(piece: Piece, scan: Scan) -> tuple[int, int]:
+    after = scan.after
+    if after is None or scan.reverse or after.t < scan.low:
+        return (scan.low, MIN_SEQ)
+    if piece.node != after.node:
+        return (after.t + (piece.node < after.node), MIN_SEQ)
+    if piece.table.name > after.table:
+        return (after.t, after.seq)
+    return (after.t, after.seq + 1) if after.seq < MAX_SEQ else (after.t + 1, MIN_SEQ)
+
+
+def _highest(piece: Piece, scan: Scan) -> tuple[int, int]:
+    after = scan.after
+    if after is None or not scan.reverse or after.t > scan.high:
+        return (scan.high, MAX_SEQ)
+    if piece.node != after.node:
+        return (after.t - (piece.node > after.node), MAX_SEQ)
+    return (after.t, after.seq - (piece.table.name >= after.table))
