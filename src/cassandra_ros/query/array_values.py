@@ -191,8 +191,10 @@ def _lists(ref: FieldRef, column: Column, kind: ArrayType) -> Convert:
     elements = _elements(column, kind)
 
     def convert(raws: Raws) -> Values:
-        cells = [None if raw is None else elements((raw,)).values for raw in raws]
-        return arraysOf(cells, kind)
+        # Lists that are missing stand for one element.
+        every, ends = elements(raws).values, np.cumsum(countElements(raws))
+        cells = np.split(every, ends[:-1])
+        return arraysOf([None if raw is None else c for raw, c in zip(raws, cells)], kind)
 
     return convert
 

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Callable, Iterable, Iterator, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterator, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -23,8 +23,10 @@ Where = Union[None, str, Tuple[str, Sequence[Any]]]
 """A condition, or a condition with the values of its ``?``."""
 Fields = Union[None, str, Sequence[str]]
 """Names of fields; None = all."""
-ReadRows = Callable[[Optional[Condition], Optional[Sequence[str]]], Iterator[Any]]
-"""Reads stored rows that satisfy a condition; of the format's columns those named, None = all."""
+Columns = Callable[[Any], Sequence[str]]
+"""Which columns of a TopicTable are needed."""
+ReadRows = Callable[[Optional[Condition], Columns], Iterator[Any]]
+"""Reads stored rows that satisfy a condition."""
 
 _PLAIN_TOPIC = re.compile(r"/[A-Za-z][A-Za-z0-9_/]*")
 
@@ -59,8 +61,13 @@ def gatherFields(
     findings = Findings(select.text)
     tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
     findings.check()
+
+    def columns(table: Any) -> Sequence[str]:
+        known = tables.get(table.name)
+        return table.columns if known is None else known.needed
+
     number, latest = 0, ""
-    for row in read(condition, _columns(tables.values())):
+    for row in read(condition, columns):
         name = row.table.name
         if name not in tables:  # made since
             tables[name] = TableValues(select, row.table, Findings(select.text))
@@ -71,16 +78,6 @@ def gatherFields(
     for table in tables.values():
         table.flush()
     return _united(select, list(tables.values()))
-
-
-def _columns(tables: Iterable[TableValues]) -> Optional[list[str]]:
-    """Which of the format's columns are needed; None where it may be all of them."""
-    needed: list[str] = []
-    for table in tables:
-        if table.needed is None:
-            return None
-        needed += table.needed
-    return list(dict.fromkeys(needed))
 
 
 def plainArrays(found: dict[str, FieldArray]) -> dict[str, Any]:
@@ -94,7 +91,8 @@ def _plain(array: FieldArray) -> Any:
     mask = array.missing
     if array.values.ndim > 1:
         mask = np.broadcast_to(mask[:, None], array.values.shape)
-    return np.ma.array(array.values, mask=mask)
+    masked: Any = np.ma.MaskedArray  # has no types
+    return masked(array.values, mask)
 
 
 def _statement(topic: str, fields: Fields, where: Optional[str], params: Sequence[Any]) -> Select:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 from typing import Any, Callable, List, NamedTuple, Optional, Sequence
 
-from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.errors import CorruptMessage, MessageNotFound
 from cassandra_ros.messages.wire import wirePlan
 from cassandra_ros.query.array_values import Convert, compileConvert
 from cassandra_ros.query.extract import Array
@@ -75,14 +75,18 @@ class TableColumns:
         return Source(self.names.index(column.name), convert, inside)
 
     @property
-    def needed(self) -> Optional[Sequence[str]]:
-        """The columns of the table that are enough; None where it may be all of them."""
-        if self._table.metadata.format != "ros" or not set(self.names) <= set(self._table.columns):
-            return None
-        return self.names
+    def needed(self) -> Sequence[str]:
+        """The columns of the table that must be read, in its order."""
+        every: Sequence[str] = self._table.columns
+        if not self.direct or not set(self.names) <= set(every):
+            return every
+        return [name for name in every if name in self.names]
 
-    def read(self, row: Any) -> Sequence[Optional[bytes]]:
-        """Return the columns of a row; None where the message cannot be read."""
+    def read(self, row: Any) -> Optional[Sequence[Optional[bytes]]]:
+        """Return the columns of a row, None for each where the message cannot be read.
+
+        None instead of all where the message was removed since its columns were read.
+        """
         if self._cut is None:
             return ()
         try:
@@ -94,6 +98,8 @@ class TableColumns:
                 if None not in raws:
                     return raws
             return self._cut(row.wire)
+        except MessageNotFound:
+            return None
         except CorruptMessage as exc:
             _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
             return [None] * len(self.names)

@@ -78,6 +78,8 @@ class TableValues:
         """
         if self._columns.direct:
             raws = self._columns.read(row)
+            if raws is None:
+                return
             self._numbers.append(number)
             self._own.append((row.name if self._named else row.t, row.node))
             self._raws.append(raws)
@@ -146,10 +148,9 @@ class TableValues:
         return Values(objectsOf(own) if output.kind.dtype.kind == "O" else np.array(own, np.int64))
 
     @property
-    def needed(self) -> Optional[Sequence[str]]:
-        """The columns of the format that are enough; None where it may be all of them."""
-        ours = self._columns.direct and self._tester is None
-        return self._columns.needed if ours else None
+    def needed(self) -> Sequence[str]:
+        """The columns of the table that must be read."""
+        return self._columns.needed
 
     @property
     def count(self) -> int:

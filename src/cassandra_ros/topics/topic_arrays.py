@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Iterator, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterator, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.topics.selection import Stretch, selectMany
 from cassandra_ros.topics.topic_rows import AnyKey, Time, TopicRows
@@ -104,7 +104,7 @@ class TopicArrays(TopicRows):
         to_key: Optional[Time],
         nodeID: Optional[str],
         condition: Any,
-        columns: Optional[Sequence[str]],
+        columns: Callable[[Any], Sequence[str]],
     ) -> Iterator[Any]:
         """Read the rows that key, to_key and a condition mean."""
         tables = self._stored()
@@ -116,5 +116,5 @@ class TopicArrays(TopicRows):
         if condition is not None:
             found: Iterator[Any] = condition.rows(self, *wanted)
             return found
-        chosen = {} if columns is None else {"columns": columns}
-        return self.rows(*wanted, nodeID=nodeID, **chosen)
+        nodes = None if nodeID is None else (nodeID,)
+        return self._keyspace.rows.read(tables, *wanted, nodes=nodes, columns=columns)
