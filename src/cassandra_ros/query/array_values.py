@@ -29,6 +29,7 @@ _BIG = {
     "double": ">f8",
 }
 """numpy's types of CQL's encodings."""
+_FIXED_LISTS = {f"frozen<list<{cql_type}>>": big for cql_type, big in _BIG.items()}
 _NO_LIST = b"\0\0\0\1"
 
 
@@ -58,14 +59,14 @@ def compileConvert(ref: FieldRef, column: Column, kind: ArrayType, inside: bool)
     direct = all(step.index is None for step in ref.steps) and column.name == ref.column
     if not direct or column.kind == "wire" or kind.depth > 1:
         return None
-    if inside:
-        convert = _elements(column, kind)
-    elif column.is_list:
+    if column.is_list and not inside:
         convert = _lists(ref, column, kind)
-    elif column.kind == "array":
-        convert = _element(ref.index, ref.type) if ref.index is not None else _arrays(kind)
+    elif inside and column.cql_type in _FIXED_LISTS:
+        convert = _elements(column, kind)
     else:
-        convert = _scalars(column, kind)
+        convert = _one(ref, column, kind)
+        if inside:
+            convert = _split(convert)
     return _part(convert, ref.part) if ref.part else convert
 
 
@@ -80,7 +81,10 @@ def _absent(raws: Raws) -> Any:
     return np.fromiter((raw is None for raw in raws), bool, len(raws))
 
 
-def _scalars(column: Column, kind: ArrayType) -> Convert:
+def _one(ref: FieldRef, column: Column, kind: ArrayType) -> Convert:
+    """For columns, or elements of lists, that hold one field each."""
+    if column.kind == "array":
+        return _element(ref.index, ref.type) if ref.index is not None else _arrays(kind)
     if column.kind == "text":
         return _texts
     if column.field_type == "uint64":
@@ -153,20 +157,21 @@ def _element(index: int, kind: str) -> Convert:
     return convert
 
 
+def _split(convert: Convert) -> Convert:
+    """Apply to all elements of lists, one after the other."""
+
+    def split(raws: Raws) -> Values:
+        cut: List[Optional[bytes]] = []
+        for raw in raws:
+            cut += [None] if raw is None else splitList(raw)
+        return convert(cut)
+
+    return split
+
+
 def _elements(column: Column, kind: ArrayType) -> Convert:
-    """All elements of the lists, one after the other."""
-    inner = column.cql_type.replace("frozen<list<", "").rstrip(">")
-    if inner not in _BIG:
-        whole = _texts if column.kind == "text" else lambda raws: Values(_varints(raws))
-
-        def split(raws: Raws) -> Values:
-            cut: List[Optional[bytes]] = []
-            for raw in raws:
-                cut += [None] if raw is None else splitList(raw)
-            return Values(whole(cut).values, _absent(cut))
-
-        return split
-    value = np.dtype(_BIG[inner])
+    """As _split, for elements that all have the same size."""
+    value = np.dtype(_FIXED_LISTS[column.cql_type])
     element = np.dtype([("size", ">i4"), ("value", value)])
     filler = value.itemsize.to_bytes(4, "big") + bytes(value.itemsize)
 
@@ -188,7 +193,8 @@ def _elements(column: Column, kind: ArrayType) -> Convert:
 def _lists(ref: FieldRef, column: Column, kind: ArrayType) -> Convert:
     if ref.index is not None:
         return _listed(ref.index)
-    elements = _elements(column, kind)
+    fixed = column.cql_type in _FIXED_LISTS
+    elements = _elements(column, kind) if fixed else _split(_one(ref, column, kind))
 
     def convert(raws: Raws) -> Values:
         # Lists that are missing stand for one element.
@@ -233,7 +239,8 @@ def arraysOf(cells: Sequence[Any], kind: ArrayType) -> Values:
     missing = np.fromiter((cell is None for cell in cells), bool, len(cells))
     if kind.length is None:
         return Values(objectsOf(cells), missing if missing.any() else None)
-    values = np.zeros((len(cells), kind.length), kind.dtype)
+    filler = None if kind.dtype.kind == "O" else 0
+    values = np.full((len(cells), kind.length), filler, kind.dtype)
     for n, cell in enumerate(cells):
         if cell is not None:
             values[n] = cell

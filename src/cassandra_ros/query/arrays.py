@@ -16,7 +16,7 @@ from cassandra_ros.query.conditions import Condition
 from cassandra_ros.query.outputs import uniteOutputs
 from cassandra_ros.query.parse import parseSelect
 from cassandra_ros.query.scope import Findings
-from cassandra_ros.query.syntax import Select
+from cassandra_ros.query.syntax import Operand, Select
 from cassandra_ros.query.table_values import TableValues
 
 Where = Union[None, str, Tuple[str, Sequence[Any]]]
@@ -86,10 +86,11 @@ def plainArrays(found: dict[str, FieldArray]) -> dict[str, Any]:
 
 
 def _plain(array: FieldArray) -> Any:
-    if array.missing is None or array.values.dtype.kind == "O":
+    many = array.values.ndim > 1
+    if array.missing is None or (array.values.dtype.kind == "O" and not many):
         return array.values
     mask = array.missing
-    if array.values.ndim > 1:
+    if many:
         mask = np.broadcast_to(mask[:, None], array.values.shape)
     masked: Any = np.ma.MaskedArray  # has no types
     return masked(array.values, mask)
@@ -110,11 +111,17 @@ def _statement(topic: str, fields: Fields, where: Optional[str], params: Sequenc
             aggregate.position,
             f"{aggregate.text} is one value, no field; executeCQL answers it",
         )
+    called: dict[str, Operand] = {}
+    for column in select.columns or ():
+        other = called.setdefault(column.text, column.what)  # type: ignore[arg-type]
+        if other.text != column.what.text:
+            reason = f"both {column.what.text} and {other.text} are called {column.text}"
+            raise InvalidQuery(select.text, column.what.position, reason)
     return select
 
 
 def _united(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArray]:
-    names = uniteOutputs([table.outputs for table in tables])
+    names = dict(uniteOutputs([table.outputs for table in tables]))
     if not tables:
         columns = select.columns or ()
         return {c.text: FieldArray(ArrayType(MIXED), np.empty(0, object), None) for c in columns}
@@ -122,7 +129,7 @@ def _united(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArr
     order = None
     if len(filled) > 1:
         order = np.argsort(np.concatenate([table.order for table in filled]), kind="stable")
-    return {name: _column(name, uniteTypes(kinds), filled, order) for name, kinds in names}
+    return {name: _column(name, uniteTypes(kinds), filled, order) for name, kinds in names.items()}
 
 
 def _column(name: str, kind: ArrayType, tables: Sequence[TableValues], order: Any) -> FieldArray:
