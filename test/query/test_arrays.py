@@ -196,10 +196,10 @@ def test_rows_per_element_are_those_of_the_language(seed, data):
     rows = [Row(table, maker.make(), t) for t in range(4)]
     try:
         select = parseSelect(text)
-        expected = language(rows, select)
         findings = Findings(text)
         TablePlan(select, definition, findings)
         findings.check()
+        expected = language(rows, select)
     except InvalidQuery:
         with pytest.raises(InvalidQuery):
             gather(rows, fields, where)

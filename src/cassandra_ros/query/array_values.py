@@ -83,8 +83,12 @@ def _absent(raws: Raws) -> Any:
 
 def _one(ref: FieldRef, column: Column, kind: ArrayType) -> Convert:
     """For columns, or elements of lists, that hold one field each."""
+    if column.kind == "array" and ref.index is not None:
+        # The type of secs is a number's, and they lie in a time.
+        base = column.field_type.partition("[")[0] if ref.part else ref.type
+        return _element(ref.index, base)
     if column.kind == "array":
-        return _element(ref.index, ref.type) if ref.index is not None else _arrays(kind)
+        return _arrays(kind)
     if column.kind == "text":
         return _texts
     if column.field_type == "uint64":

@@ -38,9 +38,8 @@ class Extractor:
         columns = [_columnOf(ref, known) for ref in refs]
         self._names = [name for name in columns if name]
         self._given = [name is not None for name in columns]
-        # What lies in no column takes no bytes: arrays of fixed length 0.
         self._gets = [
-            [_itself] if name is None else _gets(ref, name, unnested)
+            _emptyGets(definition, ref, unnested) if name is None else _gets(ref, name, unnested)
             for ref, name in zip(refs, columns)
         ]
         self._read = self._plan.reader(self._names)
@@ -108,6 +107,19 @@ def _columnOf(ref: FieldRef, known: Any) -> Optional[str]:
         if name in known:
             return name
     return None  # an array of fixed length 0
+
+
+def _emptyGets(definition: Definition, ref: FieldRef, unnested: Sequence[Array]) -> list[Get]:
+    """As _gets for what lies in no column: an array of fixed length 0, or what is inside one."""
+    msg_type, level = definition.type, -1
+    for number, step in enumerate(ref.steps):
+        field = next(f for f in definition.specs[msg_type].fields if f.name == step.name)
+        if field.length == 0:
+            if ref.steps[: number + 1] in unnested:
+                level = list(unnested).index(ref.steps[: number + 1])
+            break
+        msg_type = field.type
+    return [_itself] * (level + 2)
 
 
 def _itself(value: Any) -> Any:
