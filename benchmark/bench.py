@@ -20,7 +20,7 @@ import tempfile
 import time
 import uuid
 from pathlib import Path
-from typing import Any, Callable
+from typing import Any, Callable, Iterable, Iterator
 
 import rosbag
 from genpy import Time
@@ -35,23 +35,21 @@ START_SEC = 1_600_000_000
 STEP_NS = 1_000_000
 
 
-def makeMessages(count: int) -> list[tuple[Imu, Time]]:
-    """Make Imu messages with random values, 1 ms apart."""
+def makeMessages(count: int, step_ns: int = STEP_NS) -> Iterator[tuple[Imu, Time]]:
+    """Make Imu messages with random values, so many nanoseconds apart."""
     rand = random.Random(1)
-    made = []
     for i in range(count):
-        stamp = Time(START_SEC + i * STEP_NS // 10**9, i * STEP_NS % 10**9)
+        stamp = Time(START_SEC + i * step_ns // 10**9, i * step_ns % 10**9)
         msg = Imu()
         msg.header.seq, msg.header.stamp, msg.header.frame_id = i, stamp, "imu_link"
         for part in (msg.orientation, msg.angular_velocity, msg.linear_acceleration):
             for name in part.__slots__:
                 setattr(part, name, rand.gauss(0, 1))
         msg.orientation_covariance = [rand.random() for _ in range(9)]
-        made.append((msg, stamp))
-    return made
+        yield msg, stamp
 
 
-def writeBag(path: Path, messages: list[tuple[Any, Time]], raw: bool = False) -> float:
+def writeBag(path: Path, messages: Iterable[tuple[Any, Time]], raw: bool = False) -> float:
     """Write a bag with rosbag; return the seconds that the writing took."""
     if raw:
         messages = [(_raw(msg), t) for msg, t in messages]
@@ -108,7 +106,7 @@ def lookups(rosCas: RosCassandra, keys: list[int]) -> dict[str, list[float]]:
 
 def run(args: argparse.Namespace) -> None:
     """Measure and print."""
-    messages = makeMessages(args.messages)
+    messages = list(makeMessages(args.messages))
     figures: dict[str, list[float]] = {}
 
     def note(name: str, seconds: float) -> None:
@@ -174,21 +172,21 @@ def main() -> int:
         if args.host:
             run(args)
         else:
-            runOnOwnServer(args)
+            runOnOwnServer(args, run)
     except CassandraRosError as exc:
         print(f"bench: {exc}", file=sys.stderr)
         return 1
     return 0
 
 
-def runOnOwnServer(args: argparse.Namespace) -> None:
+def runOnOwnServer(args: argparse.Namespace, measure: Callable[[argparse.Namespace], None]) -> None:
     """Start a Cassandra in a folder of its own, measure, stop it."""
     with tempfile.TemporaryDirectory(prefix="cassandra_ros_bench_") as folder:
         cluster = LocalCluster(folder, port=free_port(), heap="1G")
         cluster.start(die_with_us=True)
         try:
             args.host, args.port = cluster.settings.host, cluster.settings.port
-            run(args)
+            measure(args)
         finally:
             cluster.stop()
 

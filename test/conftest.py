@@ -42,7 +42,14 @@ WITHOUT_SYNC = (
     "-Dcassandra.settings.commitlog_sync_period=10000ms"
 )
 
-ONE_BY_ONE = {"nodes", "rostest", "local_server", "cli", "test_import_process.py"}
+ONE_BY_ONE = {
+    "nodes",
+    "rostest",
+    "local_server",
+    "cli",
+    "test_import_process.py",
+    "test_examples.py",
+}
 
 
 @dataclass(frozen=True)
@@ -217,7 +224,7 @@ def _keyspace_name():
     return f"t_{uuid.uuid4().hex[:16]}"
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def fresh(cassandra, cql):
     """Makes a RosCassandra that is connected to a fresh keyspace, dropped when it is left."""
     from cassandra_ros import RosCassandra

@@ -4,10 +4,48 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 
+import rosbag
 from conftest import ROOT
+from nodes.children import Child, start_recorder
+
+TURTLES = ROOT / "examples/data/turtlesim_tf.bag"
+SENSORS = ["/turtle1/cmd_vel", "/turtle1/color_sensor", "/turtle1/pose"]
+
+
+def storyboard(cassandra, keyspace, *arguments):
+    store = ("--host", cassandra.host, "--port", cassandra.port, "--keyspace", keyspace)
+    return [sys.executable, ROOT / "examples/storyboard.py", *store, *arguments]
+
+
+def messages_of_the_turtles():
+    with rosbag.Bag(str(TURTLES)) as bag:
+        return [(topic, msg, t.to_nsec()) for topic, msg, t in bag.read_messages()]
+
+
+def looks(messages, robot):
+    """When a turtle saw bare floor, [first, last] ns, as the bag tells."""
+    found = []
+    for topic, msg, t in messages:
+        if topic == f"/{robot}/color_sensor" and (msg.r, msg.g, msg.b) == (69, 86, 255):
+            if not found or t - found[-1][1] > 500_000_000:
+                found.append([t, t])
+            found[-1][1] = t
+    return found
+
+
+def positions(messages, robot, low, high):
+    """Where tf says that a turtle was: {t: (x, y)}."""
+    return {
+        t: (tf.transform.translation.x, tf.transform.translation.y)
+        for topic, msg, t in messages
+        if topic == "/tf" and low <= t <= high
+        for tf in msg.transforms
+        if tf.child_frame_id == robot
+    }
 
 
 def test_results_under_names(cassandra, keyspace, ros_env):
@@ -26,3 +64,66 @@ def test_results_under_names(cassandra, keyspace, ros_env):
         assert "50 points" in done.stdout
         assert done.stdout.count("('to the door', 5.0)") == run
         assert not done.stderr
+
+
+def test_the_storyboard_finds_what_the_bag_holds(cassandra, keyspace, ros_env):
+    messages = messages_of_the_turtles()
+    first, last = max(looks(messages, "turtle1"), key=lambda look: look[1] - look[0])
+    low, high = first - 5 * 10**9, last + 5 * 10**9
+    xs, ys = zip(*positions(messages, "turtle1", low, high).values())
+    others = [
+        t
+        for t, (x, y) in positions(messages, "turtle2", low, high).items()
+        if min(xs) <= x <= max(xs) and min(ys) <= y <= max(ys)
+    ]
+    wanted = [
+        f"/{robot}/color_sensor, a turtlesim/Color, saw it {len(looks(messages, robot))} times"
+        for robot in ("turtle1", "turtle2")
+    ]
+    wanted += [
+        "who:      turtle1",
+        f"when:     {first} to {last}, {(last - first) / 1e9:.2f} s",
+        f"x {min(xs):.2f} to {max(xs):.2f} m, y {min(ys):.2f} to {max(ys):.2f} m",
+        f"turtle2, {len(others)} transforms in {(others[-1] - others[0]) / 1e9:.2f} s",
+        "carried:  carrot",
+    ]
+    for name in SENSORS:
+        count = sum(topic == name and low <= t <= high for topic, _, t in messages)
+        wanted.append(f"{name}, {count} messages")
+    done = subprocess.run(
+        list(map(str, storyboard(cassandra, keyspace))),
+        env=ros_env,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr
+    for text in wanted:
+        assert text in done.stdout
+    assert done.stdout.partition("replay:")[0] in (ROOT / "README.md").read_text()
+
+
+def test_the_storyboard_replays_the_window(cassandra, keyspace, rosCas, roscore):
+    rosCas.connectToKeyspace(keyspace + "_again")
+    try:
+        recorder = start_recorder(roscore, cassandra, rosCas.keyspace, *SENSORS)
+        with recorder, Child(storyboard(cassandra, keyspace, "--replay"), roscore.env) as player:
+            recorder.await_line("recording 3 topics")
+            assert player.wait(120) == 0, player.output
+            assert recorder.end() == 0, recorder.output
+        found = re.search(r"when:     (\d+) to (\d+),", player.output)
+        low, high = int(found[1]) - 5 * 10**9, int(found[2]) + 5 * 10**9
+        with rosbag.Bag(str(TURTLES)) as bag:
+            sent = [
+                (topic, raw[1])
+                for topic, raw, t in bag.read_messages(SENSORS, raw=True)
+                if low <= t.to_nsec() <= high
+            ]
+        assert f"replayed: {len(sent)} messages" in player.output
+        for name in SENSORS:
+            assert [row.wire for row in rosCas.getTopic(name).rows()] == [
+                wire for topic, wire in sent if topic == name
+            ]
+    finally:
+        rosCas.cassandra.schemaChange(f'DROP KEYSPACE "{rosCas.keyspace}"', what="cleaning up")

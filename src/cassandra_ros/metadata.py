@@ -12,6 +12,8 @@ from cassandra_ros.errors import InvalidName, UnsupportedSchema
 from cassandra_ros.keys import NAMED_FORMATS
 
 SCHEMA_VERSION = 1
+SHADOW = "_ix"
+"""What the names of shadow columns begin with: SAI takes no dotted names."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ class TopicMetadata:
     """The key is not the receive time, which then has a column of its own."""
     indexes: Mapping[str, str] = field(default_factory=dict)
     """Indexed field -> shadow column."""
+    index_count: int = 0
+    """Number of the next shadow column; one that was dropped is never used again."""
     columns: tuple[Mapping[str, Any], ...] = ()
     """How each column holds its field, as the format describes it."""
     user: Mapping[str, Any] = field(default_factory=dict)
@@ -57,6 +61,17 @@ class TopicMetadata:
     def partition(self) -> str:
         """Name of the second column of the partition key: a name, or a stretch of time."""
         return "_key" if self.named else "_bucket"
+
+    @property
+    def nextShadow(self) -> int:
+        """Number that no shadow column had yet, as far as the comment tells."""
+        used = [int(shadow[len(SHADOW) :]) for shadow in self.indexes.values()]
+        return max(self.index_count, *(number + 1 for number in used), 0)
+
+    def withIndex(self, field: str, number: int) -> TopicMetadata:
+        """Return a copy with one more index, in the shadow column of this number."""
+        indexes = {**self.indexes, field: shadowColumn(number)}
+        return self.with_(indexes=indexes, index_count=number + 1)
 
     @property
     def receivedColumns(self) -> dict[str, str]:
@@ -76,6 +91,11 @@ class TopicMetadata:
     def with_(self, **changes: Any) -> TopicMetadata:
         """Return a copy with some values changed."""
         return replace(self, **changes)
+
+
+def shadowColumn(number: int) -> str:
+    """Name a column that carries an index."""
+    return f"{SHADOW}{number}"
 
 
 def fromComment(comment: str, table: str) -> TopicMetadata | None:

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 import struct
@@ -13,12 +12,10 @@ from typing import Any, Callable, Optional
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.index_field import MAX_TEXT_BYTES, nearestFields, normalFloat
 from cassandra_ros.messages.wire import Column, wirePlan
 from cassandra_ros.messages.wire_lists import packList, packVarint
 from cassandra_ros.messages.wire_value import CODES, CQL_CODES
-
-MAX_TEXT_BYTES = 1024
-"""Longer texts are not indexed; whoever asks for one has the rows read."""
 
 Encode = Callable[[Any], Optional[bytes]]
 
@@ -31,6 +28,7 @@ class KeyPart:
         field: Dotted path of the field, as 'header.stamp'.
 
     Attributes:
+        digest: The field is an array, and the index holds the md5 of the whole.
         is_time: The field is a time: rows lie by it, in its order.
         cql_type: Of the column that carries the index.
 
@@ -43,7 +41,10 @@ class KeyPart:
         columns = {column.name: column for column in plan.all_columns}
         column = columns.get(field)
         if column is None:
-            raise InvalidKey(_noField(definition.type, field, sorted(columns)))
+            raise InvalidKey(
+                f"{definition.type} has no field {field!r} that could be a key; "
+                f"{nearestFields(field, sorted(columns))}"
+            )
         if column.array or column.kind == "wire":
             raise InvalidKey(
                 f"field {field} of {definition.type} lies in an array of messages: it has many "
@@ -52,10 +53,10 @@ class KeyPart:
         self.field = field
         self._column = column
         self._pick = plan.picker(field)
-        self._digest = column.is_list or column.kind == "array"
+        self.digest = column.is_list or column.kind == "array"
         self._encode = _encoder(column)
         self.is_time = column.kind == "time" and not column.is_list
-        self.cql_type = "text" if self._digest else column.cql_type
+        self.cql_type = "text" if self.digest else column.cql_type
 
     def time(self, wire: bytes) -> int | None:
         """Return the time in a message, ns; None where it has none that columns can hold."""
@@ -69,7 +70,7 @@ class KeyPart:
 
     def index(self, value: bytes) -> bytes | None:
         """Return what the index holds of a value; None where it holds nothing."""
-        if self._digest:
+        if self.digest:
             return hashlib.md5(value).hexdigest().encode("ascii")
         return None if len(value) > MAX_TEXT_BYTES else value
 
@@ -94,7 +95,7 @@ class KeyPart:
         Raises:
             InvalidKey: The text is none.
         """
-        kind = "list" if self._digest else self._column.kind
+        kind = "list" if self.digest else self._column.kind
         try:
             if kind == "bool":
                 return {"true": True, "false": False}[text.strip().lower()]
@@ -108,18 +109,9 @@ class KeyPart:
             ) from exc
 
     def _normal(self, raw: bytes) -> bytes | None:
-        if self._column.kind != "float" or self._digest:
+        if self._column.kind != "float" or self.digest:
             return raw
-        (number,) = struct.unpack(CQL_CODES[self._column.cql_type], raw)
-        if number != number:
-            return None  # NaN is equal to nothing
-        return raw if number else bytes(len(raw))
-
-
-def _noField(msg_type: str, field: str, columns: list[str]) -> str:
-    near = difflib.get_close_matches(field, columns, n=3, cutoff=0.5)
-    hint = f"did you mean {', '.join(near)}?" if near else f"its fields: {', '.join(columns[:20])}"
-    return f"{msg_type} has no field {field!r} that could be a key; {hint}"
+        return normalFloat(self._column.cql_type, raw)
 
 
 def _encoder(column: Column) -> Encode:

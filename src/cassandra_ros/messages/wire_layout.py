@@ -132,6 +132,11 @@ def cqlSizes(segments: tuple[Segment, ...]) -> Iterator[int | None]:
             yield from [None] * len(segment.tail.columns)
 
 
+def elementOf(column: Column) -> Fixed:
+    """Return how one element of a primitive array lies on the wire, and what would hold it."""
+    return _fixed(column.name, Field(column.name, column.field_type.partition("[")[0]))
+
+
 def _segments(items: Iterator[Fixed | Tail]) -> tuple[Segment, ...]:
     segments: list[Segment] = []
     fixed: list[Fixed] = []
@@ -173,6 +178,10 @@ def _scalar(name: str, field: Field, specs: Mapping[str, MessageSpec]) -> Fixed 
     if field.type == "string":
         column = Column(name, "text", "text", "string")
         return Tail(column, "text", compileFieldSkip(field, specs), columns=(column,))
+    return _fixed(name, field)
+
+
+def _fixed(name: str, field: Field) -> Fixed:
     little, big, size, cql_type, kind = _SCALARS[field.base]
     column = Column(name, cql_type, kind, field.type)
     return Fixed(column, little, big, size, _SPECIALS.get(field.base, ""))

@@ -4,8 +4,9 @@
 
 ``cql.lark`` is the grammar and ``syntax`` the tree that ``parse`` makes of a statement; ``fields``
 finds the fields that it names, ``literals`` fits its values to their types, ``evaluate`` says what
-it means, ``bounds`` what the store may leave out, ``extract`` takes values out of messages,
-``plan`` makes rows of them, and ``run`` joins all. No driver, no rospy.
+it means, ``bounds``, ``terms`` and ``pushdown`` what the store may leave out, ``extract`` takes
+values out of messages, ``plan`` makes rows of them, ``run`` joins all, and ``explain`` tells how.
+No driver, no rospy.
 """
 
 from cassandra_ros.query.conditions import Condition

@@ -68,7 +68,8 @@ class Extractor:
 
     def _columns(self, row: Any) -> list[Any]:
         """Values of the named columns, from the row's own where it has them."""
-        if self.columns is not None and not row.odd and row.table.metadata.format == "ros":
+        if self.columns is not None and row.table.metadata.format == "ros":
+            # A column that cannot give its field back is unset, also in an odd row.
             held = row.columns
             places = self._projected if len(held) == len(self.columns) else self._stored
             raw = [held[n] for n in places]

@@ -30,6 +30,10 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     Attributes:
         columns: Names of the columns.
         direct: Every message that the store gives is a row: to look for one more costs nothing.
+        select: The statement.
+        pushdown: What the server checks of it.
+        read: How many rows have come from the server.
+        counted: The directory knew the answer.
     """
 
     def __init__(
@@ -42,7 +46,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         plan: str = "auto",
     ) -> None:
         findings = Findings(select.text)
-        self._select = select
+        self.select = select
         self._plans = {
             t.name: TablePlan(select, t.definition, findings, t.named) for t in topic.tables
         }
@@ -53,6 +57,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         self._reading: Any = {"columns": self._columns, "chooser": self.pushdown}
         self.direct = bounds.whole and not any(p.unnests for p in self._plans.values())
         self._place = place
+        self.read = 0
+        self.counted = bool(select.counts and bounds.whole and bounds.name is None)
         left = None if select.limit is None else max(0, select.limit - place.given)
         if limit is not None:
             left = limit if left is None else min(left, limit)
@@ -86,6 +92,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         if last == given:
             return
         for row in self._stored(topic, bounds, place, left):
+            self.read += 1
             found = self._plan(row.table).rows(row)
             for number in range(place.skip if row.position == place.position else 0, len(found)):
                 given += 1
@@ -99,7 +106,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     def _stored(
         self, topic: Any, bounds: Bounds, place: Place, left: Optional[int]
     ) -> Iterator[Any]:
-        reverse, at = self._select.descending, place.position
+        reverse, at = self.select.descending, place.position
         if at is None or not (place.skip or reverse):
             limit = left if self.direct else None
             return boundedRows(topic, bounds, at, reverse, limit, **self._reading)
@@ -116,17 +123,16 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     def _aggregated(self, topic: Any, bounds: Bounds, place: Place, left: Optional[int]) -> _Rows:
         if place.position is not None or left == 0:
             return
-        if self._select.counts and bounds.whole and not bounds.empty:
-            yield (self._countedByKey(topic, bounds),) * len(self._select.aggregates)
+        if self.counted and not bounds.empty:
+            yield (self._countedByKey(topic, bounds),) * len(self.select.aggregates)
             return
-        totals = Totals(self._select)
+        totals = Totals(self.select)
         for row in boundedRows(topic, bounds, **self._reading):
+            self.read += 1
             totals.add(self._plan(row.table).rows(row))
         yield totals.values()
 
     def _countedByKey(self, topic: Any, bounds: Bounds) -> int:
-        if bounds.name is not None:
-            return sum(1 for _ in boundedRows(topic, bounds))
         if any(table.named for table in topic.tables):
             return int(topic.countTopicData(nodeID=bounds.node))
         ends = (Stamp.fromNs(bounds.low), Stamp.fromNs(bounds.high))
@@ -137,7 +143,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
 
     def _plan(self, table: Any) -> TablePlan:
         if table.name not in self._plans:  # made since the statement was planned
-            select = self._select
+            select = self.select
             findings = Findings(select.text)
             self._plans[table.name] = TablePlan(select, table.definition, findings, table.named)
             self._plans[table.name].follow(self._names)

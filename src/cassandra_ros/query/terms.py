@@ -73,13 +73,16 @@ def spanOf(held: Held, values: Sequence[Comparable]) -> Ways:
 
 
 def _equal(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
-    found: dict[bytes, None] = {}
+    ways: dict[tuple[Term, ...], None] = {}
     for value in values:
         raws = _exact(held, value)
         if raws is None:
             return None
-        found.update(dict.fromkeys(raws))
-    return tuple(((held.column, operator, raw),) for raw in found)
+        if len(raws) == 2 and not held.many:  # both zeros, in one query
+            ways[(held.column, ">=", raws[0]), (held.column, "<=", raws[1])] = None
+        else:
+            ways.update(dict.fromkeys(((held.column, operator, raw),) for raw in raws))
+    return tuple(ways)
 
 
 def _exact(held: Held, value: Comparable) -> Optional[list[bytes]]:

@@ -12,10 +12,8 @@ SECOND_NS = 1_000_000_000
 BUCKET_LENGTHS = tuple(s * SECOND_NS for s in (1, 10, 60, 600, 3600, 6 * 3600, 86400))
 MAX_BUCKET_BYTES = 64_000_000
 MAX_BUCKET_ROWS = 100_000
-LONGEST_TTL_SEC = 20 * 365 * 86400
-"""Cassandra's own limit."""
 MAX_TTL_SEC = 18 * 365 * 86400
-"""What keeps chunks and directory longer than the rows must stay below that limit."""
+"""What keeps chunks and directory longer than the rows must stay below Cassandra's 20 years."""
 SLOT_BUCKETS = 4096
 """Buckets per partition of the directory."""
 
@@ -46,12 +44,16 @@ def checkTtl(ttl_sec: Any) -> int:
     Raises:
         InvalidOption: It is no whole number of 0 to MAX_TTL_SEC.
     """
-    if isinstance(ttl_sec, bool) or int(ttl_sec) != ttl_sec or not 0 <= ttl_sec <= MAX_TTL_SEC:
+    try:
+        number = None if isinstance(ttl_sec, (bool, str, bytes)) else int(ttl_sec)
+    except (TypeError, ValueError, OverflowError):
+        number = None
+    if number is None or number != ttl_sec or not 0 <= number <= MAX_TTL_SEC:
         raise InvalidOption(
-            f"a ttl of {ttl_sec!r} cannot be kept: give whole seconds, 1 to {MAX_TTL_SEC}, or 0 "
-            "for messages that stay for ever"
+            f"a ttl of {ttl_sec!r:.80} cannot be kept: give whole seconds, 1 to {MAX_TTL_SEC}, or "
+            "0 for messages that stay for ever"
         )
-    return int(ttl_sec)
+    return number
 
 
 def limitForTtl(bucket_ns: int, ttl_sec: int) -> int:
@@ -60,15 +62,6 @@ def limitForTtl(bucket_ns: int, ttl_sec: int) -> int:
         return bucket_ns
     fitting = [n for n in BUCKET_LENGTHS if n <= min(bucket_ns, ttl_sec * SECOND_NS // 24)]
     return fitting[-1] if fitting else BUCKET_LENGTHS[0]
-
-
-def slotTtl(bucket_ns: int, ttl_sec: int) -> int:
-    """Return how long a slot of the directory is needed from its first bucket on, seconds.
-
-    0 = for ever. A writer notes the slot once, and may fill its buckets till the slot ends.
-    """
-    slot_sec = SLOT_BUCKETS * bucket_ns // SECOND_NS
-    return ttl_sec and min(slot_sec + ttl_sec, LONGEST_TTL_SEC - 86400)
 
 
 def slotOf(bucket: int) -> int:

@@ -10,7 +10,7 @@ they are estimates. Heartbeats are the server's time: robots' clocks are wrong.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Sequence
+from typing import Any, Iterable, NamedTuple, Sequence
 
 from cassandra_ros.store.buckets import slotOf
 from cassandra_ros.store.connection import Cassandra
@@ -83,25 +83,25 @@ class Directory:
         )
         self._buckets = (
             "SELECT bucket, writer, state, heartbeat, n, bytes, largest, t_min, t_max, odd, "
-            f"deleted, toTimestamp(now()) FROM {space}.cr_bucket "
+            f"deleted, filled, toTimestamp(now()) FROM {space}.cr_bucket "
             "WHERE tbl = ? AND node = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
         )
         self._values = (
             f"INSERT INTO {space}.cr_bucket (tbl, node, slot, bucket, writer, state, heartbeat, "
-            "n, bytes, largest, t_min, t_max, odd) "
-            "VALUES (?, ?, ?, ?, ?, ?, toTimestamp(now()), ?, ?, ?, ?, ?, ?) USING TTL ?"
+            "filled, n, bytes, largest, t_min, t_max, odd) "
+            "VALUES (?, ?, ?, ?, ?, ?, toTimestamp(now()), ?, ?, ?, ?, ?, ?, ?) USING TTL ?"
         )
         self._reopen = (
-            f"INSERT INTO {space}.cr_bucket (tbl, node, slot, bucket, writer, state, heartbeat) "
-            "VALUES (?, ?, ?, ?, ?, 'open', toTimestamp(now())) USING TTL ?"
+            f"INSERT INTO {space}.cr_bucket (tbl, node, slot, bucket, writer, state, heartbeat, "
+            "filled) VALUES (?, ?, ?, ?, ?, 'open', toTimestamp(now()), ?) USING TTL ?"
         )
         self._deleted = (
             f"INSERT INTO {space}.cr_bucket (tbl, node, slot, bucket, writer, state, heartbeat, "
             "deleted) VALUES (?, ?, ?, ?, ?, 'open', toTimestamp(now()), true) USING TTL ?"
         )
         self._recount = (
-            f"UPDATE {space}.cr_bucket USING TTL ? SET state = 'closed', n = ?, bytes = ?, "
-            "largest = ?, t_min = ?, t_max = ?, odd = ?, deleted = false, "
+            f"UPDATE {space}.cr_bucket USING TTL ? SET state = 'closed', filled = ?, "
+            "n = ?, bytes = ?, largest = ?, t_min = ?, t_max = ?, odd = ?, deleted = false, "
             "heartbeat = toTimestamp(now()) "
             "WHERE tbl = ? AND node = ? AND slot = ? AND bucket = ? AND writer = ? "
             "IF heartbeat = ?"
@@ -179,11 +179,23 @@ class Directory:
             what="marking a bucket in the directory",
         )
 
-    def open(self, table: str, node: str, bucket: int, writer: int, ttl: int) -> None:
-        """Mark a bucket as being written, with a fresh heartbeat."""
+    def open(
+        self,
+        table: str,
+        node: str,
+        bucket: int,
+        writer: int,
+        ttl: int,
+        filled: Iterable[str] = (),
+    ) -> None:
+        """Mark a bucket as being written, with a fresh heartbeat.
+
+        Args:
+            filled: Shadow columns that all of the writer's rows in it have, and will have.
+        """
         self._run(
             self._reopen,
-            (table, node, slotOf(bucket), bucket, writer, _ttl(ttl)),
+            (table, node, slotOf(bucket), bucket, writer, set(filled), _ttl(ttl)),
             what="opening a bucket in the directory",
         )
 
@@ -196,28 +208,42 @@ class Directory:
         totals: Totals,
         closed: bool,
         ttl: int,
+        filled: Iterable[str] = (),
     ) -> None:
-        """Write the values of a bucket: final when closed, else estimates with a heartbeat."""
+        """Write the values of a bucket: final when closed, else estimates with a heartbeat.
+
+        Args:
+            filled: As in open.
+        """
         self._run(
             self._values,
             (
                 *(table, node, slotOf(bucket), bucket, writer, "closed" if closed else "open"),
-                *_values(totals),
+                *(set(filled), *_values(totals)),
                 _ttl(ttl),
             ),
             what="writing the directory of buckets",
         )
 
-    def putRecount(self, table: str, row: BucketRow, totals: Totals, ttl: int) -> None:
-        """Close a bucket whose writer is gone, unless it has come back meanwhile."""
-        self._cassandra.executeOnce(
+    def putRecount(self, table: str, row: BucketRow, totals: Totals, ttl: int) -> bool:
+        """Close a bucket that has no living writer, unless something has changed in it meanwhile.
+
+        Args:
+            row: As it was read before the rows were.
+            totals: What was counted.
+
+        Returns:
+            Whether it was done.
+        """
+        answer = self._cassandra.executeOnce(
             self._recount,
             (
-                *(_ttl(ttl), *_values(totals)),
+                *(_ttl(ttl), set(row.filled), *_values(totals)),
                 *(table, row.node, slotOf(row.bucket), row.bucket, row.writer, row.heartbeat),
             ),
             what="closing a bucket in the directory",
         )
+        return bool(answer[0][0])
 
     def forget(self, table: str) -> None:
         """Remove all that is known of a table that was dropped."""
@@ -238,10 +264,11 @@ def _values(totals: Totals) -> tuple[int, ...]:
 
 
 def _bucketRow(node: str, row: tuple[Any, ...]) -> BucketRow:
-    bucket, writer, state, heartbeat, n, size, largest, t_min, t_max, odd, deleted, now = row
+    bucket, writer, state, heartbeat, n, size, largest, t_min, t_max, odd, *rest = row
+    deleted, filled, now = rest
     age = (now - heartbeat).total_seconds() if heartbeat is not None else STALE_SEC + 1
     return BucketRow(
         *(node, bucket, writer, state == "closed" and not deleted, heartbeat),
         *(n or 0, size or 0, largest or 0, t_min or 0, t_max if t_max is not None else -1),
-        *(odd or 0, age),
+        *(odd or 0, age, frozenset(filled or ())),
     )

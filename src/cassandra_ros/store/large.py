@@ -10,8 +10,9 @@ from typing import Callable, Deque
 
 from cassandra_ros.store.chunks import checksum, chunkCount, pieces
 from cassandra_ros.store.flight import Flight, Outcome
+from cassandra_ros.store.new_row import NewRow
 from cassandra_ros.store.open_bucket import OpenBucket
-from cassandra_ros.store.row_table import INLINE_COLUMN_BYTES, NewRow, RowTable, bind, encodeInt
+from cassandra_ros.store.row_table import INLINE_COLUMN_BYTES, RowTable, bind, encodeInt
 from cassandra_ros.store.schema import Schema
 
 

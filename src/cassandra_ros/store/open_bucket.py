@@ -11,14 +11,8 @@ from typing import Any, Sequence
 from cassandra.query import BatchStatement, BatchType, BoundStatement
 
 from cassandra_ros.store.directory import Totals
-from cassandra_ros.store.row_table import (
-    UNSET,
-    NewRow,
-    RowTable,
-    encodeInt,
-    encodeLong,
-    encodeOwn,
-)
+from cassandra_ros.store.new_row import NewRow, Shadows, encodeOwn
+from cassandra_ros.store.row_table import UNSET, RowTable, encodeInt, encodeLong
 
 BATCH_ROWS = 200
 BATCH_BYTES = 64 * 1024
@@ -45,10 +39,25 @@ class OpenBucket:
     Of a table whose rows are found by name it is made for one row, and the directory knows none.
 
     ``totals`` and ``in_air`` also change on the driver's thread, under ``self.mutex``.
+
+    Args:
+        table, node, bucket, name: Which partition.
+        known: The directory lists it for this writer already.
+        shadows: The indexes that all rows of this state are given; others that the table gets
+            later wait for the next bucket.
+        filled: Of their columns those that earlier rows of the writer have, too.
     """
 
     def __init__(
-        self, table: RowTable, node: str, bucket: int, known: bool, name: str = ""
+        self,
+        table: RowTable,
+        node: str,
+        bucket: int,
+        known: bool,
+        name: str = "",
+        *,
+        shadows: Shadows | None = None,
+        filled: frozenset[str] = frozenset(),
     ) -> None:
         self.table = table
         self.node = node
@@ -63,7 +72,10 @@ class OpenBucket:
         self.changed = False
         self._node_bytes = node.encode("utf-8")
         self._partition = name.encode("utf-8") if table.named else encodeLong(bucket)
-        plain, full = table.insertPlain(), table.insertFull()
+        self._shadows = shadows
+        self.filled = filled
+        names = shadows.names if shadows is not None else ()
+        plain, full = table.insertPlain(names), table.insertFull(names)
         self._plain_id, self._full_id = plain.query_id, full.query_id
         # Found from the values by the first row, then the same for all of the bucket.
         self._plain = plain
@@ -81,6 +93,8 @@ class OpenBucket:
             columns: Encoded values; None where a column stays unset.
             own: None for a plain row, else (nchunks, crc, odd, raw), each a value or None.
         """
+        if self._shadows is not None:
+            columns, own = _indexed(self._shadows, row.wire, columns, own)
         size = len(row.wire)
         batch = self.batch
         if not batch.rows:
@@ -140,6 +154,17 @@ class OpenBucket:
             self.in_air -= 1
             self.must_recount = True
             self.changed = True
+
+
+def _indexed(
+    shadows: Shadows, wire: bytes, columns: Sequence[Any], own: Any
+) -> tuple[Sequence[Any], Any]:
+    """Return what ``add`` takes, with the values of the indexes."""
+    values, odd = shadows.values(wire)
+    columns = (*columns, *(UNSET if value is None else value for value in values))
+    if odd:
+        own = (None, None, True, None) if own is None else (*own[:2], True, own[3])
+    return columns, own
 
 
 def _ownValues(

@@ -14,6 +14,7 @@ from cassandra_ros.keys import Position
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.names import chunkTableName, quoteName
+from cassandra_ros.store.new_row import Shadows
 
 UNSET = UNSET_VALUE
 CHUNK_BYTES = 512 * 1024
@@ -23,7 +24,6 @@ INLINE_COLUMN_BYTES = 64 * 1024
 
 MIN_SEQ, MAX_SEQ = -(2**63), 2**63 - 1
 _PACK = struct.Struct(">qqqi")
-_SPLIT = struct.Struct("8s8s8s4s")
 _LONG = struct.Struct(">q")
 _INT = struct.Struct(">i")
 _OWN = ("_t", "_seq", "_conn", "_size", "_nchunks", "_crc", "_odd", "_raw")
@@ -55,22 +55,6 @@ class TableRow(NamedTuple):
         return Position(self.t, self.node, self.seq, self.table, self.name)
 
 
-class NewRow(NamedTuple):
-    """A message on its way into a table."""
-
-    t: int
-    """Key time, ns; 0 where equal messages are kept once."""
-    seq: int
-    """Writer id << 32 | counter, fixed before the first attempt; 0 as above."""
-    conn: int
-    wire: bytes
-    columns: Sequence[bytes | None]
-    """Encoded values of the format's columns and of the table's extra ones; None = unset."""
-    odd: bool
-    raw: bytes | None
-    name: str = ""
-
-
 class RowTable:
     """Statements of one topic table; prepared when first needed.
 
@@ -80,13 +64,10 @@ class RowTable:
         name: The table's name.
         metadata: What its comment says.
         columns: Names of the format's columns, in the format's order.
-        shadows: Names of the columns that carry an index.
 
     Attributes:
         named: Rows are found by a name, not by their time.
         partition: Name of the second column of the partition key.
-        extra: Columns besides our own and the format's: the receive time where it is not the
-            key, and the shadow columns.
     """
 
     def __init__(
@@ -96,7 +77,6 @@ class RowTable:
         name: str,
         metadata: TopicMetadata,
         columns: Sequence[str],
-        shadows: Sequence[str] = (),
     ) -> None:
         self._cassandra = cassandra
         self._space = quoteName(keyspace)
@@ -107,14 +87,14 @@ class RowTable:
         self.partition = metadata.partition
         self._once = metadata.key_format == "hash"
         self._received = tuple(metadata.receivedColumns)
-        self.extra = (*self._received, *shadows)
         self.known_nodes: set[str] = set()
         """nodeIDs that have been seen to write the table; more may."""
         self.has_chunks = False
         """Whether the chunk table is known to exist."""
 
     @property
-    def _qualified(self) -> str:
+    def qualified(self) -> str:
+        """Its quoted name with its keyspace."""
         return f"{self._space}.{quoteName(self.name)}"
 
     @property
@@ -138,23 +118,25 @@ class RowTable:
         place = (row.node.encode("utf-8"), self.partitionOf(row.t, row.name))
         return (*place, *map(encodeLong, self.storedOrder(row.t, row.seq)))
 
+    def shadows(self) -> Shadows | None:
+        """Return the indexes that a bucket which is opened now is filled with; None = none."""
+        return None
+
     # ---------------------------------------------------------------- statements
 
-    def _insert(self, own: Sequence[str]) -> PreparedStatement:
-        names = ["_node", self.partition, *own, *self.columns, *self.extra]
+    def _insert(self, own: Sequence[str], shadows: Sequence[str]) -> PreparedStatement:
+        names = ["_node", self.partition, *own, *self.columns, *self._received, *shadows]
         listing = ", ".join(quoteName(n) for n in names)
         marks = ", ".join("?" * len(names))
-        return self._cassandra.prepare(
-            f"INSERT INTO {self._qualified} ({listing}) VALUES ({marks})"
-        )
+        return self._cassandra.prepare(f"INSERT INTO {self.qualified} ({listing}) VALUES ({marks})")
 
-    def insertPlain(self) -> PreparedStatement:
+    def insertPlain(self, shadows: Sequence[str] = ()) -> PreparedStatement:
         """INSERT of a row that needs neither chunks nor ``_raw``: nearly all of them."""
-        return self._insert(_OWN[:4])
+        return self._insert(_OWN[:4], shadows)
 
-    def insertFull(self) -> PreparedStatement:
+    def insertFull(self, shadows: Sequence[str] = ()) -> PreparedStatement:
         """INSERT with all of our own columns."""
-        return self._insert(_OWN)
+        return self._insert(_OWN, shadows)
 
     def insertChunk(self) -> PreparedStatement:
         """INSERT of one piece of a large message."""
@@ -186,14 +168,14 @@ class RowTable:
         checks = "".join(f" AND {quoteName(name)} {operator} ?" for name, operator in terms)
         allow = " ALLOW FILTERING" if terms else ""
         return self._cassandra.prepare(
-            f'SELECT {names} FROM {self._qualified} WHERE "_node" = ? AND "{self.partition}" = ? '
+            f'SELECT {names} FROM {self.qualified} WHERE "_node" = ? AND "{self.partition}" = ? '
             f'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?){checks}{order}{allow}'
         )
 
     def selectKeys(self) -> PreparedStatement:
         """SELECT of what counting needs."""
         return self._cassandra.prepare(
-            f'SELECT "_t", "_seq", "_size", "_nchunks", "_odd" FROM {self._qualified} '
+            f'SELECT "_t", "_seq", "_size", "_nchunks", "_odd" FROM {self.qualified} '
             'WHERE "_node" = ? AND "_bucket" = ? '
             'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
         )
@@ -203,21 +185,21 @@ class RowTable:
         received = "".join(f", {quoteName(name)}" for name in self._received)
         return self._cassandra.prepare(
             'SELECT "_node", "_key", "_t", "_seq", "_size", "_nchunks", "_odd"'
-            f"{received} FROM {self._qualified}"
+            f"{received} FROM {self.qualified}"
         )
 
     def selectShadow(self, shadow: str, *, bucket: bool) -> PreparedStatement:
         """SELECT of the keys of rows by an indexed column, in one bucket (in order) or in all."""
         where = '"_node" = ? AND "_bucket" = ? AND ' if bucket else ""
         return self._cassandra.prepare(
-            f'SELECT "_node", "_t", "_seq" FROM {self._qualified} '
+            f'SELECT "_node", "_t", "_seq" FROM {self.qualified} '
             f"WHERE {where}{quoteName(shadow)} = ?"
         )
 
     def deleteRange(self) -> str:
         """DELETE of a stretch of one partition, both ends included."""
         return (
-            f'DELETE FROM {self._qualified} WHERE "_node" = ? AND "{self.partition}" = ? '
+            f'DELETE FROM {self.qualified} WHERE "_node" = ? AND "{self.partition}" = ? '
             'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
         )
 
@@ -282,11 +264,6 @@ def _flags(nchunks: Any, crc: Any, odd: Any, raw: Any) -> tuple[int, int, bool, 
         odd == b"\x01",
         raw,
     )
-
-
-def encodeOwn(t: int, seq: int, conn: int, size: int) -> tuple[bytes, ...]:
-    """Encode ``_t``, ``_seq``, ``_conn`` and ``_size`` as Cassandra stores them."""
-    return _SPLIT.unpack(_PACK.pack(t, seq, conn, size))
 
 
 def encodeLong(value: int) -> bytes:

@@ -9,7 +9,6 @@ import threading
 import time
 
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound, WriteFailed
-from cassandra_ros.store.buckets import slotOf, slotTtl
 from cassandra_ros.store.chunks import isLarge
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.counting import recount
@@ -17,9 +16,11 @@ from cassandra_ros.store.directory import HEARTBEAT_SEC, Directory, Totals
 from cassandra_ros.store.driver_errors import isTableGone, translate
 from cassandra_ros.store.flight import Flight
 from cassandra_ros.store.large import LargeMessages
+from cassandra_ros.store.new_row import NewRow
 from cassandra_ros.store.open_bucket import Batch, OpenBucket
-from cassandra_ros.store.row_table import NewRow, RowTable
+from cassandra_ros.store.row_table import RowTable
 from cassandra_ros.store.schema import Schema
+from cassandra_ros.store.slot_notes import SlotNotes
 from cassandra_ros.store.write_stats import LossCallback, WriteStats
 
 _log = logging.getLogger(__name__)
@@ -63,7 +64,7 @@ class RowWriter:
         self._on_loss = on_loss
         self._flight = Flight(cassandra.sendRaw, give_up_after_sec)
         self._buckets: dict[tuple[str, str, int], OpenBucket] = {}
-        self._slots: set[tuple[str, int, str]] = set()
+        self._slots = SlotNotes(self._directory)
         self._lock = threading.RLock()
         self._large = LargeMessages(schema, self._flight, self._send, self._lost)
         self.stats: dict[str, WriteStats] = {}
@@ -107,14 +108,9 @@ class RowWriter:
 
     def _nameBucket(self, table: RowTable, node: str, name: str) -> OpenBucket:
         # The directory only tells which nodes there are: the table itself lists its names.
-        self._addNode((table.name, 0, node), 0)
+        self._slots.note(table, node, 0)
         self.stats.setdefault(table.name, WriteStats())
         return OpenBucket(table, node, 0, True, name)
-
-    def _addNode(self, slot: tuple[str, int, str], ttl: int) -> None:
-        if slot not in self._slots:
-            self._directory.addNode(*slot, ttl)
-            self._slots.add(slot)
 
     def _bucket(self, table: RowTable, node: str, number: int) -> OpenBucket:
         key = (table.name, node, number)
@@ -124,19 +120,28 @@ class RowWriter:
             bucket = self._open(table, node, number)
             self._buckets[key] = bucket
         elif now - bucket.marked > REOPEN_SEC:
-            self._directory.open(table.name, node, number, self._writer_id, table.metadata.ttl)
-            bucket.marked = now
+            self._reopen(bucket)
         bucket.touched = now
         return bucket
 
     def _open(self, table: RowTable, node: str, number: int) -> OpenBucket:
-        metadata = table.metadata
-        self._addNode((table.name, slotOf(number), node), slotTtl(metadata.bucket_ns, metadata.ttl))
-        rows = self._directory.find(table.name, node, number)
-        known = any(row.writer == self._writer_id for row in rows)
-        self._directory.open(table.name, node, number, self._writer_id, table.metadata.ttl)
+        # The indexes of now: a bucket that is opened before one is made is filled without it.
+        table.metadata = self._schema.tables().get(table.name, table.metadata)
+        shadows = table.shadows()
+        found = self._directory.find(table.name, node, number)
+        mine = [row.filled for row in found if row.writer == self._writer_id]
+        filled = frozenset(shadows.names if shadows else ()).intersection(*mine)
+        bucket = OpenBucket(table, node, number, bool(mine), shadows=shadows, filled=filled)
+        self._reopen(bucket)
         self.stats.setdefault(table.name, WriteStats())
-        return OpenBucket(table, node, number, known)
+        return bucket
+
+    def _reopen(self, bucket: OpenBucket) -> None:
+        table, node, number = bucket.table, bucket.node, bucket.bucket
+        self._slots.note(table, node, number)
+        place = (table.name, node, number, self._writer_id)
+        self._directory.open(*place, table.metadata.ttl, bucket.filled)
+        bucket.marked = time.monotonic()
 
     def _send(self, bucket: OpenBucket, large: bool = False) -> None:
         batch, statement = bucket.take()
@@ -202,6 +207,8 @@ class RowWriter:
     def _sendOld(self, now: float) -> None:
         for bucket in list(self._buckets.values()):
             if bucket.batch.rows and now - bucket.batch.since > self._linger_sec:
+                if now - bucket.marked > REOPEN_SEC:
+                    self._reopen(bucket)  # this process stood still
                 self._send(bucket)
 
     def _heartbeats(self, now: float) -> None:
@@ -219,6 +226,7 @@ class RowWriter:
 
     def _mark(self, bucket: OpenBucket) -> None:
         bucket.changed = False
+        self._slots.note(bucket.table, bucket.node, bucket.bucket)
         self._put(bucket, bucket.totals, closed=False)
         bucket.marked = time.monotonic()
 
@@ -233,7 +241,7 @@ class RowWriter:
         table = bucket.table
         self._directory.put(
             *(table.name, bucket.node, bucket.bucket, self._writer_id, totals, closed),
-            table.metadata.ttl,
+            *(table.metadata.ttl, bucket.filled),
         )
 
     # ---------------------------------------------------------------- end

@@ -49,3 +49,20 @@ class Asking(KeyspaceConnection):
         from cassandra_ros.query import execute
 
         return execute(self, statement, params, nodeID=nodeID, limit=limit, after=after)
+
+    def explainCQL(
+        self, statement: str, params: Sequence[Any] = (), *, nodeID: Optional[str] = None
+    ) -> Any:
+        """Run a SELECT statement and say how it was answered; ``print`` what comes back.
+
+        Returns:
+            An Explanation: how many buckets were read of how many and in which way (by an index,
+            filtered by the server, whole), what the server checked, what was left to this side,
+            rows read and returned.
+
+        Raises:
+            InvalidQuery: As executeCQL.
+        """
+        from cassandra_ros.query.explain import explain
+
+        return explain(self, statement, params, nodeID)

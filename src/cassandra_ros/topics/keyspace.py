@@ -8,11 +8,12 @@ import logging
 from datetime import datetime, timezone
 from typing import Optional, Sequence
 
-from cassandra_ros.errors import InvalidKey, WriteFailed
+from cassandra_ros.errors import InvalidKey, InvalidName, WriteFailed
 from cassandra_ros.formats.table import formatClass
 from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
-from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.metadata import TopicMetadata, shadowColumn
 from cassandra_ros.store.buckets import SECOND_NS, limitForTtl
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import Directory
@@ -67,7 +68,8 @@ class Keyspace:
 
         Args:
             metadata: What its comment is to say; columns, date and bucket are completed here, and
-                what the topic's other tables say holds for this one.
+                what the topic's other tables say holds for this one. Of its indexes the fields
+                count; one that the type has not is left out.
             definition: The checked definition, or None.
 
         Raises:
@@ -117,14 +119,34 @@ def _beside(metadata: TopicMetadata, others: Sequence[TopicMetadata]) -> TopicMe
         nodeID=metadata.nodeID or first.nodeID,
         comment=metadata.comment or first.comment,
         user=metadata.user or first.user,
+        indexes={**metadata.indexes, **{field: "" for m in others for field in m.indexes}},
     )
 
 
 def _indexed(
     metadata: TopicMetadata, definition: Optional[Definition], new: bool
 ) -> tuple[TopicMetadata, dict[str, str]]:
-    """Return the metadata with the index that key_part needs, and the columns that carry it."""
-    metadata = metadata.with_(own_time=metadata.key_format == "hash", indexes={})
+    """Return the metadata with the indexes of the table, and the columns that carry them."""
+    wished = list(metadata.indexes)
+    metadata = metadata.with_(own_time=metadata.key_format == "hash", indexes={}, index_count=0)
+    metadata, shadows = _keyIndexed(metadata, definition, new)
+    for field in wished:
+        if definition is None or metadata.named or field in metadata.indexes:
+            continue
+        try:
+            index = IndexField(definition, field, shadowColumn(metadata.nextShadow))
+        except InvalidName as exc:
+            _log.info("messages of topic %s are stored without an index: %s", metadata.topic, exc)
+            continue
+        metadata = metadata.withIndex(field, metadata.nextShadow)
+        shadows[index.shadow] = index.cql_type
+    return metadata, shadows
+
+
+def _keyIndexed(
+    metadata: TopicMetadata, definition: Optional[Definition], new: bool
+) -> tuple[TopicMetadata, dict[str, str]]:
+    """Return the metadata with the index that key_part needs, and the column that carries it."""
     if metadata.key_format != "msg_part":
         return metadata, {}
     try:
@@ -138,7 +160,7 @@ def _indexed(
         return metadata, {}
     if part.is_time:
         return metadata.with_(own_time=True), {}
-    return metadata.with_(indexes={part.field: "_ix0"}), {"_ix0": part.cql_type}
+    return metadata.withIndex(part.field, 0), {shadowColumn(0): part.cql_type}
 
 
 def defaultBucket(definition: Optional[Definition]) -> int:

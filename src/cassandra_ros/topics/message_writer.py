@@ -18,8 +18,8 @@ from cassandra_ros.formats.table import DEFAULT_FORMAT, formatClass
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, joinSeq
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.metadata import TopicMetadata, checkTopicName
+from cassandra_ros.store.new_row import NewRow
 from cassandra_ros.store.registry import Run
-from cassandra_ros.store.row_table import NewRow
 from cassandra_ros.store.write_stats import LossCallback, WriteStats
 from cassandra_ros.store.writer import RowWriter
 from cassandra_ros.topics.keyspace import Keyspace, defaultBucket

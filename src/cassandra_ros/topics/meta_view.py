@@ -36,7 +36,7 @@ class MetaView(Mapping[str, Any]):
             "comment": metadata.comment,
             "date": metadata.date,
             "ttl": metadata.ttl,
-            "indexes": dict(metadata.indexes),
+            "indexes": list(metadata.indexes),
         }
 
     def __call__(self, key: str) -> Any:

@@ -38,6 +38,16 @@ class TopicFacts:
         found = {n for t in tables for _, n in directory.nodes(t.name, -(2**63), LAST_NS)}
         return MetaView(metadata, sorted(found))
 
+    def countBuckets(self) -> int:
+        """Count the partitions: stretches of time of a node in a table; 0 for named messages."""
+        directory = self._keyspace.directory
+        rows = [
+            (table.name, row.node, row.bucket)
+            for table in self.tables
+            for row in directory.buckets(table.name, -(2**63), LAST_NS, ttl=table.metadata.ttl)
+        ]
+        return len(set(rows))
+
     def setMeta(self, **keys: Any) -> None:
         """Set keys of your own in the topic's metadata: ``setMeta(site='lab')``.
 

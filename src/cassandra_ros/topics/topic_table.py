@@ -7,17 +7,19 @@ from __future__ import annotations
 import hashlib
 import logging
 import threading
-from typing import Any, Optional
+from typing import Any, Callable, Mapping, Optional, Sequence
 
-from cassandra_ros.errors import DefinitionError
+from cassandra_ros.errors import DefinitionError, InvalidName
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
 from cassandra_ros.formats.table import formatClass
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.definition import Definition, parseDefinition
+from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.row_table import NewRow, RowTable, encodeLong
+from cassandra_ros.store.new_row import Indexed, NewRow, Shadows
+from cassandra_ros.store.row_table import RowTable, encodeLong
 from cassandra_ros.store.schema import Schema
 
 _log = logging.getLogger(__name__)
@@ -40,20 +42,60 @@ class TopicTable(RowTable):
             metadata.msg_type, metadata.md5sum, definition
         )
         columns = tuple(self.format.getColValidationClasses())
-        super().__init__(
-            cassandra, keyspace, name, metadata, columns, tuple(metadata.indexes.values())
-        )
+        super().__init__(cassandra, keyspace, name, metadata, columns)
         self.key_part = _keyPart(metadata, definition)
         """The field that is the key, where there is one."""
-        self.index_fields: dict[str, Any] = {}
-        """The indexes that conditions can use, by their field."""
         self.classes: dict[int, Any] = {}
         """Message classes by the number of the connection."""
+        self._indexes: tuple[Mapping[str, str], dict[str, IndexField]] = ({}, {})
 
     @property
     def valued(self) -> bool:
         """Whether rows are found by the value of a field that is no time."""
         return self.key_part is not None and not self.key_part.is_time
+
+    @property
+    def index_fields(self) -> dict[str, IndexField]:
+        """The indexes that conditions can use, by their field, as the comment lists them now."""
+        known, fields = self._indexes
+        if known != self.metadata.indexes:
+            indexes = self.metadata.indexes
+            found = {f: self._indexField(f, shadow) for f, shadow in indexes.items()}
+            fields = {f: index for f, index in found.items() if index is not None}
+            self._indexes = indexes, fields
+        return fields
+
+    def _indexField(self, field: str, shadow: str) -> Optional[IndexField]:
+        if self.definition is None or self._isDigest(field):
+            return None
+        try:
+            return IndexField(self.definition, field, shadow)
+        except InvalidName as exc:
+            _log.warning("an index of topic %s is not used: %s", self.metadata.topic, exc)
+            return None
+
+    def _isDigest(self, field: str) -> bool:
+        part = self.key_part
+        return part is not None and part.field == field and part.digest
+
+    def shadows(self) -> Optional[Shadows]:
+        """Return the indexes that a bucket which is opened now is filled with; None = none."""
+        values: dict[str, Callable[[bytes], tuple[Optional[bytes], bool]]] = {
+            index.shadow: index.value for index in self.index_fields.values()
+        }
+        if self.valued and self.keyPart().digest:
+            values[self.metadata.indexes[self.keyPart().field]] = self._digest
+        if not values:
+            return None
+        every = tuple(values.values())
+        if len(every) == 1:
+            return Shadows(tuple(values), lambda wire: _alone(every[0](wire)))
+        return Shadows(tuple(values), lambda wire: _together([value(wire) for value in every]))
+
+    def _digest(self, wire: bytes) -> tuple[Optional[bytes], bool]:
+        part = self.keyPart()
+        value = part.value(wire)
+        return (None, True) if value is None else (part.index(value), False)
 
     def keyPart(self) -> KeyPart:
         """Return the key field; only where ``valued`` says that there is one."""
@@ -81,21 +123,13 @@ class TopicTable(RowTable):
             columns = (*columns, encodeLong(received), encodeLong(seq))
             digest = hashlib.md5(metadata.msg_type.encode("utf-8") + b"\0" + wire).hexdigest()
             return NewRow(0, 0, conn, wire, columns, odd, raw, digest)
-        if self.key_part is None:
+        if self.key_part is None or self.valued:
             return NewRow(received, seq, conn, wire, columns, odd, raw)
-        if not self.valued:
-            t = self.key_part.time(wire)
-            columns = (*columns, encodeLong(received))
-            # What has no time lies where it was received; nsecs may pass the end of time.
-            t = received if t is None else min(t, MAX_NS)
-            return NewRow(t, seq, conn, wire, columns, odd, raw)
-        index = self._index(wire)
-        return NewRow(received, seq, conn, wire, (*columns, index), odd or index is None, raw)
-
-    def _index(self, wire: bytes) -> Optional[bytes]:
-        part = self.key_part
-        value = None if part is None else part.value(wire)
-        return None if part is None or value is None else part.index(value)
+        t = self.key_part.time(wire)
+        columns = (*columns, encodeLong(received))
+        # What has no time lies where it was received; nsecs may pass the end of time.
+        t = received if t is None else min(t, MAX_NS)
+        return NewRow(t, seq, conn, wire, columns, odd, raw)
 
 
 class TopicTables:
@@ -129,6 +163,14 @@ class TopicTables:
         """List the tables of a topic: one for each md5 and format."""
         tables = sorted(self._schema.tables().items())
         return [self.get(name, m) for name, m in tables if m.topic == topic]
+
+
+def _alone(value: tuple[Optional[bytes], bool]) -> Indexed:
+    return value[:1], value[1]
+
+
+def _together(values: Sequence[tuple[Optional[bytes], bool]]) -> Indexed:
+    return [value for value, _ in values], any(odd for _, odd in values)
 
 
 def _definition(metadata: TopicMetadata) -> Optional[Definition]:

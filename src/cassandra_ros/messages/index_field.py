@@ -1,0 +1,155 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""An indexed field of a message type: what its shadow column holds of a message.
+
+An index must never hide a row. What it cannot hold such that the server finds it as the query
+language means it (NaN, long texts, long arrays, what no column holds exactly) is left out of it,
+and the row is marked odd: odd rows are read besides.
+"""
+
+from __future__ import annotations
+
+import difflib
+import struct
+from typing import Callable, Dict, List, Optional, Sequence
+
+from cassandra_ros.errors import InvalidName
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.wire import Column, wirePlan
+from cassandra_ros.messages.wire_layout import elementOf
+from cassandra_ros.messages.wire_lists import packList, packNumbers, splitList
+from cassandra_ros.messages.wire_value import CQL_CODES
+
+MAX_TEXT_BYTES = 1024
+"""Longer texts are not indexed; Cassandra refuses rows with an indexed one over 8 KiB."""
+MAX_ELEMENTS = 256
+"""Longer arrays are not indexed."""
+
+_Split = Callable[[bytes], Optional[List[bytes]]]
+"""From a column to the encoded values in it; None where they cannot all be held."""
+
+
+class IndexField:
+    """One indexed field of a message type.
+
+    Args:
+        definition: Of the type.
+        field: Dotted path of the field, as 'linear.x' or 'transforms.child_frame_id'.
+        shadow: Name of the column that carries the index.
+
+    Attributes:
+        field, shadow: As given.
+        element_type: CQL type of one value.
+        kind: What a value is: 'int', 'float', 'bool', 'text', 'time' or 'duration' (as
+            wire_layout.Column has it).
+        many: The field has many values (it is an array, or lies in an array of messages): the
+            column is a set of them.
+        cql_type: Of the column.
+
+    Raises:
+        InvalidName: There is no such field, or it cannot be indexed; the text gives the nearest.
+    """
+
+    def __init__(self, definition: Definition, field: str, shadow: str) -> None:
+        plan = wirePlan(definition)
+        columns = {column.name: column for column in plan.all_columns}
+        column = columns.get(field)
+        if column is None or _isNested(column):
+            able = [name for name, each in columns.items() if not _isNested(each)]
+            raise InvalidName(_cannot(definition.type, field, column, able))
+        self.field = field
+        self.shadow = shadow
+        self._pick = plan.picker(field)
+        self.many = column.is_list or column.kind == "array"
+        if column.kind == "array":
+            one = elementOf(column)
+            self.element_type, self.kind = one.column.cql_type, one.column.kind
+            self._split = _splitNumbers(column)
+        else:
+            self.element_type = column.cql_type.replace("frozen<list<", "").rstrip(">")
+            self.kind = column.kind
+            self._split = _splitColumn
+        self.cql_type = f"set<{self.element_type}>" if self.many else self.element_type
+
+    def value(self, wire: bytes) -> tuple[bytes | None, bool]:
+        """Return what the shadow column of a message holds.
+
+        Args:
+            wire: The serialised message; any bytes.
+
+        Returns:
+            The encoded value, None = unset; and whether the field has a value all the same, so
+            that the row must be marked odd.
+        """
+        raw = self._pick(wire)
+        if raw is None:
+            return None, True
+        if not self.many:
+            value = self.normal(raw)
+            return value, value is None
+        values = self._split(raw)
+        if values is None:
+            return None, True
+        found: Dict[bytes, None] = {}
+        for each in values:
+            value = self.normal(each)
+            if value is None:
+                return None, True
+            found[value] = None
+        # A set is encoded as a list is; an empty one would be a tombstone.
+        return (packList(list(found)) if found else None), False
+
+    def normal(self, raw: bytes) -> bytes | None:
+        """Return one encoded value as the index has it; None where it has none."""
+        if self.kind == "float":
+            return normalFloat(self.element_type, raw)
+        return None if len(raw) > MAX_TEXT_BYTES else raw
+
+
+def normalFloat(cql_type: str, raw: bytes) -> bytes | None:
+    """Return an encoded number such that equal ones are equal bytes; None where it is NaN."""
+    (number,) = struct.unpack(CQL_CODES[cql_type], raw)
+    if number != number:
+        return None  # NaN is equal to nothing
+    return raw if number else bytes(len(raw))
+
+
+def nearestFields(field: str, able: Sequence[str]) -> str:
+    """Say which fields may have been meant, as the end of an error text."""
+    inside = [name for name in able if name.startswith(field + ".")]
+    if inside:
+        return f"it is a message, name one of its fields, like {' or '.join(inside[:3])}"
+    near = difflib.get_close_matches(field, able, n=3, cutoff=0.5)
+    near = near or [name for name in able if name.rsplit(".", 1)[-1] == field.rsplit(".", 1)[-1]]
+    return f"did you mean {', '.join(near[:3])}?" if near else f"its fields: {', '.join(able[:20])}"
+
+
+def _isNested(column: Column) -> bool:
+    return column.kind == "wire" or (column.is_list and column.kind == "array")
+
+
+def _cannot(msg_type: str, field: str, column: Optional[Column], able: Sequence[str]) -> str:
+    if column is None:
+        return f"{msg_type} has no field {field!r} to index; {nearestFields(field, able)}"
+    return (
+        f"field {field} of {msg_type} cannot be indexed: it is an array inside of an array of "
+        f"messages, which its column holds as bytes; {nearestFields(field, able)}"
+    )
+
+
+def _splitColumn(raw: bytes) -> Optional[List[bytes]]:
+    return None if int.from_bytes(raw[:4], "big") > MAX_ELEMENTS else splitList(raw)
+
+
+def _splitNumbers(column: Column) -> _Split:
+    fixed = elementOf(column)
+    unit, encode = struct.calcsize("<" + fixed.little), packNumbers(fixed, True)
+
+    def split(raw: bytes) -> Optional[List[bytes]]:
+        count = len(raw) // unit
+        if count > MAX_ELEMENTS:
+            return None
+        packed = encode(struct.unpack(f"<{count}{fixed.little}", raw))
+        return None if packed is None else splitList(packed)
+
+    return split

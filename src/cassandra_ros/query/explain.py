@@ -1,0 +1,140 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How a statement was answered: what the server did, what was left to the client."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Iterator, Optional, Sequence
+
+from cassandra_ros.query.run import execute
+from cassandra_ros.query.syntax import (
+    All,
+    Compare,
+    Either,
+    Expression,
+    IsNull,
+    Key,
+    Leaf,
+    Literal,
+    Negation,
+    Node,
+    given,
+    leaves,
+)
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """How a statement was answered; ``str()`` is for people.
+
+    A bucket is a partition: a stretch of time of one node in one table.
+    """
+
+    statement: str
+    topic: str
+    buckets: int
+    """How many buckets the topic has."""
+    indexed: int
+    """Read by an index, of the buckets that KEY and NODE leave."""
+    filtered: int
+    """Read by the server and filtered there."""
+    whole: int
+    """Read whole and filtered here."""
+    skipped: int
+    """Not read, because nothing in them can match."""
+    server: tuple[str, ...]
+    """What the server checked; every row is checked again here."""
+    client: tuple[str, ...]
+    """What was checked here alone."""
+    rows_read: int
+    """Rows that came from the server."""
+    rows_returned: int
+    counted: bool = False
+    """The directory of buckets knew the answer; no row was read."""
+
+    def __str__(self) -> str:
+        read = self.indexed + self.filtered + self.whole
+        ways = [
+            f"{count} {how}"
+            for count, how in (
+                (self.indexed, "by an index"),
+                (self.filtered, "filtered by the server"),
+                (self.whole, "whole"),
+                (self.skipped, "known to hold nothing"),
+            )
+            if count
+        ]
+        return "\n".join(
+            [
+                self.statement.strip(),
+                f"topic:         {self.topic}",
+                f"buckets:       {read} of {self.buckets}" + (f": {', '.join(ways)}" * bool(ways)),
+                f"server:        {'; '.join(self.server) or 'checks nothing'}",
+                f"client alone:  {'; '.join(self.client) or 'nothing'}",
+                f"rows read:     {self.rows_read}" + ", the directory counts" * self.counted,
+                f"rows returned: {self.rows_returned}",
+            ]
+        )
+
+
+def explain(
+    rosCas: Any, statement: str, params: Sequence[Any] = (), nodeID: Optional[str] = None
+) -> Explanation:
+    """Run a SELECT statement to its end, keeping no row, and say how it was answered.
+
+    Raises:
+        InvalidQuery: As execute does.
+    """
+    with execute(rosCas, statement, params, nodeID) as result:
+        returned = sum(1 for _ in result)
+    pushed, topic = result.pushdown, rosCas.getTopic(result.select.topic)
+    ways: dict[Leaf, list[str]] = {}
+    for leaf, way in pushed.used:
+        ways.setdefault(leaf, []).append(way)
+    server = [f"{_leaf(leaf)} ({' and '.join(how)})" for leaf, how in ways.items()]
+    return Explanation(
+        *(statement, topic.name, topic.countBuckets()),
+        *(pushed.indexed, pushed.filtered, pushed.whole, pushed.skipped),
+        server=tuple(server),
+        client=tuple(_alone(result.select.condition, set(ways))),
+        rows_read=result.read,
+        rows_returned=returned,
+        counted=result.counted,
+    )
+
+
+def _alone(condition: Optional[Expression], pushed: set[Leaf]) -> Iterator[str]:
+    """Yield the parts of a condition of which the server checked nothing."""
+    if isinstance(condition, All):
+        for item in condition.items:
+            yield from _alone(item, pushed)
+    elif condition is not None and not pushed.intersection(leaves(condition)):
+        inside = list(leaves(condition))
+        if not all(isinstance(leaf.operand, (Key, Node)) for leaf in inside):
+            yield _shown(condition)
+
+
+def _shown(condition: Expression) -> str:
+    if isinstance(condition, (All, Either)):
+        word = " AND " if isinstance(condition, All) else " OR "
+        return f"({word.join(_shown(item) for item in condition.items)})"
+    if isinstance(condition, Negation):
+        return f"NOT {_shown(condition.item)}"
+    return _leaf(condition)
+
+
+def _leaf(leaf: Leaf) -> str:
+    if isinstance(leaf, IsNull):
+        return f"{leaf.operand.text} IS NULL"
+    values = [_value(v.value) if isinstance(v, Literal) else "?" for v in given(leaf)]
+    if isinstance(leaf, Compare):
+        return f"{leaf.operand.text} {leaf.operator} {values[0]}"
+    more = ", …" if len(values) > 5 else ""
+    return f"{leaf.operand.text} IN ({', '.join(values[:5])}{more})"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"'{value[:40]}'" if isinstance(value, str) else str(value)[:40]
