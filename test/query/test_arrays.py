@@ -21,7 +21,7 @@ from cassandra_ros.formats.table import FORMATS, formatClass
 from cassandra_ros.messages.classes import deserialize, installedDefinition, messageClass
 from cassandra_ros.messages.definition import parseDefinition
 from cassandra_ros.query import table_values
-from cassandra_ros.query.arrays import gatherFields, plainArrays
+from cassandra_ros.query.arrays import gatherFields, readArrays
 from cassandra_ros.query.fields import allFields
 from cassandra_ros.query.parse import parseSelect
 from cassandra_ros.query.plan import TablePlan
@@ -74,7 +74,7 @@ class Row:
 def gather(rows, fields=None, where=None, tables=None):
     tables = tables or list({row.table.name: row.table for row in rows}.values())
     topic = Topic("/topic", tables)
-    return plainArrays(gatherFields(topic, fields, where, None, lambda condition, columns: rows))
+    return readArrays(topic, fields, where, None, lambda condition, columns: rows)
 
 
 def shown(value):

@@ -80,9 +80,12 @@ def gatherFields(
     return _united(select, list(tables.values()))
 
 
-def plainArrays(found: dict[str, FieldArray]) -> dict[str, Any]:
-    """Return the values as arrays; those of which some are missing as masked arrays."""
-    return {name: _plain(array) for name, array in found.items()}
+def readArrays(*asked: Any) -> dict[str, Any]:
+    """Return fields as arrays, those of which values are missing as masked ones.
+
+    Arguments and errors are those of gatherFields.
+    """
+    return {name: _plain(array) for name, array in gatherFields(*asked).items()}
 
 
 def _plain(array: FieldArray) -> Any:

@@ -4,40 +4,30 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Optional
 
 import numpy as np
 
 from cassandra_ros.query.array_join import rowsOf
-from cassandra_ros.query.arrays import FieldArray, Fields
+from cassandra_ros.query.arrays import FieldArray, Fields, ReadRows, Where, gatherFields
 from cassandra_ros.query.optional import optionalModule
 
 _UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}
 
 
-def loadPandas() -> Any:
-    """Import pandas.
+def readFrame(
+    topic: Any, fields: Fields, where: Where, nodeID: Optional[str], read: ReadRows
+) -> Any:
+    """Return fields as a DataFrame, whose index is KEY.
+
+    Arguments and errors are those of gatherFields.
 
     Raises:
-        MissingDependency: It is not installed.
+        MissingDependency: pandas is not installed.
     """
-    return optionalModule("pandas", "toDataFrame")
-
-
-def withKey(fields: Fields) -> Fields:
-    """Return what is to be gathered: KEY, which becomes the index, and the fields."""
-    if fields is None:
-        return None
-    return ["KEY", fields] if isinstance(fields, str) else ["KEY", *fields]
-
-
-def makeFrame(found: dict[str, FieldArray]) -> Any:
-    """Make a DataFrame of arrays; ``KEY`` becomes its index.
-
-    Args:
-        found: The arrays, ``KEY`` among them. Arrays are given away: their memory is used.
-    """
-    pandas = loadPandas()
+    pandas = optionalModule("pandas", "toDataFrame")
+    asked = [fields] if isinstance(fields, str) else fields
+    found = gatherFields(topic, None if asked is None else ["KEY", *asked], where, nodeID, read)
     key = found.pop("KEY")
     times = key.kind.kind == "time"
     index = pandas.Index(key.values.view("M8[ns]") if times else key.values, name="KEY")

@@ -61,10 +61,9 @@ class TopicArrays(TopicRows):
             InvalidQuery: A field or the condition is not one of this topic; shows the spot.
             InvalidKey: key or to_key cannot be one.
         """
-        from cassandra_ros.query.arrays import gatherFields, plainArrays
+        from cassandra_ros.query import readArrays
 
-        read = partial(self._read, key, to_key, nodeID)
-        return plainArrays(gatherFields(self, fields, where, nodeID, read))
+        return readArrays(self, fields, where, nodeID, partial(self._read, key, to_key, nodeID))
 
     def toDataFrame(
         self,
@@ -91,12 +90,9 @@ class TopicArrays(TopicRows):
             MissingDependency: pandas is not installed; the text says how.
             InvalidQuery, InvalidKey: As of getArrays.
         """
-        from cassandra_ros.query.arrays import gatherFields
-        from cassandra_ros.query.frames import loadPandas, makeFrame, withKey
+        from cassandra_ros.query import readFrame
 
-        loadPandas()  # before anything is read
-        read = partial(self._read, key, to_key, nodeID)
-        return makeFrame(gatherFields(self, withKey(fields), where, nodeID, read))
+        return readFrame(self, fields, where, nodeID, partial(self._read, key, to_key, nodeID))
 
     def _read(
         self,
