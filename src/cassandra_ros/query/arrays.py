@@ -106,8 +106,9 @@ def _statement(topic: str, fields: Fields, where: Optional[str], params: Sequenc
         if not isinstance(name, str):
             raise InvalidQuery(str(name), 0, f"a field is text, not {type(name).__name__}")
     shown = topic if _PLAIN_TOPIC.fullmatch(topic) else '"' + topic.replace('"', '""') + '"'
-    text = f"SELECT {', '.join(names)} FROM {shown}"  # noqa: S608 (read by our own grammar)
-    select = parseSelect(text if where is None else f"{text} WHERE ({where})", params)
+    # In lines of their own no comment hides what follows, and an error shows the one alone.
+    text = f"SELECT {', '.join(names)}\nFROM {shown}"  # noqa: S608 (read by our own grammar)
+    select = parseSelect(text if where is None else f"{text} WHERE (\n{where}\n)", params)
     for aggregate in select.aggregates:
         raise InvalidQuery(
             select.text,
