@@ -73,6 +73,11 @@ class TopicMetadata:
         indexes = {**self.indexes, field: shadowColumn(number)}
         return self.with_(indexes=indexes, index_count=number + 1)
 
+    def withoutIndex(self, field: str) -> TopicMetadata:
+        """Return a copy without an index."""
+        indexes = {name: shadow for name, shadow in self.indexes.items() if name != field}
+        return self.with_(indexes=indexes, index_count=self.nextShadow)
+
     @property
     def receivedColumns(self) -> dict[str, str]:
         """Columns that say when a message came, where its key does not: name -> CQL type."""

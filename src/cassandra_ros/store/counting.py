@@ -70,14 +70,7 @@ def recount(cassandra: Cassandra, table: RowTable, node: str, bucket: int) -> di
     """Count the rows of one bucket as they are now, by writer id."""
     found: dict[int, Totals] = {}
     for t, seq, size, chunked, odd in scanKeys(cassandra, table, node, bucket, -(2**63), MAX_SEQ):
-        totals = found.setdefault(splitSeq(seq)[0], Totals())
-        totals.rows += 1
-        totals.bytes += size
-        totals.t_min = min(totals.t_min, t)
-        totals.t_max = max(totals.t_max, t)
-        totals.odd += odd
-        if not chunked:
-            totals.largest = max(totals.largest, size)
+        found.setdefault(splitSeq(seq)[0], Totals()).count(t, size, chunked, odd)
     return found
 
 

@@ -66,6 +66,16 @@ class Totals:
     t_max: int = -1
     odd: int = 0
 
+    def count(self, t: int, size: int, chunked: bool, odd: bool) -> None:
+        """Add one row."""
+        self.rows += 1
+        self.bytes += size
+        self.t_min = min(self.t_min, t)
+        self.t_max = max(self.t_max, t)
+        self.odd += odd
+        if not chunked:
+            self.largest = max(self.largest, size)
+
 
 class Directory:
     """Reads and writes cr_node and cr_bucket of one keyspace."""

@@ -138,6 +138,10 @@ class RowTable:
         """INSERT with all of our own columns."""
         return self._insert(_OWN, shadows)
 
+    def listing(self, columns: Sequence[str]) -> str:
+        """List what rowFromValues reads, with these of the format's columns."""
+        return ", ".join(quoteName(n) for n in (*_OWN, *self._received, *columns))
+
     def insertChunk(self) -> PreparedStatement:
         """INSERT of one piece of a large message."""
         return self._cassandra.prepare(
@@ -163,12 +167,12 @@ class RowTable:
 
         The values of ``terms``, columns and operators of a filter, come behind those four.
         """
-        names = ", ".join(quoteName(n) for n in (*_OWN, *self._received, *columns))
         order = ' ORDER BY "_t" DESC, "_seq" DESC' if reverse else ""
         checks = "".join(f" AND {quoteName(name)} {operator} ?" for name, operator in terms)
         allow = " ALLOW FILTERING" if terms else ""
         return self._cassandra.prepare(
-            f'SELECT {names} FROM {self.qualified} WHERE "_node" = ? AND "{self.partition}" = ? '
+            f"SELECT {self.listing(columns)} FROM {self.qualified} "
+            f'WHERE "_node" = ? AND "{self.partition}" = ? '
             f'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?){checks}{order}{allow}'
         )
 

@@ -10,10 +10,11 @@ import time
 from typing import Callable, Iterable, Mapping, Sequence, Tuple
 
 from cassandra_ros.errors import SchemaConflict, TopicNotFound
-from cassandra_ros.metadata import TopicMetadata, fromComment
+from cassandra_ros.metadata import SHADOW, TopicMetadata, fromComment
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.lock import SchemaLock
 from cassandra_ros.store.names import chunkTableName, quoteName, quoteText, tableName
+from cassandra_ros.store.table_storage import storage
 
 _log = logging.getLogger(__name__)
 
@@ -28,7 +29,6 @@ OWN_COLUMNS = {
 KEY_TYPES = {"_bucket": "bigint", "_key": "text"}
 """Second part of the partition key: a stretch of time, or the name of a message."""
 CHUNK_TTL_MARGIN_SEC = 86_400
-_WINDOWS = 25
 CACHE_SEC = 2.0
 """How old the list of tables may be: other clients add definitions and drop topics."""
 
@@ -136,35 +136,37 @@ class Schema:
         self._create(name, wanted, columns)
         for shadow in shadows:
             lock.renew()
-            self._createIndex(name, shadow)
+            self.createIndex(name, shadow)
 
     def _create(self, name: str, wanted: TopicMetadata, columns: Mapping[str, str]) -> None:
         listing = ", ".join(f"{quoteName(c)} {cql}" for c, cql in columns.items())
         self._cassandra.schemaChange(
             f"CREATE TABLE {self.qualified(name)} ({listing}, "
             f'PRIMARY KEY (("_node", "{wanted.partition}"), "_t", "_seq")) '
-            f"WITH comment = {quoteText(wanted.toComment())} AND {_storage(wanted.ttl, 0)} "
+            f"WITH comment = {quoteText(wanted.toComment())} AND {storage(wanted.ttl, 0)} "
             f"AND compression = {{'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}}",
             what=f"making the table of topic {wanted.topic}",
         )
 
-    def _createIndex(self, table: str, shadow: str) -> None:
+    def createIndex(self, table: str, shadow: str) -> None:
+        """Make the index that a shadow column carries, where it is missing; under the lock."""
         self._cassandra.schemaChange(
-            f"CREATE INDEX {quoteName(table + shadow)} ON {self.qualified(table)} "
+            f"CREATE INDEX IF NOT EXISTS {quoteName(table + shadow)} ON {self.qualified(table)} "
             f"({quoteName(shadow)}) USING 'sai'",
             what=f"making an index of table {table}",
         )
 
     def _check(self, name: str, wanted: TopicMetadata, columns: Mapping[str, str]) -> None:
         comment = self.tables(fresh=True).get(name)
-        if self._columns(name) != dict(columns) or comment != wanted:
+        if self.columns(name) != dict(columns) or comment != wanted:
             raise SchemaConflict(
                 f"table {self.keyspace}.{name} of topic {wanted.topic} is not what was asked "
                 "for (columns or comment differ): another client changed it at the same time; "
                 "remove the topic and try again"
             )
 
-    def _columns(self, table: str) -> dict[str, str]:
+    def columns(self, table: str) -> dict[str, str]:
+        """Read the columns of a table: name → CQL type."""
         rows = self._cassandra.execute(
             "SELECT column_name, type FROM system_schema.columns "
             "WHERE keyspace_name = ? AND table_name = ?",
@@ -193,7 +195,7 @@ class Schema:
                     '"_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
                     f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
                     f"WITH comment = {quoteText(f'cassandra_ros chunks of {table}')} "
-                    f"AND {_storage(metadata.ttl, CHUNK_TTL_MARGIN_SEC)} "
+                    f"AND {storage(metadata.ttl, CHUNK_TTL_MARGIN_SEC)} "
                     "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
                     "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'",
                     what=f"making the table for large messages {name}",
@@ -234,12 +236,15 @@ class Schema:
                 raise TopicNotFound(f"topic {topic} is not stored in {self.keyspace} any more")
             for name, metadata in mine.items():
                 lock.renew()
-                self._cassandra.schemaChange(
-                    f"ALTER TABLE {self.qualified(name)} "
-                    f"WITH comment = {quoteText(change(metadata).toComment())}",
-                    what=f"changing the metadata of topic {topic}",
-                )
+                self.setComment(name, change(metadata))
         self.tables(fresh=True)
+
+    def setComment(self, table: str, metadata: TopicMetadata) -> None:
+        """Change what the comment of a table says; under the lock."""
+        self._cassandra.schemaChange(
+            f"ALTER TABLE {self.qualified(table)} WITH comment = {quoteText(metadata.toComment())}",
+            what=f"changing the metadata of topic {metadata.topic}",
+        )
 
     def dropTopic(self, topic: str, *, renew: bool = False) -> list[str]:
         """Drop all tables of a topic and what belongs to them; return their names.
@@ -271,8 +276,10 @@ class Schema:
         key = (metadata.topic, metadata.md5sum, metadata.format)
         name = tableName(*key, metadata.generation)
         shadows = metadata.indexes.values()
+        columns = self.columns(table).items()
+        kept = {c: cql for c, cql in columns if c in shadows or not c.startswith(SHADOW)}
         lock.renew()
-        self._createAll(name, metadata, self._columns(table), shadows, lock)
+        self._createAll(name, metadata, kept, shadows, lock)
 
 
 def _ownColumns(metadata: TopicMetadata) -> dict[str, str]:
@@ -282,17 +289,3 @@ def _ownColumns(metadata: TopicMetadata) -> dict[str, str]:
         **OWN_COLUMNS,
         **metadata.receivedColumns,
     }
-
-
-def _storage(ttl: int, margin: int) -> str:
-    if not ttl:
-        return (
-            "compaction = {'class': 'UnifiedCompactionStrategy', 'scaling_parameters': 'T4'} "
-            "AND default_time_to_live = 0"
-        )
-    minutes = max(1, ttl // _WINDOWS // 60)
-    return (
-        "compaction = {'class': 'TimeWindowCompactionStrategy', "
-        f"'compaction_window_unit': 'MINUTES', 'compaction_window_size': {minutes}}} "
-        f"AND default_time_to_live = {ttl + margin} AND gc_grace_seconds = 10800"
-    )

@@ -14,6 +14,7 @@ from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.selection import checkMessageName
 from cassandra_ros.topics.stored_row import Key
 from cassandra_ros.topics.topic_arrays import TopicArrays
+from cassandra_ros.topics.topic_indexes import TopicIndexes, checkField
 from cassandra_ros.topics.topic_rows import AnyKey, Time
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.wish import Wish
@@ -21,7 +22,7 @@ from cassandra_ros.topics.wish import Wish
 _REQUIRED: Any = object()
 
 
-class CassandraTopic(TopicArrays):
+class CassandraTopic(TopicIndexes, TopicArrays):
     """The stored messages of one topic. Got from RosCassandra, safe to share between threads.
 
     What a key is follows from the ``key_format`` that addTopic was given:
@@ -77,6 +78,8 @@ class CassandraTopic(TopicArrays):
 
     def makeTable(self, definition: Definition) -> TopicTable:
         """Find or make the table for messages of this definition, in the topic's format."""
+        for field in self._wish.index:
+            checkField(definition, field)
         table = self._keyspace.makeTable(self._wish.metadata(self.name, definition), definition)
         if self._wish.asked:
             self._wish.check(table.metadata, None)  # another client may have been quicker

@@ -27,6 +27,7 @@ from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.selection import checkKeyFormat
+from cassandra_ros.topics.topic_indexes import checkUnnamed
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.wish import Wish
 
@@ -50,6 +51,8 @@ class Catalog:
         checkTopicName(topic)
         formatClass(wish.format)
         checkKeyFormat(wish.key_format, wish.key_part)
+        if wish.index:
+            checkUnnamed(topic, wish.key_format)
         self._keyspace.schema.tables(fresh=True)
         stored = self._keyspace.tables.ofTopic(topic)
         definition = self._definitionFor(topic, msg_type, known=bool(stored))
@@ -67,6 +70,9 @@ class Catalog:
                 with self._mutex:
                     self._pending.pop(topic, None)
                 raise
+        for field in wish.index:
+            if found.tables and not found.hasIndex(field):
+                found.createIndex(field)
         return found
 
     def _definitionFor(

@@ -17,6 +17,7 @@ from cassandra_ros.metadata import TopicMetadata, shadowColumn
 from cassandra_ros.store.buckets import SECOND_NS, limitForTtl
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import Directory
+from cassandra_ros.store.index_changes import IndexChanges
 from cassandra_ros.store.names import checkKeyspace
 from cassandra_ros.store.registry import Registry
 from cassandra_ros.store.schema import Planned, Schema
@@ -37,6 +38,7 @@ class Keyspace:
         cassandra: The connection.
         name: The keyspace's name.
         schema: Its topic tables, from their comments.
+        indexes: Adds and drops their indexes.
         directory: Which buckets they have.
         registry: Connections, definitions and runs as rows.
         connections: Connection headers, each read once.
@@ -55,6 +57,7 @@ class Keyspace:
         self.cassandra = cassandra
         self.name = name
         self.schema = Schema(cassandra, name)
+        self.indexes = IndexChanges(cassandra, self.schema)
         self.directory = Directory(cassandra, name)
         self.registry = Registry(cassandra, name)
         self.connections = Connections(self.registry)

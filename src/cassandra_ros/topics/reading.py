@@ -178,9 +178,14 @@ class Rows:
         return self._stored(row, next(table for table in tables if table.name == row.table))
 
     def _stored(self, row: TableRow, table: TopicTable) -> StoredRow:
-        return StoredRow(row, table, self._wire, self._connections.get)
+        return StoredRow(row, table, self.wire, self._connections.get)
 
-    def _wire(self, table: TopicTable, row: TableRow) -> bytes:
+    def wire(self, table: TopicTable, row: TableRow) -> bytes:
+        """Return the serialised message of a row.
+
+        Raises:
+            CorruptMessage: Its chunks are incomplete, or its columns give another message.
+        """
         if row.nchunks:
             return readChunks(self._cassandra, table, row)
         if row.raw is None and len(row.columns) < len(table.columns):

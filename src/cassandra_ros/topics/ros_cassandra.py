@@ -56,6 +56,7 @@ class RosCassandra(Asking):
         key_format: Optional[str] = None,
         key_part: str = "",
         metadata: Optional[Mapping[str, Any]] = None,
+        index: Sequence[str] = (),
     ) -> CassandraTopic:
         """Make a topic, or find it where it is stored already in this format.
 
@@ -72,15 +73,20 @@ class RosCassandra(Asking):
                 topic is stored, else 'time'. See CassandraTopic.
             key_part: The field of 'msg_part', as 'header.stamp'.
             metadata: Keys of your own, for getMeta; values that JSON can hold.
+            index: Fields that are to have an index, as 'linear.x'; see createIndex. Those that a
+                stored topic lacks are made.
 
         Raises:
             TopicExists: It is stored with another type, key_format or ttl than given. (The comment
                 and metadata of a stored topic stay as they are: setMeta changes them.)
             InvalidKey: The type has no such field as key_part.
-            UnknownFormat, InvalidName, InvalidOption, DefinitionError.
+            InvalidName: It has no such field as one of index.
+            UnknownFormat, InvalidOption, DefinitionError.
         """
         user = checkUserKeys(metadata or {})
-        wish = Wish(format, nodeID, checkTtl(ttl), comment, key_format or "", key_part, user)
+        fields = (index,) if isinstance(index, str) else tuple(index)
+        kept = (nodeID, checkTtl(ttl), comment, key_format or "", key_part, user, fields)
+        wish = Wish(format, *kept)
         return self._topics.add(topic, wish, msg_type)
 
     def getTopic(self, topic: str) -> CassandraTopic:

@@ -36,7 +36,8 @@ class TopicFacts:
         metadata = tables[0].metadata if tables else self._wish.metadata(self.name, None)
         directory = self._keyspace.directory
         found = {n for t in tables for _, n in directory.nodes(t.name, -(2**63), LAST_NS)}
-        return MetaView(metadata, sorted(found))
+        indexes = {field: "" for t in tables for field in t.metadata.indexes}
+        return MetaView(metadata.with_(indexes=indexes or metadata.indexes), sorted(found))
 
     def countBuckets(self) -> int:
         """Count the partitions: stretches of time of a node in a table; 0 for named messages."""

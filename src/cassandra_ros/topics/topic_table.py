@@ -146,7 +146,7 @@ class TopicTables:
         with self._mutex:
             table = self._made.get(name)
             if table is None:
-                definition = _definition(metadata)
+                definition = definitionIn(metadata)
                 table = TopicTable(
                     self._cassandra, self._schema.keyspace, name, metadata, definition
                 )
@@ -173,7 +173,8 @@ def _together(values: Sequence[tuple[Optional[bytes], bool]]) -> Indexed:
     return [value for value, _ in values], any(odd for _, odd in values)
 
 
-def _definition(metadata: TopicMetadata) -> Optional[Definition]:
+def definitionIn(metadata: TopicMetadata) -> Optional[Definition]:
+    """Return the definition that a comment holds, None where it is unusable."""
     try:
         return parseDefinition(metadata.msg_type, metadata.definition, metadata.md5sum)
     except DefinitionError as exc:

@@ -25,6 +25,8 @@ class Wish:
     """'' = as it is stored, else 'time'."""
     key_part: str = ""
     user: Mapping[str, Any] = field(default_factory=dict)
+    index: tuple[str, ...] = ()
+    """Fields that are to have an index."""
     asked: bool = True
     """addTopic named the format; else it is the one that is stored."""
     pending: bool = True
@@ -65,4 +67,5 @@ class Wish:
             key_format=self.key_format or "time",
             key_part=self.key_part,
             user=self.user,
+            indexes=dict.fromkeys(self.index, ""),
         )
