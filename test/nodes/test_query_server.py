@@ -343,8 +343,8 @@ def test_rows_too_large_for_a_reply(ask):
     ("statement", "params", "word"),
     [
         ("", (), "SELECT"),
-        ("drop table x", (), "SELECT"),
-        ("delete from fix", (), "SELECT"),
+        ("drop table x", (), "removeTopic"),
+        ("delete from fix", (), "TRUNCATE"),
         ("select latitude frm fix", (), "did you mean FROM?"),
         ("select latitude from fix where latitude > ?", ("abc",), "not JSON"),
         ("select latitude from fix where latitude > ?", ("null",), "null"),

@@ -14,7 +14,15 @@ from cassandra_ros.keys import decodeCursor, encodeCursor
 from cassandra_ros.messages.stamps import toNs
 from cassandra_ros.msg import Row
 from cassandra_ros.nodes.stored_messages import clean, pack, sizeOf
-from cassandra_ros.query import Condition, execute, fromJson, toJson
+from cassandra_ros.query import (
+    Condition,
+    Select,
+    execute,
+    executeAll,
+    fromJson,
+    parseStatement,
+    toJson,
+)
 from cassandra_ros.srv import ExecuteCQLResponse, GetDataResponse, RangeResponse
 
 _log = logging.getLogger(__name__)
@@ -22,6 +30,11 @@ _log = logging.getLogger(__name__)
 DEFAULT_LIMIT = 100
 MAX_REPLY_BYTES = 16 * 1024 * 1024
 """A page ends behind the message that passes this."""
+READ_ONLY = (
+    "the statement changes what is stored, and this node only reads; start it with the parameter "
+    "~allow_writes, as rosrun cassandra_ros query_server _allow_writes:=true, or run the statement "
+    "with RosCassandra.executeCQL"
+)
 
 Handler = Callable[[Any, Any], Any]
 
@@ -51,10 +64,12 @@ class Services:
 
     Args:
         rosCas: A RosCassandra connected to a keyspace.
+        allow_writes: Run statements that change what is stored.
     """
 
-    def __init__(self, rosCas: Any) -> None:
+    def __init__(self, rosCas: Any, allow_writes: bool = False) -> None:
         self._rosCas = rosCas
+        self._allow_writes = allow_writes
 
     @_answers(GetDataResponse)
     def getData(self, request: Any) -> Any:
@@ -111,12 +126,21 @@ class Services:
     @_answers(ExecuteCQLResponse)
     def executeCQL(self, request: Any) -> Any:
         """Answer ExecuteCQL."""
-        limit = request.limit or DEFAULT_LIMIT
         params = [fromJson(text, f"params[{n}]") for n, text in enumerate(request.params)]
-        node: Optional[str] = request.node_id or None
-        with execute(
-            self._rosCas, request.statement, params, node, limit + 1, request.cursor
-        ) as result:
+        statement = parseStatement(request.statement, params)
+        node = request.node_id or None
+        if isinstance(statement, Select):
+            return self._page(statement, node, request.limit or DEFAULT_LIMIT, request.cursor)
+        if not self._allow_writes:
+            return ExecuteCQLResponse(success=False, message=READ_ONLY)
+        if request.cursor:
+            raise InvalidKey("a cursor leads to the next page of a SELECT; leave it out here")
+        found = executeAll(self._rosCas, statement, nodeID=node)
+        rows = [Row([toJson(value) for value in values]) for values in found]
+        return ExecuteCQLResponse(success=True, columns=list(found.columns), rows=rows)
+
+    def _page(self, select: Select, node: Optional[str], limit: int, cursor: str) -> Any:
+        with execute(self._rosCas, select, (), node, limit + 1, cursor) as result:
             response = ExecuteCQLResponse(success=True, columns=[clean(c) for c in result.columns])
             size = 0
             for values in islice(result, limit):

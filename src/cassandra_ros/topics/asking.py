@@ -23,11 +23,14 @@ class Asking(KeyspaceConnection):
     ) -> Any:
         """Run a statement and return all its rows: a list of tuples with ``.columns``.
 
+        SELECT gives what was asked for; DELETE one row with the number of messages that it
+        removed; TRUNCATE, CREATE INDEX and DROP INDEX give no row.
+
         Args:
             statement: CQL with topic names, dotted fields and KEY (paper 3.2).
             params: Values for its ``?`` and ``%s`` markers.
-            nodeID: Only messages of this node; None = of all.
-            limit: At most so many rows.
+            nodeID: Only messages of this node, for SELECT and DELETE; None = of all.
+            limit: At most so many rows, for SELECT.
 
         Raises:
             InvalidQuery: Shows the statement with a caret under the spot.
@@ -45,7 +48,7 @@ class Asking(KeyspaceConnection):
         limit: Optional[int] = None,
         after: Optional[Position] = None,
     ) -> Any:
-        """Run a statement lazily: an iterator of tuples with ``.columns``; as executeCQL."""
+        """Run a SELECT lazily: an iterator of tuples with ``.columns``; as executeCQL."""
         from cassandra_ros.query import execute
 
         return execute(self, statement, params, nodeID=nodeID, limit=limit, after=after)
