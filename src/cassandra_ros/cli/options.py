@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 from typing import TYPE_CHECKING, Sequence
 
 from cassandra_ros.errors import KeyspaceNotFound
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 9042
 DEFAULT_KEYSPACE = "ros"
+
+_REMAPPING = re.compile(r"[A-Za-z0-9_~/]*:=")
 
 
 def add_store_options(parser: argparse.ArgumentParser) -> None:
@@ -82,12 +85,13 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
 def strip_remappings(arguments: Sequence[str]) -> list[str]:
     """Drop what rosrun and roslaunch add: ``__name:=x``, ``_param:=y``, ``from:=to``.
 
-    Like rospy.myargv without rospy. What follows --map stays: it means topics of a bag.
+    Like rospy.myargv without rospy. What follows --map stays: it means topics of a bag. So does
+    what begins with no name, as a statement does.
     """
     kept: list[str] = []
     previous = ""
     for word in arguments:
-        if ":=" not in word or word.startswith("-") or previous == "--map":
+        if not _REMAPPING.match(word) or previous == "--map":
             kept.append(word)
         previous = word
     return kept
