@@ -16,7 +16,7 @@ from cassandra_ros.query.conditions import Condition
 from cassandra_ros.query.outputs import uniteOutputs
 from cassandra_ros.query.parse import parseSelect
 from cassandra_ros.query.scope import Findings
-from cassandra_ros.query.syntax import Operand, Select
+from cassandra_ros.query.syntax import Column, Key, Operand, Select
 from cassandra_ros.query.table_values import TableValues
 
 Where = Union[None, str, Tuple[str, Sequence[Any]]]
@@ -127,13 +127,19 @@ def _statement(topic: str, fields: Fields, where: Optional[str], params: Sequenc
 def _united(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArray]:
     names = dict(uniteOutputs([table.outputs for table in tables]))
     if not tables:
-        columns = select.columns or ()
-        return {c.text: FieldArray(ArrayType(MIXED), np.empty(0, object), None) for c in columns}
+        columns = select.columns or (Column(Key(0)),)
+        return {column.text: _nothing(column) for column in columns}
     filled = [table for table in tables if table.count]
     order = None
     if len(filled) > 1:
         order = np.argsort(np.concatenate([table.order for table in filled]), kind="stable")
     return {name: _column(name, uniteTypes(kinds), filled, order) for name, kinds in names.items()}
+
+
+def _nothing(column: Column) -> FieldArray:
+    """Return no value, of a topic that has no type yet."""
+    kind = ArrayType("time" if isinstance(column.what, Key) else MIXED)
+    return FieldArray(kind, np.empty(0, kind.dtype), None)
 
 
 def _column(name: str, kind: ArrayType, tables: Sequence[TableValues], order: Any) -> FieldArray:
