@@ -124,7 +124,7 @@ install_packages() {
 make_venv() {
   local stamp=$venv/.setup wanted
   # Its path belongs to it: the programs of a venv that was moved still name the old place.
-  wanted=$( { echo "$venv"; /usr/bin/python3 --version; cat requirements.txt requirements-dev.txt; } | digest)
+  wanted=$( { echo "$venv"; /usr/bin/python3 --version; cat requirements*.txt; } | digest)
   if [ "$(cat "$stamp" 2>/dev/null)" = "$wanted" ] && "$venv/bin/python" -c '' 2>/dev/null; then
     say "python: .venv has what requirements-dev.txt names, skipped"
     return
@@ -158,7 +158,7 @@ install_jars() {
 
 make_workspace() {
   local package=$workspace/src/cassandra_ros stamp=$workspace/.setup wanted item
-  local items=(CMakeLists.txt package.xml setup.py requirements.txt src scripts msg srv launch config server examples test)
+  local items=(CMakeLists.txt package.xml setup.py requirements.txt requirements-tables.txt src scripts msg srv launch config server examples test)
   mkdir -p "$package"
   for item in "${items[@]}"; do
     # One link per item: rosrun searches the package's folder, and .ws must not be in it.

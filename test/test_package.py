@@ -111,7 +111,7 @@ def test_the_licence_is_the_same_everywhere():
 
 
 def test_every_dependency_is_pinned_with_a_reason():
-    for name in ("requirements.txt", "requirements-dev.txt"):
+    for name in ("requirements.txt", "requirements-tables.txt", "requirements-dev.txt"):
         before = ""
         for line in (ROOT / name).read_text().splitlines():
             if line and not line.startswith(("#", "-r")):

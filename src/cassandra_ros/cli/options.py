@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 from typing import TYPE_CHECKING, Sequence
 
 from cassandra_ros.errors import KeyspaceNotFound
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 9042
 DEFAULT_KEYSPACE = "ros"
+
+_REMAPPING = re.compile(r"[A-Za-z0-9_~/]*:=")
 
 
 def add_store_options(parser: argparse.ArgumentParser) -> None:
@@ -112,13 +115,12 @@ def read_where(options: argparse.Namespace) -> dict[str, str]:
 def strip_remappings(arguments: Sequence[str]) -> list[str]:
     """Drop what rosrun and roslaunch add: ``__name:=x``, ``_param:=y``, ``from:=to``.
 
-    Like rospy.myargv without rospy. What follows --map stays, it means topics of a bag, and what
-    follows --where, a condition.
+        if not _REMAPPING.match(word) or previous in ("--map", "--where"):
     """
     kept: list[str] = []
     previous = ""
     for word in arguments:
-        if ":=" not in word or word.startswith("-") or previous in ("--map", "--where"):
+        if not _REMAPPING.match(word) or previous in ("--map", "--where"):
             kept.append(word)
         previous = word
     return kept
