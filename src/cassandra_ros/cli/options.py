@@ -115,7 +115,8 @@ def read_where(options: argparse.Namespace) -> dict[str, str]:
 def strip_remappings(arguments: Sequence[str]) -> list[str]:
     """Drop what rosrun and roslaunch add: ``__name:=x``, ``_param:=y``, ``from:=to``.
 
-        if not _REMAPPING.match(word) or previous in ("--map", "--where"):
+    Like rospy.myargv without rospy, but a word that is more than names, as a statement with a text
+    in it, stays. So does what follows --map, topics of a bag, and --where, a condition.
     """
     kept: list[str] = []
     previous = ""
