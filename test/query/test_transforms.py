@@ -349,6 +349,11 @@ def test_a_frame_of_tf_static_is_fixed(store):
     store.add(transform("map", "base", T0, 77.0), topic="/tf_static")
     assert store.x("map", "base", T0 + SEC) == 77.0
     assert store.x("map", "base", 0) == 77.0
+    store.add(transform("odom", "arm", T0, 1.0), topic="/tf_static")
+    store.track("map", "arm")
+    assert store.x("odom", "arm", T0 + SEC) == 1.0
+    with pytest.raises(ConnectivityException):
+        store.look("map", "arm", T0 + SEC)
 
 
 def test_without_tf_static(alone):
@@ -452,6 +457,15 @@ def test_two_trees(store):
     with pytest.raises(ConnectivityException) as error:
         store.look("map", "moon", T0 + SEC)
     assert "moon hangs on earth" in str(error.value)
+
+
+def test_frames_that_tf2_remembers(store):
+    """Known only from a transform that does not count: there is such a frame all the same."""
+    store.add(transform("c", "d", T0))
+    store.add(transform("b", "d", T0), key=T0 + 1)
+    assert store.same("b", "d", T0) is tf2_py.ConnectivityException
+    assert store.same("b", "d", T0 - 1) is tf2_py.ExtrapolationException
+    assert store.same("nobody", "d", T0 - 1) is tf2_py.LookupException
 
 
 def test_a_loop(store):
