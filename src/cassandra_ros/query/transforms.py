@@ -93,11 +93,11 @@ class _Lookup:
         return Search(self._moving, Tree(Nearest(time), self._fixed), self._failure.frames)
 
     def _computed(self, tree: Tree, path: Optional[Sequence[str]], time: Optional[int]) -> Any:
-        moving, fixed = tree.nearest.all(), tree.fixed.all()
+        fixed = tree.fixed.all()
+        moving = [s for s in tree.nearest.all() if s.child not in tree.fixed.before]
         if path:
             # tf2 goes up to the root and down again, which only adds the rounding of both.
-            fixed = [sample for sample in fixed if sample.child in path]
-            moving = [s for s in moving if s.child in path and s.child not in tree.fixed.before]
+            moving, fixed = ([s for s in part if s.child in path] for part in (moving, fixed))
         else:
             # It remembers every frame that it has heard of, and its errors depend on it.
             known = tree.frames().intersection(self._failure.frames)

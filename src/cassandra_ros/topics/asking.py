@@ -86,8 +86,8 @@ class Asking(KeyspaceConnection):
         tf2 knows live, the last ten seconds, is here all that was recorded. A slash in front of a
         frame's name is ignored on both sides. A frame that is on tf_static is fixed: what was
         recorded of it last holds at every time. As soon as both frames are connected and the time
-        lies between two transforms of each frame on the way, no more is read; an error comes
-        when everything was read.
+        lies between two transforms of each frame on the way, no more is read (one that was received
+        over 2 s out of order may be missed then); an error comes when everything was read.
 
         Args:
             target: Frame to which the transform takes points.
