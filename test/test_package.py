@@ -82,7 +82,7 @@ def test_the_workspace_holds_links_to_items_never_to_the_root():
 def test_python_of_the_workspace_imports_library_and_services(ros_env):
     program = (
         "import sys; from cassandra_ros import RosCassandra, Stamp, CassandraRosError; "
-        "from cassandra_ros.srv import GetData, Range, ExecuteCQL; "
+        "from cassandra_ros.srv import GetData, LookupTransform, Range, ExecuteCQL; "
         "from cassandra_ros.msg import StoredMessage, Row; print(sys.prefix)"
     )
     done = subprocess.run(

@@ -9,6 +9,7 @@ import subprocess
 from collections import Counter
 
 import pytest
+import rosbag
 from bag.test_reader import READABLE
 from bag.truth import STRING_MD5, read_with_rosbag, string_connection, string_wire
 
@@ -18,7 +19,14 @@ from cassandra_ros.bag.importer import importBag
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.verify import verifyBag
 from cassandra_ros.bag.writer import BagWriter
-from cassandra_ros.errors import BagError, BagUnindexed, InvalidKey, TopicExists, TopicNotFound
+from cassandra_ros.errors import (
+    BagError,
+    BagUnindexed,
+    InvalidKey,
+    InvalidQuery,
+    TopicExists,
+    TopicNotFound,
+)
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.keys import splitSeq
 from cassandra_ros.messages.definition import parseDefinition
@@ -61,6 +69,42 @@ def test_every_bag_comes_back_as_it_was(rosCas, bags, tmp_path, name, form):
     assert read_with_rosbag(tmp_path / "out.bag") == expected
     with BagReader(path) as original, BagReader(tmp_path / "out.bag") as copy:
         assert copy.connections == original.connections
+
+
+@pytest.mark.parametrize("form", ["binary", "ros"])
+def test_a_bag_of_what_satisfies_conditions(rosCas, bags, tmp_path, form):
+    path = bags / "turtlesim_tf.bag"
+    importBag(rosCas, path, format=form)
+    where = {
+        "turtle1/pose": "x > 5.6 AND NOT theta = 0",
+        "/tf": ("transforms.child_frame_id = ? AND transforms.header.seq = 0", ["turtle1"]),
+    }
+    report = exportBag(rosCas, tmp_path / "out.bag", where=where)
+    with rosbag.Bag(str(path)) as original:
+        kept = []
+        for topic, message, stamp in original.read_messages():
+            if topic == "/turtle1/pose":
+                satisfied = message.x > 5.6 and message.theta != 0
+            else:
+                satisfied = topic != "/tf" or any(
+                    t.child_frame_id == "turtle1" and t.header.seq == 0 for t in message.transforms
+                )
+            if satisfied:
+                kept.append((topic, message, stamp))
+    with rosbag.Bag(str(tmp_path / "out.bag")) as written:
+        assert [tuple(entry) for entry in written.read_messages()] == kept
+    counts = Counter(topic for topic, *_ in kept)
+    assert report.messages == counts
+    assert 0 < counts["/turtle1/pose"] < 1344
+    assert 0 < counts["/tf"] < 2688
+
+
+def test_no_bag_is_begun_for_a_condition_that_is_none(rosCas, tmp_path):
+    rosCas.addTopic("/a", msg_type="std_msgs/String")
+    for where, error in (({"/a": "data >"}, InvalidQuery), ({"/b": "data = ''"}, TopicNotFound)):
+        with pytest.raises(error):
+            exportBag(rosCas, tmp_path / "out.bag", where=where)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_definition_that_is_none_is_kept_as_binary_with_a_warning(rosCas, bags, tmp_path):

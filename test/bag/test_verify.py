@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import genpy
 import pytest
 from bag.truth import string_connection, string_wire
 from hypothesis import given
 from hypothesis import strategies as st
+from std_msgs.msg import Header
 
 from cassandra_ros.bag.alignment import Alignment, Content
 from cassandra_ros.bag.differences import VerifyReport
@@ -19,6 +21,8 @@ from cassandra_ros.bag.verify import verifyBag
 from cassandra_ros.bag.verify_content import verifyContent
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.definition import definitionOf
 from cassandra_ros.messages.stamps import isoTime
 
 START = 1_700_000_000 * 10**9
@@ -154,6 +158,33 @@ def test_content_differs(rosCas, tmp_path):
     assert report.equal_messages == 48
     only = verifyContent(rosCas, path, start=START, end=START + 10**9)
     assert (only.differences, only.equal_messages) == (2, 48)
+
+
+def test_content_is_in_the_order_of_reception(rosCas, tmp_path):
+    header = definitionOf(Header)
+    kind = {"type": header.type, "md5sum": header.md5sum, "message_definition": header.text}
+    connection = string_connection("/h", **kind)
+    wires = [
+        serialize(Header(seq=n, stamp=genpy.Time(stamp))) for n, stamp in enumerate((3, 1, 2, 2))
+    ]
+    with BagWriter(tmp_path / "a.bag") as writer:
+        number = writer.connection(connection)
+        for n, wire in enumerate(wires):
+            writer.write(number, START + n, wire)
+    key = {"key_format": "msg_part", "key_part": "stamp"}
+    rosCas.addTopic("/h", msg_type="std_msgs/Header", **key)
+    with rosCas.messageWriter() as writer:
+        handle = writer.connect(connection)
+        for n, wire in enumerate(wires):
+            writer.write(handle, START + 5000 + n, n, wire)
+    assert [row.wire for row in rosCas.readMessages()] != wires
+    report = verifyContent(rosCas, tmp_path / "a.bag", start=START + 5000)
+    assert (report.differences, report.equal_messages) == (0, 4), report.first
+    late = verifyContent(rosCas, tmp_path / "a.bag", end=START + 5002)
+    assert (late.differences, late.equal_messages) == (1, 3)
+    rosCas.getTopic("/h").addData(Header(stamp=genpy.Time(9)))
+    (surplus,) = verifyContent(rosCas, tmp_path / "a.bag").first
+    assert isoTime(9 * 10**9) not in surplus
 
 
 # ------------------------------------------------------------------ alignment

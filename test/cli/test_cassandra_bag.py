@@ -29,6 +29,30 @@ def test_every_verb_explains_itself(verb, capsys):
         assert option in text
 
 
+def test_export_of_what_satisfies_a_condition(call, tmp_path):
+    with BagWriter(tmp_path / "a.bag") as writer:
+        numbers = [writer.connection(string_connection(name)) for name in ("/a", "/b")]
+        for n in range(10):
+            writer.write(numbers[n % 2], n, string_wire(f"{n} 'x:=y'"))
+    assert call("import", tmp_path / "a.bag")[0] == 0
+    out = tmp_path / "out.bag"
+    condition = "/a: data LIKE '4 %' OR data = '6 ''x:=y'''"
+    status, text, err = call("export", out, "--where", condition, "--where", "b:data > '5'")
+    assert (status, err) == (0, "")
+    assert ["/a", "2"] in [line.split() for line in text.splitlines()]
+    expected = [m for m in read_with_rosbag(tmp_path / "a.bag")[1] if m.t_ns in (4, 5, 6, 7, 9)]
+    assert read_with_rosbag(out)[1] == expected
+    status, _, err = call("export", out, "-f", "--where", "/a: data < 'x' AND 7")
+    assert status == 1
+    assert err.splitlines()[1:] == ["  data < 'x' AND 7", "                 ^"]
+    status, _, err = call("export", out, "-f", "--topics", "/b", "--where", "/a: data = ''")
+    assert (status, err.count("\n")) == (1, 1)
+    assert "topic /a, which is not among those that are read: /b" in err
+    for wrong in (["data > 'x'"], ["/a: "], ["/a: data = ''", "--where", "/a: data = 'x'"]):
+        assert call("export", out, "-f", "--where", *wrong)[0] == 2
+    assert read_with_rosbag(out)[1] == expected
+
+
 def test_the_main_job(type_in, keyspace, bags, tmp_path):
     path = bags / "turtlesim_tf.bag"
     status, out, err = type_in("import", path, "--format", "ros", "__name:=x", "__log:=/tmp/y")

@@ -45,6 +45,13 @@ def bounded(definition, size):
 TYPES = installedTypes()
 
 
+def broken(test):
+    """Run a test with every format, and any type, message and damage."""
+    numbers = st.integers(0, len(TYPES) + 50)
+    test = given(number=numbers, seed=SEEDS, fuzz=SEEDS)(test)
+    return every_format(settings(deadline=None, max_examples=500)(test))
+
+
 @lru_cache(maxsize=None)
 def storageOf(name, number):
     """A storage of an installed type, or from their number on of a random one."""
@@ -60,16 +67,14 @@ def makeWire(storage, seed):
     return WireMaker(storage.definition, seed, odd=bool(seed % 2)).make()
 
 
-@every_format
-@settings(deadline=None, max_examples=500)
-@given(number=st.integers(0, len(TYPES) + 50), seed=SEEDS, fuzz=SEEDS)
+@broken
 def test_broken_buffers_are_stored_exactly(name, number, seed, fuzz):
     storage = storageOf(name, number)
     wire = makeWire(storage, seed)
-    broken = fuzzed(wire, fuzz)
-    with bounded(storage.definition, len(wire) + len(broken)):
-        encoded = storage.encodeWire(broken)
-        assert storage.decodeWire(encoded.columns, encoded.raw) == broken
+    damaged = fuzzed(wire, fuzz)
+    with bounded(storage.definition, len(wire) + len(damaged)):
+        encoded = storage.encodeWire(damaged)
+        assert storage.decodeWire(encoded.columns, encoded.raw) == damaged
         try:
             message = storage.decode(encoded)
         except CorruptMessage:
@@ -77,9 +82,7 @@ def test_broken_buffers_are_stored_exactly(name, number, seed, fuzz):
         assert type(message) is messageClass(storage.definition)
 
 
-@every_format
-@settings(deadline=None, max_examples=500)
-@given(number=st.integers(0, len(TYPES) + 50), seed=SEEDS, fuzz=SEEDS)
+@broken
 def test_broken_columns_are_bytes_or_corrupt(name, number, seed, fuzz):
     storage = storageOf(name, number)
     wire = makeWire(storage, seed)

@@ -8,8 +8,6 @@ import struct
 import tracemalloc
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from messages.random_wire import SEPARATOR
 
 from cassandra_ros.errors import CorruptMessage
@@ -130,31 +128,6 @@ def test_texts_that_are_no_message(text):
     storage = jsonFormat("std_msgs/Float64MultiArray")
     with pytest.raises(CorruptMessage, match="Float64MultiArray"):
         storage.decodeWire((text.encode(),), None)
-
-
-@given(text=st.binary(max_size=40))
-def test_any_bytes_are_read_or_corrupt(text):
-    storage = jsonFormat("std_msgs/String")
-    for column in (text, b'{"data":"%s"}' % text):
-        try:
-            storage.decodeWire((column,), None)
-        except CorruptMessage:
-            pass
-
-
-@pytest.mark.parametrize(
-    ("size", "exact"), [(48_000, True), (49_200, False), (65_536, False), (1 << 20, False)]
-)
-def test_texts_are_never_over_64_kib(size, exact):
-    storage = jsonFormat("std_msgs/UInt8MultiArray")
-    encoded = storage.encode(messageClass(storage.definition)(data=bytes(size)))
-    assert len(encoded.columns[0]) <= 65536
-    assert encoded.odd is not exact
-    if not exact:
-        words = f"<array type: uint8, length: {size}>"
-        assert json.loads(encoded.columns[0])["data"] == words
-        with pytest.raises(CorruptMessage, match="UInt8MultiArray"):
-            storage.decodeWire(encoded.columns, None)
 
 
 def test_arrays_are_shortened_before_strings():

@@ -178,27 +178,3 @@ def test_texts_of_people_are_read():
     assert storage.decodeWire((text.encode(),), None) == bytes(4) + struct.pack(
         "<II3s", 16, 3, b"\0\1\2"
     )
-
-
-@settings(deadline=None)
-@given(text=st.binary(max_size=40))
-def test_any_bytes_are_read_or_corrupt(text):
-    storage = yamlFormat("std_msgs/String")
-    for column in (text, b"data: %s" % text, b'data: "%s"' % text):
-        try:
-            storage.decodeWire((column,), None)
-        except CorruptMessage:
-            pass
-
-
-@pytest.mark.parametrize(("size", "exact"), [(21_000, True), (22_000, False), (400_000, False)])
-def test_texts_are_never_over_64_kib(size, exact):
-    storage = yamlFormat("std_msgs/UInt8MultiArray")
-    encoded = storage.encode(messageClass(storage.definition)(data=bytes(size)))
-    assert len(encoded.columns[0]) <= 65536
-    assert encoded.odd is not exact
-    if not exact:
-        words = f"<array type: uint8, length: {size}>"
-        assert yaml.safe_load(encoded.columns[0])["data"] == words
-        with pytest.raises(CorruptMessage, match="UInt8MultiArray"):
-            storage.decodeWire(encoded.columns, None)

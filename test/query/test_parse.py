@@ -292,6 +292,7 @@ def test_no_parameters_where_nothing_takes_them():
     [
         "/* all of it; */ select a -- , b\nfrom /t // of\nwhere x = 1 /* and y = 2 */",
         "select a from/**/t/*** / **/where x=1--",
+        "select a from // a topic\n/t where x = 1",
         '--\n//\nselect a from "t"--x\n where x = 1;--;',
     ],
 )

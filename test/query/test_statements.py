@@ -308,6 +308,9 @@ def test_names_of_indexes(rosCas, cassandra):
     with RosCassandra(cassandra.host, cassandra.port, keyspace=rosCas.keyspace) as other:
         assert set(other.getTopic("c").getMeta["indexes"]) == {"latitude"}
         other.executeCQL("drop index lat")
+        for client in (rosCas, other):  # what each did is seen by the other at once
+            client.executeCQL("create index on c (altitude)")
+            (rosCas if client is other else other).executeCQL("drop index on c (altitude)")
     # A name goes with its index, however that is removed.
     ask("create index lat on b (latitude)")
     rosCas.getTopic("b").removeIndex("latitude")

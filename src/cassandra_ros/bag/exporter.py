@@ -11,6 +11,7 @@ from typing import Any, Callable, Dict, Iterable, Tuple
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError
 from cassandra_ros.keys import splitSeq
+from cassandra_ros.topics.across import Conditions
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -42,6 +43,7 @@ def exportBag(
     compression: str = "none",
     force: bool = False,
     progress: Progress | None = None,
+    where: Conditions = None,
 ) -> ExportReport:
     """Write stored messages into a bag of format 2.0.
 
@@ -59,17 +61,20 @@ def exportBag(
         compression: 'none', 'bz2' or 'lz4'.
         force: Replace a file that exists.
         progress: Called with the messages and bytes written since the last call.
+        where: Topic -> condition, as readMessages takes it: of these topics only the messages
+            that satisfy it; the others are written whole.
 
     Raises:
         BagError: The file exists, or cannot be written.
         TopicNotFound: One of the topics is not stored.
+        InvalidOption, InvalidQuery: where is none.
         StoreUnavailable: The store stopped answering; no bag is left behind.
     """
     if os.path.exists(path) and not force:
         raise BagError(f"{os.fspath(path)} exists; choose another name, or replace it with --force")
     # One topic may have been asked for in two spellings.
     names = None if topics is None else sorted({rosCas.getTopic(name).name for name in topics})
-    rows = rosCas.readMessages(names, start, end, nodeID=nodeID, received=True)
+    rows = rosCas.readMessages(names, start, end, nodeID=nodeID, received=True, where=where)
     report = ExportReport(os.fspath(path))
     with BagWriter(path, compression) as writer:
         numbers = ConnectionNumbers(writer)

@@ -35,7 +35,8 @@ def verifyContent(
     """Compare each topic's messages in their order by type, md5sum and bytes alone.
 
     Times and connections are not compared: they differ when a bag was played and recorded live.
-    Memory: two pages of rows for each topic, and what readInOrder needs.
+    Memory: two pages of rows for each topic, and what readInOrder needs; of a topic whose key is a
+    time in the message, all keys.
 
     Args:
         rosCas: Connected to a keyspace.
@@ -43,7 +44,7 @@ def verifyContent(
         topics: Only these topics of the bag; None = all.
         nodeID: Only what this node recorded; None = all nodes.
         mapping: Topic of the bag -> topic under which it was recorded.
-        start: First time of the stored messages (genpy.Time, int ns, float s, text); None = open.
+        start: First time of reception (genpy.Time, int ns, float s, text); None = open.
         end: Last time, included; None = open.
         progress: Told how far it is.
 
@@ -61,7 +62,8 @@ def verifyContent(
             name = renamed.get(topic, topic)
             rows: Iterator[StoredRow] = iter(())
             if name in present:
-                rows = rosCas.readMessages(topics=[name], key=start, to_key=end, nodeID=nodeID)
+                # In the order of the bag, whatever the topic's key is.
+                rows = rosCas.readMessages([name], start, end, nodeID=nodeID, received=True)
             alignments[topic] = Alignment(map(_stored, rows), report)
         connections = list(reader.connections.values())
         for wanted in readInOrder(reader, lambda message: fingerprint(message.data), numbers):
@@ -80,4 +82,6 @@ def _ofBag(wanted: Ordered, connection: Connection) -> Content:
 
 
 def _stored(row: StoredRow) -> Content:
-    return Content(row.type, row.md5sum, rowFingerprint(row), describePlace(row.topic, row.t))
+    return Content(
+        row.type, row.md5sum, rowFingerprint(row), describePlace(row.topic, row.received)
+    )

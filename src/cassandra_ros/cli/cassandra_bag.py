@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Bags in and out of the store: list, describe, import, export and verify topics."""
+"""Stored topics: list, describe, ask and index them; bags: import, export and verify."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Sequence
 
 from cassandra_ros.cli.options import strip_remappings
 from cassandra_ros.cli.verbs import VERBS
-from cassandra_ros.errors import CassandraRosError
+from cassandra_ros.errors import CassandraRosError, InvalidQuery
 
 PROGRAM = "cassandra_bag"
 
@@ -62,5 +62,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def report_error(error: CassandraRosError) -> None:
-    """Print an error as one line."""
-    print(f"{PROGRAM}: {' '.join(str(error).split())}", file=sys.stderr)
+    """Print an error as one line; a question that is none with a caret under the spot."""
+    text = str(error) if isinstance(error, InvalidQuery) else " ".join(str(error).split())
+    print(f"{PROGRAM}: {text}", file=sys.stderr)

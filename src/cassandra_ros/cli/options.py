@@ -82,16 +82,46 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
     return rosCas
 
 
+def add_where_option(parser: argparse.ArgumentParser) -> None:
+    """Add --where; read_where reads it."""
+    parser.add_argument(
+        "--where",
+        metavar="'TOPIC: CONDITION'",
+        action="append",
+        type=_condition_of_topic,
+        default=[],
+        help="of this topic only messages that satisfy a condition as in CQL, for example "
+        "'/cmd_vel: linear.x > 0.5'; the other topics stay whole; may be repeated",
+    )
+
+
+def _condition_of_topic(text: str) -> tuple[str, str]:
+    topic, sign, condition = text.partition(":")
+    if not (sign and topic.strip() and condition.strip()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form 'TOPIC: CONDITION'")
+    return topic.strip(), condition.strip()
+
+
+def read_where(options: argparse.Namespace) -> dict[str, str]:
+    """Return the conditions that --where gives, by topic."""
+    found: dict[str, str] = {}
+    for topic, condition in options.where:
+        if topic in found:
+            options.parser.error(f"--where: two conditions for {topic}; join them with AND or OR")
+        found[topic] = condition
+    return found
+
+
 def strip_remappings(arguments: Sequence[str]) -> list[str]:
     """Drop what rosrun and roslaunch add: ``__name:=x``, ``_param:=y``, ``from:=to``.
 
-    Like rospy.myargv without rospy. What follows --map stays: it means topics of a bag. So does
-    what begins with no name, as a statement does.
+    Like rospy.myargv without rospy, but a word that is more than names, as a statement with a text
+    in it, stays. So does what follows --map, topics of a bag, and --where, a condition.
     """
     kept: list[str] = []
     previous = ""
     for word in arguments:
-        if not _REMAPPING.match(word) or previous == "--map":
+        if not _REMAPPING.match(word) or previous in ("--map", "--where"):
             kept.append(word)
         previous = word
     return kept

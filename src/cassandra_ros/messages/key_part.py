@@ -30,6 +30,7 @@ class KeyPart:
     Attributes:
         digest: The field is an array, and the index holds the md5 of the whole.
         is_time: The field is a time: rows lie by it, in its order.
+        is_text: The field is a text: whatever a person types can be its value.
         cql_type: Of the column that carries the index.
 
     Raises:
@@ -56,6 +57,7 @@ class KeyPart:
         self.digest = column.is_list or column.kind == "array"
         self._encode = _encoder(column)
         self.is_time = column.kind == "time" and not column.is_list
+        self.is_text = column.kind == "text" and not self.digest
         self.cql_type = "text" if self.digest else column.cql_type
 
     def time(self, wire: bytes) -> int | None:

@@ -163,6 +163,23 @@ def _offset_ns(value: Any) -> int | None:
     return secondsToNs(value) if _is_number(value) else None
 
 
+def durationNs(value: Any) -> int:
+    """Return the nanoseconds of a length of time.
+
+    Args:
+        value: genpy.Duration (exact), or a number of seconds; at least 0.
+
+    Raises:
+        InvalidKey: It is neither, or negative.
+    """
+    ns = _offset_ns(value)
+    if ns is None or ns < 0:
+        raise InvalidKey(
+            f"{value!r:.80} is no length of time: give seconds, at least 0, or a genpy.Duration"
+        )
+    return ns
+
+
 def _comparable(value: Any) -> int | float | None:
     """Nanoseconds of something that a stamp can be compared with, or None."""
     if isinstance(value, genpy.Time):

@@ -12,7 +12,7 @@ from cassandra_ros.errors import InvalidName
 from cassandra_ros.nodes.node_name import fullName, isTaken, wantedName
 from cassandra_ros.nodes.rosout import forwardLogging
 from cassandra_ros.nodes.services import Services
-from cassandra_ros.srv import ExecuteCQL, GetData, Range
+from cassandra_ros.srv import ExecuteCQL, GetData, LookupTransform, Range
 
 NAME = "cassandra_ros"
 PARAMETERS = ("host", "port", "keyspace", "allow_writes")
@@ -53,6 +53,7 @@ def serve(rosCas: Any, say: Say, allow_writes: bool = False) -> None:
     rospy.Service("~getData", GetData, services.getData)
     rospy.Service("~range", Range, services.range)
     rospy.Service("~executeCQL", ExecuteCQL, services.executeCQL)
+    rospy.Service("~lookupTransform", LookupTransform, services.lookupTransform)
     say(f"services under {rospy.get_name()}")
     how = "writes are allowed" if allow_writes else "read-only"
     say(f"serving keyspace {rosCas.keyspace}, {how}")

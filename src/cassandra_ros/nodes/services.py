@@ -23,7 +23,12 @@ from cassandra_ros.query import (
     parseStatement,
     toJson,
 )
-from cassandra_ros.srv import ExecuteCQLResponse, GetDataResponse, RangeResponse
+from cassandra_ros.srv import (
+    ExecuteCQLResponse,
+    GetDataResponse,
+    LookupTransformResponse,
+    RangeResponse,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -75,12 +80,16 @@ class Services:
     def getData(self, request: Any) -> Any:
         """Answer GetData."""
         topic = self._rosCas.getTopic(request.topic)
-        where = {"nearest": request.nearest or None, "nodeID": request.node_id or None}
+        which = {
+            "nearest": request.nearest or None,
+            "nodeID": request.node_id or None,
+            "where": request.where or None,
+        }
         key = topic.keyOfText(request.key_text) if request.key_text.strip() else request.key
-        row = topic.getRow(key, **where)
+        row = topic.getRow(key, **which)
         if row is None:
-            topic.getData(key, **where)  # raises with what lies near
-            row = topic.getRow(key, **where)
+            topic.getData(key, **which)  # raises with what lies near
+            row = topic.getRow(key, **which)
         return GetDataResponse(True, "", pack(row, request.omit_data, request.omit_yaml))
 
     @_answers(RangeResponse)
@@ -154,3 +163,13 @@ class Services:
             if not full or (result.direct and next(result, None) is None):
                 response.next_cursor = ""
         return response
+
+    @_answers(LookupTransformResponse)
+    def lookupTransform(self, request: Any) -> Any:
+        """Answer LookupTransform."""
+        asked = {"nodeID": request.node_id, "tf": request.tf, "tf_static": request.tf_static}
+        found = self._rosCas.lookupTransform(
+            *(request.target_frame, request.source_frame, request.time),
+            **{name: value for name, value in asked.items() if value},
+        )
+        return LookupTransformResponse(True, "", found)

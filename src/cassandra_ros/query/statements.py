@@ -13,7 +13,7 @@ runs are removed or not.
 
 from __future__ import annotations
 
-from typing import Any, Iterable, Optional, Sequence, Union
+from typing import Any, Optional, Sequence, Union
 
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, TopicNotFound
 from cassandra_ros.messages.stamps import Stamp
@@ -95,7 +95,7 @@ def _delete(rosCas: Any, statement: Delete, nodeID: Optional[str]) -> int:
     if not named:
         _refuseSeconds(topic, statement)
     if named or not bounds.whole:
-        return _removeRows(rosCas, condition.rows(topic))
+        return int(rosCas.parts.removal.deleteRows(condition.rows(topic)))
     if bounds.empty or not topic.tables:
         return 0
     ends = (Stamp.fromNs(bounds.low), Stamp.fromNs(bounds.high))
@@ -115,16 +115,12 @@ def _refuseSeconds(topic: Any, statement: Delete) -> None:
             )
 
 
-def _removeRows(rosCas: Any, rows: Iterable[Any]) -> int:
-    removal = rosCas.parts.removal
-    return sum(removal.deleteRow(row) for row in rows)
-
-
 # ------------------------------------------------------------------ indexes
 
 
 def _createIndex(rosCas: Any, statement: CreateIndex) -> None:
     text, on, name = statement.text, statement.on, statement.name
+    rosCas.parts.schema.tables(fresh=True)  # others make and drop indexes, too
     topic = findTopic(rosCas, text, on.topic, on.topic_position)
     field = on.field.text
     if topic.hasIndex(field) and not statement.unless_exists:
@@ -181,6 +177,7 @@ def _named(rosCas: Any, statement: DropIndex, name: IndexName) -> Optional[tuple
 
 
 def _indexed(rosCas: Any, statement: DropIndex, index: Indexed) -> Optional[tuple[Any, str]]:
+    rosCas.parts.schema.tables(fresh=True)
     try:
         topic = rosCas.getTopic(index.topic)
     except TopicNotFound as exc:

@@ -55,7 +55,7 @@ def waysOf(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
     """
     if operator == "=" or (operator == "CONTAINS" and held.many):
         return _equal(held, "CONTAINS" if held.many else "=", values)
-    if held.many or operator == "CONTAINS":
+    if held.many or operator not in ("<", "<=", ">", ">="):
         return None
     return _bounded(held, operator, values[0])
 
@@ -150,8 +150,8 @@ def _float(cql_type: str, value: Comparable, upwards: bool) -> bytes:
         wide = math.inf if value > 0 else -math.inf  # type: ignore[operator]
     with numpy.errstate(over="ignore"):
         near = kind(wide)
-    # As Python numbers, for they compare exactly.
-    if (float(near) > value) if upwards else (float(near) < value):  # type: ignore[operator]
-        near = numpy.nextafter(near, kind(-math.inf if upwards else math.inf))
+        # As Python numbers, for they compare exactly.
+        if (float(near) > value) if upwards else (float(near) < value):  # type: ignore[operator]
+            near = numpy.nextafter(near, kind(-math.inf if upwards else math.inf))
     found = float(near)
     return struct.pack(code, found if found else (-0.0 if upwards else 0.0))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""One row by its time or its whole key: as few round trips as there can be."""
+"""The first row at a time: as few round trips as there can be."""
 
 from __future__ import annotations
 
@@ -12,13 +12,6 @@ from cassandra_ros.store.directory import Directory
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS
 from cassandra_ros.store.patience import Patience
 from cassandra_ros.store.row_table import MAX_SEQ, MIN_SEQ, RowTable, TableRow, bind, encodeLong
-
-
-def rowAt(cassandra: Cassandra, table: RowTable, t: int, node: str, seq: int) -> TableRow | None:
-    """Read the row of a whole key of a table in the order of time: one SELECT."""
-    return _first(
-        cassandra, _ask(cassandra, table, t, node, (seq, seq)), table, t, node, (seq, seq)
-    )
 
 
 def firstAt(
@@ -55,18 +48,16 @@ def firstAt(
 
 
 def _best(cassandra: Cassandra, asked: list[tuple[RowTable, str]], t: int) -> TableRow | None:
-    every = (MIN_SEQ, MAX_SEQ)
-    futures = [_ask(cassandra, table, t, node, every) for table, node in asked]
+    futures = [_ask(cassandra, table, t, node) for table, node in asked]
     rows = [
-        _first(cassandra, future, table, t, node, every)
-        for (table, node), future in zip(asked, futures)
+        _first(cassandra, future, table, t, node) for (table, node), future in zip(asked, futures)
     ]
     return min((row for row in rows if row is not None), key=lambda row: row[:4], default=None)
 
 
-def _ask(cassandra: Cassandra, table: RowTable, t: int, node: str, seqs: tuple[int, int]) -> Any:
+def _ask(cassandra: Cassandra, table: RowTable, t: int, node: str) -> Any:
     time = encodeLong(t)
-    ends = (time, encodeLong(seqs[0]), time, encodeLong(seqs[1]))
+    ends = (time, encodeLong(MIN_SEQ), time, encodeLong(MAX_SEQ))
     key = (node.encode("utf-8"), encodeLong(table.bucketOf(t)))
     bound = bind(table.selectRange(table.columns), (*key, *ends))
     bound.fetch_size = 1
@@ -74,12 +65,7 @@ def _ask(cassandra: Cassandra, table: RowTable, t: int, node: str, seqs: tuple[i
 
 
 def _first(
-    cassandra: Cassandra,
-    future: Any,
-    table: RowTable,
-    t: int,
-    node: str,
-    seqs: tuple[int, int],
+    cassandra: Cassandra, future: Any, table: RowTable, t: int, node: str
 ) -> TableRow | None:
     patience = Patience(f"reading topic {table.metadata.topic}")
     while True:
@@ -88,4 +74,4 @@ def _first(
             return table.rowFromValues(node, rows[0]) if rows else None
         except DRIVER_ERRORS as exc:
             patience.wait(exc)
-            future = _ask(cassandra, table, t, node, seqs)
+            future = _ask(cassandra, table, t, node)

@@ -207,10 +207,11 @@ class RowTable:
             'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
         )
 
-    def deleteChunks(self) -> str:
-        """DELETE of the pieces of one large message."""
+    def deleteOne(self, *, chunks: bool = False) -> str:
+        """DELETE of one row, or of the pieces of its message."""
+        name = self._chunks if chunks else self.qualified
         return (
-            f'DELETE FROM {self._chunks} WHERE "_node" = ? AND "{self.partition}" = ? '
+            f'DELETE FROM {name} WHERE "_node" = ? AND "{self.partition}" = ? '
             'AND "_t" = ? AND "_seq" = ?'
         )
 

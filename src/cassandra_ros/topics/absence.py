@@ -14,7 +14,7 @@ _NEAR_NS = 256
 
 
 def absentText(
-    topic: str, key: Any, nearest: Optional[str], nodeID: Optional[str], near_ns: Optional[int]
+    topic: str, key: Any, nearest: Optional[str], which: str, near_ns: Optional[int]
 ) -> str:
     """Say that a topic has no message at a key.
 
@@ -22,12 +22,11 @@ def absentText(
         topic: Its name.
         key: The time as it was asked for.
         nearest: The direction that was asked for, or None.
-        nodeID: The node that was asked for, or None.
+        which: Which messages were asked for, as ' of node r1'; '' = any.
         near_ns: Time of the nearest message where that is known, ns.
     """
     t = toNs(key)
-    whose = f" of node {nodeID}" if nodeID is not None else ""
-    text = f"topic {topic} has no message{whose} {nearest or 'at'} {isoTime(t)} ({t} ns)"
+    text = f"topic {topic} has no message{which} {nearest or 'at'} {isoTime(t)} ({t} ns)"
     if isinstance(key, int) and 0 < t < _SECONDS_BELOW:
         return text + "; integers are nanoseconds; did you mean seconds (a float)?"
     if near_ns is None:
@@ -41,19 +40,18 @@ def absentText(
     return text + f"; the nearest lies at {isoTime(near_ns)} ({near_ns} ns)"
 
 
-def absentName(topic: str, key: Any, nodeID: Optional[str], named: bool) -> str:
+def absentName(topic: str, key: Any, which: str, named: bool) -> str:
     """Say that a topic has no message under a name, or none with a value.
 
     Args:
         topic: Its name.
         key: As it was asked for.
-        nodeID: The node that was asked for, or None.
+        which: Which messages were asked for, as ' of node r1'; '' = any.
         named: Whether it is a name.
     """
-    whose = f" of node {nodeID}" if nodeID is not None else ""
     if not named:
-        return f"topic {topic} has no message{whose} whose key field is {key!r:.80}"
+        return f"topic {topic} has no message{which} whose key field is {key!r:.80}"
     return (
-        f"topic {topic} has no message{whose} under the name {str(key)[:80]!r}; "
+        f"topic {topic} has no message{which} under the name {str(key)[:80]!r}; "
         "items() lists the names that there are"
     )

@@ -10,6 +10,7 @@ from cassandra_ros.errors import InvalidKey, MessageNotFound, TypeMismatch
 from cassandra_ros.messages.definition import Definition, definitionOf
 from cassandra_ros.messages.stamps import toNs
 from cassandra_ros.topics.adder import Adder
+from cassandra_ros.topics.filtering import Where
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.selection import checkMessageName
 from cassandra_ros.topics.stored_row import Key
@@ -111,6 +112,7 @@ class CassandraTopic(TopicIndexes, TopicArrays):
         default: Any = _REQUIRED,
         nodeID: Optional[str] = None,
         limit: Optional[int] = None,
+        where: Optional[Where] = None,
     ) -> Any:
         """Return one message, or those of a stretch of time.
 
@@ -121,6 +123,10 @@ class CassandraTopic(TopicIndexes, TopicArrays):
             default: Returned instead of raising when there is no message at key.
             nodeID: Only messages of this node; None = of all.
             limit: At most so many messages of a stretch.
+            where: Only messages that satisfy this condition: what stands behind WHERE in CQL, as
+                ``'linear.x > 0.5'``, or a pair of it and its parameters. One on the elements of
+                an array of messages is satisfied when one element does. It holds besides key,
+                nearest, nodeID and limit: the nearest, or the first few, of those that satisfy it.
 
         Returns:
             With to_key a list in the order of time, else one message: of several with the same
@@ -129,16 +135,17 @@ class CassandraTopic(TopicIndexes, TopicArrays):
         Raises:
             MessageNotFound: No message at key (also a KeyError).
             InvalidKey: A key cannot be one, or the topic's keys have no order.
+            InvalidQuery: where is no condition; shows it with a caret under the spot.
         """
         if to_key is not None:
-            stretch = self._finder(nodeID).many(key, to_key, limit=limit)
+            stretch = self._finder(nodeID, where).many(key, to_key, limit=limit)
             return [row.message() for row in stretch]
         if key is None:
             raise InvalidKey(
                 "getData needs a key (and to_key for a stretch of time); items() walks "
-                f"through all messages of topic {self.name}"
+                f"through all messages of topic {self.name}, also through those with where="
             )
-        finder = self._finder(nodeID)
+        finder = self._finder(nodeID, where)
         row = finder.find(key, nearest)
         if row is None:
             if default is not _REQUIRED:
@@ -154,6 +161,7 @@ class CassandraTopic(TopicIndexes, TopicArrays):
         nodeID: Optional[str] = None,
         limit: Optional[int] = None,
         reverse: bool = False,
+        where: Optional[Where] = None,
     ) -> Iterator[tuple[Key, Any]]:
         """Walk lazily through (key, message) in the order of time, any number of them.
 
@@ -167,9 +175,13 @@ class CassandraTopic(TopicIndexes, TopicArrays):
             nodeID: Only messages of this node; None = of all.
             limit: At most so many.
             reverse: Newest first.
+            where: Only messages that satisfy this condition, as getData takes it.
+
+        Raises:
+            InvalidKey, InvalidQuery.
         """
-        for row in self._finder(nodeID).many(key, to_key, limit=limit, reverse=reverse):
-            yield row.key, row.message()
+        rows = self._finder(nodeID, where).many(key, to_key, limit=limit, reverse=reverse)
+        return ((row.key, row.message()) for row in rows)
 
     # ---------------------------------------------------------------- counting and removing
 
@@ -178,22 +190,35 @@ class CassandraTopic(TopicIndexes, TopicArrays):
         key: Optional[AnyKey] = None,
         to_key: Optional[Time] = None,
         nodeID: Optional[str] = None,
+        *,
+        where: Optional[Where] = None,
     ) -> int:
-        """Count the messages that items(key, to_key) walks through; by time without reading."""
-        return self._finder(nodeID).count(key, to_key)
+        """Count the messages that items(key, to_key, where=where) walks through.
+
+        By time alone they are counted without reading them, with where= without making objects.
+        """
+        return self._finder(nodeID, where).count(key, to_key)
 
     def removeData(
-        self, key: AnyKey, to_key: Optional[Time] = None, nodeID: Optional[str] = None
+        self,
+        key: Optional[AnyKey] = None,
+        to_key: Optional[Time] = None,
+        nodeID: Optional[str] = None,
+        *,
+        where: Optional[Where] = None,
     ) -> int:
         """Delete the messages at key, or with key <= time <= to_key; return how many.
 
         A key that the store returned means its one message, a bare time, name or value all that
-        have it.
+        have it. With where= only those that satisfy the condition are deleted; without key and
+        to_key that is each one of the topic, of whatever time.
 
         Raises:
             MessageNotFound: There is no message at key (without to_key).
+            InvalidKey: Neither key, to_key nor where is given.
+            InvalidQuery: where is no condition.
         """
-        return self._finder(nodeID).remove(key, to_key)
+        return self._finder(nodeID, where).remove(key, to_key)
 
     def __repr__(self) -> str:
         return f"CassandraTopic({self.name!r})"

@@ -170,7 +170,10 @@ class Catalog:
         with self._mutex:
             wish = self._pending.get(name)
         if wish is None or self._keyspace.tables.ofTopic(name):
-            change = lambda metadata: metadata.with_(topic=new_name)  # noqa: E731
+
+            def change(metadata: TopicMetadata) -> TopicMetadata:
+                return metadata.with_(topic=new_name)
+
             self._keyspace.schema.changeTopic(name, change, check)
         else:
             check(self._keyspace.schema.tables(fresh=True))

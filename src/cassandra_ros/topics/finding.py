@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import Any, Iterator, Optional, Sequence
 
 from cassandra_ros.errors import InvalidKey, MessageNotFound
 from cassandra_ros.keys import RowName
 from cassandra_ros.messages.stamps import Stamp, toNs
 from cassandra_ros.topics.absence import absentName, absentText
+from cassandra_ros.topics.filtering import Filter
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.selection import (
     LAST_NS,
@@ -34,6 +36,7 @@ class Finder:
         key_format: The topic's.
         tables: Its tables.
         nodeID: Only messages of this node; None = of all.
+        where: Only messages that pass it; None = all.
     """
 
     def __init__(
@@ -43,51 +46,71 @@ class Finder:
         key_format: str,
         tables: Sequence[TopicTable],
         nodeID: Optional[str],
+        where: Optional[Filter] = None,
     ) -> None:
         self._keyspace = keyspace
         self._topic = topic
         self._key_format = key_format or "time"
         self._tables = tables
         self._node = nodeID
+        self._where = where
         self._nodes = None if nodeID is None else (nodeID,)
 
     def many(
         self, key: Any, to_key: Any, *, limit: Optional[int] = None, reverse: bool = False
     ) -> Iterator[StoredRow]:
         """Walk through the rows that key and to_key mean, as the ends of a stretch or alone."""
-        wanted = self._several(key, to_key)
-        return self._keyspace.rows.select(
-            self._tables, wanted, nodes=self._nodes, limit=limit, reverse=reverse
-        )
+        return self._select(self._several(key, to_key), limit=limit, reverse=reverse)
+
+    def _select(
+        self, wanted: Selection, *, reverse: bool = False, limit: Optional[int] = None
+    ) -> Iterator[StoredRow]:
+        if self._where is None:
+            return self._keyspace.rows.select(
+                self._tables, wanted, nodes=self._nodes, limit=limit, reverse=reverse
+            )
+        if isinstance(wanted, Stretch):
+            return islice(self._where.rows(*wanted, reverse=reverse), limit)
+        rows = self._keyspace.rows.select(self._tables, wanted, nodes=self._nodes, reverse=reverse)
+        return islice(filter(self._where.test, rows), limit)
 
     def count(self, key: Any, to_key: Any) -> int:
-        """Count the rows of ``many``, of a stretch of time without reading them."""
+        """Count the rows of ``many``, of a whole stretch of time without reading them."""
         wanted = self._several(key, to_key)
-        if isinstance(wanted, Stretch):
+        if isinstance(wanted, Stretch) and self._where is None:
             return self._keyspace.totals.count(self._tables, *wanted, self._nodes)
-        rows = self._keyspace.rows.select(self._tables, wanted, nodes=self._nodes)
-        return sum(1 for _ in rows)
+        return sum(1 for _ in self._select(wanted))
 
     def remove(self, key: Any, to_key: Any) -> int:
-        """Delete the rows at key, or those of ``many`` where to_key is given; return how many.
+        """Delete the rows at key, or those of ``many`` without key or with to_key.
+
+        Returns:
+            How many.
 
         Raises:
             MessageNotFound: There is none at key (without to_key).
+            InvalidKey: Nothing says which.
         """
-        removal = self._keyspace.removal
-        if to_key is None and self.isExact(key):
-            row = self.find(key, None)
-            count = 0 if row is None else removal.deleteRow(row)
-        else:
-            wanted = self._one(key) if to_key is None else self._several(key, to_key)
-            if isinstance(wanted, Stretch):
-                count = removal.delete(self._tables, *wanted, self._nodes)
-            else:
-                rows = self._keyspace.rows.select(self._tables, wanted, nodes=self._nodes)
-                count = sum(removal.deleteRow(row) for row in rows)
-        if not count and to_key is None:
+        if key is None and to_key is None and self._where is None:
+            raise InvalidKey(
+                "removeData needs a key (and to_key for a stretch of time), or where=; "
+                f"truncateTopic removes all messages of topic {self._topic}"
+            )
+        single = key is not None and to_key is None
+        count = self._remove(key, to_key, single)
+        if single and not count:
             raise MessageNotFound(self.absent(key, None))
         return count
+
+    def _remove(self, key: Any, to_key: Any, single: bool) -> int:
+        removal = self._keyspace.removal
+        if single and self.isExact(key):
+            row = self.find(key, None)
+            return 0 if row is None else removal.deleteRows([row])
+        wanted = self._one(key) if single else self._several(key, to_key)
+        if isinstance(wanted, Stretch) and self._where is None:
+            return removal.delete(self._tables, *wanted, self._nodes)
+        return removal.deleteRows(self._select(wanted))
 
     def _one(self, key: Any) -> Selection:
         return selectOne(self._topic, self._key_format, self._tables, key)
@@ -102,14 +125,17 @@ class Finder:
         if self.isExact(key):
             table = self._keyspace.tables.byName(key.table)
             if table is not None and table.metadata.topic == self._topic:
-                return self._keyspace.rows.exact(table, key)
+                return self._passing(self._keyspace.rows.exact(table, key))
         wanted = self._one(key)
-        rows = self._keyspace.rows
-        if isinstance(wanted, Stretch):
-            return rows.at(self._tables, wanted.low, self._nodes)
+        if isinstance(wanted, Stretch) and self._where is None:
+            return self._keyspace.rows.at(self._tables, wanted.low, self._nodes)
         newest = isinstance(wanted, Named)  # of several versions; of equal values the first
-        found = rows.select(self._tables, wanted, nodes=self._nodes, reverse=newest, limit=1)
-        return next(found, None)
+        return next(self._select(wanted, reverse=newest, limit=1), None)
+
+    def _passing(self, row: Optional[StoredRow]) -> Optional[StoredRow]:
+        if row is None or self._where is None or self._where.test(row):
+            return row
+        return None
 
     def isExact(self, key: Any) -> bool:
         """Say whether a key is one that the store gave: it knows its row."""
@@ -126,22 +152,29 @@ class Finder:
                 f"the keys of topic {self._topic} are {kind}, which have no order: none is "
                 "nearest; leave nearest out"
             )
-        t, rows = toNs(key), self._keyspace.rows
+        t, low = toNs(key), 0
         before = after = None
-        if nearest != "after":
-            back: Any = rows.read(self._tables, 0, t, nodes=self._nodes, limit=1, reverse=True)
-            before = next(back, None)
         if nearest != "before":
-            after = next(rows.read(self._tables, t, LAST_NS, nodes=self._nodes, limit=1), None)
-        if before is None or after is None:
-            return before or after
-        return before if t - before.t <= after.t - t else after
+            after = next(self._select(Stretch(t, LAST_NS), limit=1), None)
+            if after is not None and nearest == "either":
+                low = max(0, t - (after.t - t))  # what lies before that is further away
+        if nearest != "after":
+            before = next(self._select(Stretch(low, t), limit=1, reverse=True), None)
+        return before or after
 
     def absent(self, key: Any, nearest: Optional[str]) -> str:
         """Say that there is no message at a key, and what lies near."""
-        wanted = selectOne(self._topic, self._key_format, self._tables, key)
+        wanted = self._one(key)
+        which = _which(self._node, self._where)
         if not isinstance(wanted, Stretch):
-            return absentName(self._topic, key, self._node, isinstance(wanted, Named))
-        near = self._near(toNs(key), "either") if nearest is None else None
-        near_ns = None if near is None else near.t
-        return absentText(self._topic, key, nearest, self._node, near_ns)
+            return absentName(self._topic, key, which, isinstance(wanted, Named))
+        # The nearest that satisfies a condition may be far, and long to look for.
+        look = nearest is None and self._where is None
+        near = self._near(toNs(key), "either") if look else None
+        return absentText(self._topic, key, nearest, which, None if near is None else near.t)
+
+
+def _which(nodeID: Optional[str], where: Optional[Filter]) -> str:
+    """Say which messages were asked for, besides their key."""
+    whose = "" if nodeID is None else f" of node {nodeID}"
+    return whose if where is None else f"{whose} that satisfies {where.text!r:.200}"

@@ -9,7 +9,7 @@ from itertools import islice
 from typing import Any, Callable, Iterable, Iterator, Optional, Sequence, Union
 
 from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
-from cassandra_ros.keys import Position, RowName
+from cassandra_ros.keys import Position, RowName, isBehind
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.store.chunks import readChunks
 from cassandra_ros.store.connection import Cassandra
@@ -98,7 +98,7 @@ class Rows:
             for table in tables
             for key in listNames(self._cassandra, table, scan.nodes)
             if scan.low <= key.position.t <= scan.high
-            and (scan.after is None or _isBehind(key.position, scan.after, scan.reverse))
+            and isBehind(key.position, scan.after, scan.reverse)
         ]
         keys.sort(key=lambda key: key.position, reverse=scan.reverse)
         return fetchRows(self._cassandra, keys)
@@ -151,12 +151,16 @@ class Rows:
         own = self.read([t for t in tables if t not in foreign], low, high, nodes=nodes)
         scan = Scan(0, LAST_NS, None, nodes, columns=lambda table: ())
         found = readRows(self._cassandra, self._directory, foreign, scan)
-        keys = [(r.received, r.seq, r.position) for r in found if low <= r.received <= high]
+        keys = [
+            (r.received, r.node, r.seq, r.table, r.position)
+            for r in found
+            if low <= r.received <= high
+        ]
         keys.sort()
-        wanted = (Wanted(by_name[position.table], position) for _, _, position in keys)
+        wanted = (Wanted(by_name[position.table], position) for *_, position in keys)
         rows = fetchRows(self._cassandra, wanted)
         late = (self._stored(row, by_name[row.table]) for row in rows)
-        return heapq.merge(own, late, key=lambda row: (row.received, row.node, row.seq))
+        return heapq.merge(own, late, key=lambda row: row.arrival)
 
     # ---------------------------------------------------------------- one
 
@@ -229,7 +233,3 @@ def encoded(tables: Sequence[TopicTable], value: Any) -> list[tuple[TopicTable, 
     if problems and len(problems) == len(valued):
         raise problems[0]
     return found
-
-
-def _isBehind(position: Position, after: Position, reverse: bool) -> bool:
-    return position < after if reverse else position > after

@@ -4,13 +4,21 @@
 
 from __future__ import annotations
 
-from typing import Optional, Sequence, Union
+from itertools import islice
+from typing import Dict, Iterable, List, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.counting import scanKeys
 from cassandra_ros.store.directory import Directory
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
+
+ROWS_AT_ONCE = 512
+
+_Partition = Tuple[TopicTable, str, Union[int, str]]
+"""Table, node, and bucket or name."""
+_Key = Tuple[int, int, bool]
+"""As the store has them: time and counter; and whether there are chunks."""
 
 
 class Removal:
@@ -34,19 +42,33 @@ class Removal:
                 deleted += self._deleteBucket(table, node, bucket, writers, low, high)
         return deleted
 
-    def deleteRow(self, row: StoredRow) -> int:
-        """Delete one message; return 1."""
-        table, node = row.table, row.node
-        key = table.storedOrder(row.t, row.seq)
-        keys = [(*key, row.chunked)]
-        if table.named:
-            self._deleteKeys(table, node, row.name, keys, key, key)
-            return 1
-        bucket = table.bucketOf(row.t)
-        writers = [found.writer for found in self._directory.find(table.name, node, bucket)]
-        self._markDeleted(table, node, bucket, writers)
-        self._deleteKeys(table, node, bucket, keys, key, key)
-        return 1
+    def deleteRows(self, rows: Iterable[StoredRow]) -> int:
+        """Delete messages while they are found; return how many. Only some keys are held."""
+        places = map(_placeOf, rows)
+        deleted = 0
+        while True:
+            some = list(islice(places, ROWS_AT_ONCE))
+            if not some:
+                return deleted
+            groups: Dict[_Partition, List[_Key]] = {}
+            for partition, key in some:
+                groups.setdefault(partition, []).append(key)
+            for (table, node, where), keys in groups.items():
+                self._deleteSome(table, node, where, keys)
+            deleted += len(some)
+
+    def _deleteSome(
+        self, table: TopicTable, node: str, partition: Union[int, str], keys: List[_Key]
+    ) -> None:
+        if isinstance(partition, int):
+            # Anew for each group: a reader may count the bucket in between, and believe that.
+            found = self._directory.find(table.name, node, partition)
+            self._markDeleted(table, node, partition, [row.writer for row in found])
+        # Row by row: what another writer adds between two of them stays.
+        params = [(node, partition, t, seq) for t, seq, _ in keys]
+        what = f"deleting from topic {table.metadata.topic}"
+        self._cassandra.executeMany(table.deleteOne(), params, what=what)
+        self._deleteChunks(table, node, partition, keys)
 
     def _deleteBucket(
         self, table: TopicTable, node: str, bucket: int, writers: list[int], low: int, high: int
@@ -54,28 +76,28 @@ class Removal:
         found = scanKeys(self._cassandra, table, node, bucket, low, high)
         keys = [(t, seq, large) for t, seq, _, large, _ in found]
         if keys:
-            ends = keys[0][:2], keys[-1][:2]
             self._markDeleted(table, node, bucket, writers)
-            self._deleteKeys(table, node, bucket, keys, *ends)
+            params = (node, bucket, *keys[0][:2], *keys[-1][:2])
+            what = f"deleting from topic {table.metadata.topic}"
+            self._cassandra.execute(table.deleteRange(), params, what=what)
+            self._deleteChunks(table, node, bucket, keys)
         return len(keys)
 
     def _markDeleted(self, table: TopicTable, node: str, bucket: int, writers: list[int]) -> None:
         for writer in writers:
             self._directory.markDeleted(table.name, node, bucket, writer, table.metadata.ttl)
 
-    def _deleteKeys(
-        self,
-        table: TopicTable,
-        node: str,
-        partition: Union[int, str],
-        keys: list[tuple[int, int, bool]],
-        first: tuple[int, int],
-        last: tuple[int, int],
+    def _deleteChunks(
+        self, table: TopicTable, node: str, partition: Union[int, str], keys: List[_Key]
     ) -> None:
-        what = f"deleting from topic {table.metadata.topic}"
-        params = (node, partition, *first, *last)
-        self._cassandra.execute(table.deleteRange(), params, what=what)
-        # The row goes first: it is the commit mark of its chunks.
+        # After the rows: a row is the commit mark of its chunks.
         chunked = [(node, partition, t, seq) for t, seq, large in keys if large]
         if chunked:
-            self._cassandra.executeMany(table.deleteChunks(), chunked, what=what)
+            what = f"deleting from topic {table.metadata.topic}"
+            self._cassandra.executeMany(table.deleteOne(chunks=True), chunked, what=what)
+
+
+def _placeOf(row: StoredRow) -> Tuple[_Partition, _Key]:
+    table = row.table
+    where = row.name if table.named else table.bucketOf(row.t)
+    return (table, row.node, where), (*table.storedOrder(row.t, row.seq), row.chunked)

@@ -4,29 +4,24 @@
 
 from __future__ import annotations
 
-from typing import Any, Iterable, Iterator, Mapping, Optional, Sequence
+from typing import Any, Iterable, Mapping, Optional, Sequence
 
 from cassandra_ros.formats.table import DEFAULT_FORMAT
 from cassandra_ros.keys import newWriterId
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.messages.stamps import toNs
 from cassandra_ros.metadata import checkUserKeys
 from cassandra_ros.store.buckets import checkTtl
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.write_stats import LossCallback
 from cassandra_ros.store.writer import RowWriter
-from cassandra_ros.topics.asking import Asking
+from cassandra_ros.topics.across import AcrossTopics
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.message_writer import MessageWriter
-from cassandra_ros.topics.selection import LAST_NS
-from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.topic_rows import Time
-from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.totals import TopicInfo
 from cassandra_ros.topics.wish import Wish
 
 
-class RosCassandra(Asking):
+class RosCassandra(AcrossTopics):
     """Keeps ROS topics in a Cassandra cluster. Safe to share between threads.
 
     Args:
@@ -181,38 +176,6 @@ class RosCassandra(Asking):
             run=run,
             on_loss=on_loss,
         )
-
-    def readMessages(
-        self,
-        topics: Optional[Iterable[str]] = None,
-        key: Optional[Time] = None,
-        to_key: Optional[Time] = None,
-        *,
-        nodeID: Optional[str] = None,
-        received: bool = False,
-    ) -> Iterator[StoredRow]:
-        """Walk lazily through the rows of several topics, merged by time.
-
-        Args:
-            topics: Their names; None = all.
-            key, to_key: Ends, both included; None = open.
-            nodeID: Only messages of this node; None = of all.
-            received: By the time of reception, as a bag has them, also where a topic's key is
-                another time.
-        """
-        low = 0 if key is None else toNs(key)
-        high = LAST_NS if to_key is None else toNs(to_key)
-        nodes: Optional[Sequence[str]] = None if nodeID is None else (nodeID,)
-        rows = self.parts.rows
-        read = rows.received if received else rows.read
-        return read(self._tables(topics), low, high, nodes=nodes)
-
-    def _tables(self, topics: Optional[Iterable[str]]) -> list[TopicTable]:
-        if topics is None:
-            return self._topics.readableTables()
-        # A topic may be named twice: with and without its leading slash.
-        named = {topic.name: topic for topic in map(self.getTopic, topics)}
-        return [table for topic in named.values() for table in topic.tables]
 
     def connection(self, table: str, conn: int) -> Connection:
         """Return the connection that a row of a table names."""

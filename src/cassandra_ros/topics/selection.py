@@ -54,11 +54,6 @@ def checkKeyFormat(key_format: str, key_part: str) -> None:
         )
 
 
-def isNamed(key_format: str) -> bool:
-    """Say whether messages are kept under names."""
-    return key_format in NAMED_FORMATS
-
-
 def checkMessageName(topic: str, name: Any) -> str:
     """Return a name under which a message can be kept.
 
@@ -80,13 +75,15 @@ def checkMessageName(topic: str, name: Any) -> str:
 def valueOfText(tables: Sequence[TopicTable], text: str) -> Any:
     """Read the value of a key field that a person typed, as the first table that can takes it.
 
+    Fields of text come last, for they take anything.
+
     Raises:
         InvalidKey: The text is a value in none of the tables.
     """
     problem: Optional[InvalidKey] = None
-    for table in tables:
+    for part in sorted((table.keyPart() for table in tables), key=lambda part: part.is_text):
         try:
-            return table.keyPart().fromText(text)
+            return part.fromText(text)
         except InvalidKey as exc:
             problem = problem or exc
     raise problem or InvalidKey(f"{text!r:.80} is no key")
@@ -108,7 +105,7 @@ def selectMany(
     """
     if key is None and to_key is None:
         return Stretch()
-    named = isNamed(key_format)
+    named = key_format in NAMED_FORMATS
     if named and to_key is not None:
         raise InvalidKey(
             f"messages of topic {topic} are kept under names (key_format {key_format}), and names "
@@ -136,7 +133,7 @@ def selectOne(topic: str, key_format: str, tables: Sequence[TopicTable], key: An
     Raises:
         InvalidKey: It cannot be a key of the topic.
     """
-    if isNamed(key_format):
+    if key_format in NAMED_FORMATS:
         return Named(checkMessageName(topic, key))
     if _isValue(tables, key):
         return Valued(key)

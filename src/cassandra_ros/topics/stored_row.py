@@ -113,6 +113,11 @@ class StoredRow:
         return self._row.position
 
     @property
+    def arrival(self) -> tuple[int, str, int, str]:
+        """Its place in the order of reads by the time of reception."""
+        return (self.received, self._row.node, self._row.seq, self._row.table)
+
+    @property
     def key(self) -> Key:
         """The row key: exact time or name, and where the row lies."""
         row = self._row

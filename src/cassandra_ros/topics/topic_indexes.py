@@ -7,12 +7,12 @@ from __future__ import annotations
 from typing import Optional
 
 from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound
+from cassandra_ros.keys import NAMED_FORMATS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.index_field import IndexField, nearestFields
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.index_filling import IndexFilling, Progress
-from cassandra_ros.topics.selection import isNamed
 from cassandra_ros.topics.topic_facts import TopicFacts
 from cassandra_ros.topics.topic_table import TopicTable, definitionIn
 
@@ -112,7 +112,7 @@ def checkUnnamed(topic: str, key_format: str) -> None:
     Raises:
         InvalidOption: They are.
     """
-    if isNamed(key_format):
+    if key_format in NAMED_FORMATS:
         raise InvalidOption(
             f"topic {topic} cannot have an index: its messages are kept under names (key_format "
             f"{key_format}), and which of them an index covers is only noted for stretches of time"

@@ -7,11 +7,12 @@ from __future__ import annotations
 from typing import Any, Iterator, Optional
 
 from cassandra_ros.errors import TopicNotFound
-from cassandra_ros.keys import Position
+from cassandra_ros.keys import NAMED_FORMATS, Position
 from cassandra_ros.messages.stamps import Stamp, isIsoText, toNs
+from cassandra_ros.topics.filtering import Filter, Where
 from cassandra_ros.topics.finding import Finder
 from cassandra_ros.topics.reading import Columns
-from cassandra_ros.topics.selection import LAST_NS, isNamed, valueOfText
+from cassandra_ros.topics.selection import LAST_NS, valueOfText
 from cassandra_ros.topics.stored_row import Key, StoredRow
 from cassandra_ros.topics.topic_facts import TopicFacts
 from cassandra_ros.topics.topic_table import TopicTable
@@ -26,15 +27,21 @@ class TopicRows(TopicFacts):
     """Rows of one topic by time, name or value; see CassandraTopic."""
 
     def getRow(
-        self, key: Any, *, nearest: Optional[str] = None, nodeID: Optional[str] = None
+        self,
+        key: Any,
+        *,
+        nearest: Optional[str] = None,
+        nodeID: Optional[str] = None,
+        where: Optional[Where] = None,
     ) -> Optional[StoredRow]:
         """Find one stored row as getData does; None where there is none."""
-        return self._finder(nodeID).find(key, nearest)
+        return self._finder(nodeID, where).find(key, nearest)
 
-    def _finder(self, nodeID: Optional[str]) -> Finder:
+    def _finder(self, nodeID: Optional[str], where: Optional[Where] = None) -> Finder:
         tables = self._stored()
+        passing = None if where is None else Filter(self, where, nodeID)
         key_format = tables[0].metadata.key_format if tables else self._wish.key_format
-        return Finder(self._keyspace, self.name, key_format, tables, nodeID)
+        return Finder(self._keyspace, self.name, key_format, tables, nodeID, passing)
 
     def keyOfText(self, text: str) -> AnyKey:
         """Read a key that a person typed, by what the topic's keys are.
@@ -47,7 +54,7 @@ class TopicRows(TopicFacts):
             InvalidKey: The text is no key of the topic.
         """
         tables = self._stored()
-        if isNamed(self._wish.key_format) or any(table.named for table in tables):
+        if self._wish.key_format in NAMED_FORMATS or any(table.named for table in tables):
             return text
         valued = [table for table in tables if table.valued]
         if valued and not isIsoText(text):

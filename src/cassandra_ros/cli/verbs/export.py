@@ -12,7 +12,12 @@ from __future__ import annotations
 import argparse
 import time
 
-from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.cli.options import (
+    add_store_options,
+    add_where_option,
+    open_store,
+    read_where,
+)
 from cassandra_ros.cli.progress import MessageBar
 from cassandra_ros.cli.table import format_bytes, format_table, shown
 
@@ -28,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--node-id", metavar="N", help="only messages of this node (default: of all)"
     )
+    add_where_option(parser)
     packing = parser.add_mutually_exclusive_group()
     packing.add_argument(
         "-j", "--bz2", dest="compression", action="store_const", const="bz2", help="use BZ2"
@@ -44,6 +50,7 @@ def run(options: argparse.Namespace) -> int:
     """Export, and say what was written."""
     from cassandra_ros.bag.exporter import exportBag
 
+    where = read_where(options)
     begun = time.monotonic()
     with open_store(options) as rosCas, MessageBar(f"exporting {options.bag}") as bar:
         report = exportBag(
@@ -56,6 +63,7 @@ def run(options: argparse.Namespace) -> int:
             compression=options.compression or "none",
             force=options.force,
             progress=bar.add,
+            where=where,
         )
     if not options.quiet:
         rows = [(shown(topic), str(count)) for topic, count in sorted(report.messages.items())]
