@@ -87,7 +87,7 @@ def _field(value: Any) -> str:
     if value is None:
         return ""
     text = value if isinstance(value, str) else _exact(value)
-    if not text or not _QUOTED.isdisjoint(text) or text != text.strip():
+    if not text or not _QUOTED.isdisjoint(text):
         return '"' + text.replace('"', '""') + '"'
     return str(text)
 
