@@ -355,7 +355,7 @@ def test_a_failed_answer_leaves_no_file(call, rosCas, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_errors_are_one_line_and_status_1(type_in, texts):
+def test_errors_show_the_spot_and_are_status_1(type_in, texts):
     for arguments, text in [
         (("select x from texts",), "has no field x"),
         (("select data from text",), "text"),
@@ -365,8 +365,13 @@ def test_errors_are_one_line_and_status_1(type_in, texts):
     ]:
         status, out, err = type_in("query", *arguments)
         assert (status, out) == (1, ""), err
-        assert err.startswith("cassandra_bag: ")
-        assert err.count("\n") == 1
+        lines = err.splitlines()
+        assert lines[0].startswith("cassandra_bag: ")
+        if "--allow-writes" not in text:
+            assert lines[1] == f"  {arguments[0]}"
+            assert lines[2].strip() == "^"
+            del lines[1:3]
+        assert len(lines) == 1
         assert text in err
 
 

@@ -74,7 +74,7 @@ class Row:
 def gather(rows, fields=None, where=None, tables=None):
     tables = tables or list({row.table.name: row.table for row in rows}.values())
     topic = Topic("/topic", tables)
-    return readArrays(topic, fields, where, None, lambda condition, columns: rows)
+    return readArrays(topic, fields, where, lambda columns: rows)
 
 
 def shown(value):
@@ -361,13 +361,13 @@ def test_only_the_columns_that_are_needed_are_read():
     table = Table(INT64)
     binary = Table(INT64, "binary", "binary")
 
-    def read(condition, columns):
+    def read(columns):
         asked.append((columns(table), columns(binary)))
         return []
 
     topic = Topic("/topic", [table, binary])
     for fields in (["f", "x"], ["KEY"], ["some[3]"]):
-        gatherFields(topic, fields, None, None, read)
+        gatherFields(topic, fields, None, read)
     assert [tuple(map(list, pair)) for pair in asked] == [
         (["x", "f"], ["_data"]),
         ([], []),
@@ -389,6 +389,7 @@ def test_only_the_columns_that_are_needed_are_read():
         (["x"], "x = 1) OR (x = 2", "')'"),
         (["x"], "x = 1 LIMIT 1", "LIMIT"),
         (["x"], ("x = ?", []), "1 parameters"),
+        (["x"], ("x = ?", 1, 2), "a statement is text"),
         (["x AS a", "f AS a"], None, "both f and x are called a"),
     ],
 )
@@ -421,7 +422,7 @@ def test_no_python_object_is_kept_for_a_number(fmt, monkeypatch):
     gather(list(Many(table, 10)), fields)
     tracemalloc.start()
     try:
-        found = gatherFields(topic, fields, None, None, lambda *_: Many(table, count))
+        found = gatherFields(topic, fields, None, lambda columns: Many(table, count))
         kept, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

@@ -12,9 +12,8 @@ import numpy as np
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.array_join import castValues, emptyValues, joinValues
 from cassandra_ros.query.array_types import MIXED, ArrayType, uniteTypes
-from cassandra_ros.query.conditions import Condition
 from cassandra_ros.query.outputs import uniteOutputs
-from cassandra_ros.query.parse import parseSelect
+from cassandra_ros.query.parse import parseCondition, parseSelect
 from cassandra_ros.query.scope import Findings
 from cassandra_ros.query.syntax import Column, Key, Operand, Select
 from cassandra_ros.query.table_values import TableValues
@@ -25,8 +24,8 @@ Fields = Union[None, str, Sequence[str]]
 """Names of fields; None = all."""
 Columns = Callable[[Any], Sequence[str]]
 """Which columns of a TopicTable are needed."""
-ReadRows = Callable[[Optional[Condition], Columns], Iterator[Any]]
-"""Reads stored rows that satisfy a condition."""
+ReadRows = Callable[[Columns], Iterator[Any]]
+"""Reads the stored rows that satisfy the condition."""
 
 _PLAIN_TOPIC = re.compile(r"/[A-Za-z][A-Za-z0-9_/]*")
 
@@ -40,23 +39,24 @@ class FieldArray(NamedTuple):
     """A bool for each row: the message has no such value. None where all have it."""
 
 
-def gatherFields(
-    topic: Any, fields: Fields, where: Where, nodeID: Optional[str], read: ReadRows
-) -> dict[str, FieldArray]:
+def gatherFields(topic: Any, fields: Fields, where: Where, read: ReadRows) -> dict[str, FieldArray]:
     """Gather fields from the rows of a topic.
 
     Args:
         topic: A CassandraTopic.
         fields: As a SELECT statement names them, KEY and NODE included; None = all fields.
-        where: Which messages, and which elements of the arrays that are unnested.
-        nodeID: Only messages of this node; None = of all.
+        where: Which messages ``read`` gives, and which elements of the arrays that are unnested.
         read: Reads the rows.
 
     Raises:
         InvalidQuery: A field or the condition cannot be understood, or is not in the topic.
     """
-    text, params = where if isinstance(where, tuple) else (where, ())
-    condition = None if text is None else Condition(text, params, nodeID)
+    text: Any = where
+    params: Sequence[Any] = ()
+    if isinstance(where, (tuple, list)) and len(where) == 2:
+        text, params = where
+    if text is not None:
+        parseCondition(text, params)  # by itself: it must not end before its end
     select = _statement(topic.name, fields, text, params)
     findings = Findings(select.text)
     tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
@@ -67,7 +67,7 @@ def gatherFields(
         return table.columns if known is None else known.needed
 
     number, latest = 0, ""
-    for row in read(condition, columns):
+    for row in read(columns):
         name = row.table.name
         if name not in tables:  # made since
             tables[name] = TableValues(select, row.table, Findings(select.text))

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Optional
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,7 @@ from cassandra_ros.query.optional import optionalModule
 _UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}
 
 
-def readFrame(
-    topic: Any, fields: Fields, where: Where, nodeID: Optional[str], read: ReadRows
-) -> Any:
+def readFrame(topic: Any, fields: Fields, where: Where, read: ReadRows) -> Any:
     """Return fields as a DataFrame, whose index is KEY.
 
     Arguments and errors are those of gatherFields.
@@ -27,7 +25,7 @@ def readFrame(
     """
     pandas = optionalModule("pandas", "toDataFrame")
     asked = [fields] if isinstance(fields, str) else fields
-    found = gatherFields(topic, None if asked is None else ["KEY", *asked], where, nodeID, read)
+    found = gatherFields(topic, None if asked is None else ["KEY", *asked], where, read)
     key = found.pop("KEY")
     times = key.kind.kind == "time"
     index = pandas.Index(key.values.view("M8[ns]") if times else key.values, name="KEY")

@@ -5,13 +5,13 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Callable, Iterator, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterator, Optional, Sequence, Union
 
+from cassandra_ros.topics.filtering import Where
 from cassandra_ros.topics.selection import Stretch, selectMany
 from cassandra_ros.topics.topic_rows import AnyKey, Time, TopicRows
 
 Fields = Union[None, str, Sequence[str]]
-Where = Union[None, str, Tuple[str, Sequence[Any]]]
 
 
 class TopicArrays(TopicRows):
@@ -29,7 +29,7 @@ class TopicArrays(TopicRows):
         fields: Fields,
         key: Optional[AnyKey] = None,
         to_key: Optional[Time] = None,
-        where: Where = None,
+        where: Optional[Where] = None,
         nodeID: Optional[str] = None,
     ) -> dict[str, Any]:
         """Return fields as numpy arrays, one each, of equal length and in the order of time.
@@ -63,14 +63,15 @@ class TopicArrays(TopicRows):
         """
         from cassandra_ros.query import readArrays
 
-        return readArrays(self, fields, where, nodeID, partial(self._read, key, to_key, nodeID))
+        read = partial(self._read, key, to_key, where, nodeID)
+        return readArrays(self, fields, where, read)
 
     def toDataFrame(
         self,
         fields: Fields = None,
         key: Optional[AnyKey] = None,
         to_key: Optional[Time] = None,
-        where: Where = None,
+        where: Optional[Where] = None,
         nodeID: Optional[str] = None,
     ) -> Any:
         """Return messages as a pandas.DataFrame, one column a field.
@@ -92,25 +93,22 @@ class TopicArrays(TopicRows):
         """
         from cassandra_ros.query import readFrame
 
-        return readFrame(self, fields, where, nodeID, partial(self._read, key, to_key, nodeID))
+        read = partial(self._read, key, to_key, where, nodeID)
+        return readFrame(self, fields, where, read)
 
     def _read(
         self,
         key: Optional[AnyKey],
         to_key: Optional[Time],
+        where: Optional[Where],
         nodeID: Optional[str],
-        condition: Any,
         columns: Callable[[Any], Sequence[str]],
     ) -> Iterator[Any]:
-        """Read the rows that key, to_key and a condition mean."""
+        """Read the rows that are meant, and of a stretch of time only these columns."""
         tables = self._stored()
         key_format = tables[0].metadata.key_format if tables else self._wish.key_format
         wanted = selectMany(self.name, key_format, tables, key, to_key)
-        if not isinstance(wanted, Stretch):
-            rows = self._finder(nodeID).many(key, to_key)
-            return rows if condition is None else filter(condition.test(tables), rows)
-        if condition is not None:
-            found: Iterator[Any] = condition.rows(self, *wanted)
-            return found
+        if where is not None or not isinstance(wanted, Stretch):
+            return self._finder(nodeID, where).many(key, to_key)
         nodes = None if nodeID is None else (nodeID,)
         return self._keyspace.rows.read(tables, *wanted, nodes=nodes, columns=columns)
