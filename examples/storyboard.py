@@ -143,7 +143,9 @@ def main() -> None:
         print(f"where:    x {x_min:.2f} to {x_max:.2f} m, y {y_min:.2f} to {y_max:.2f} m")
         for frame, (count, stay) in others(rosCas, nodeID, t1, t2, bounds).items():
             print(f"who else: {frame}, {count} transforms in {stay.to_sec():.2f} s")
-        print(f"carried:  {', '.join(mounted(rosCas, nodeID))}")
+        for frame in mounted(rosCas, nodeID):
+            at = rosCas.lookupTransform("world", frame, t1).transform.translation
+            print(f"carried:  {frame}, then at x {at.x:.2f} m, y {at.y:.2f} m")
         topics = []
         for name, messages in readings(rosCas, nodeID, t1, t2):
             print(f"sensed:   {name}, {len(messages)} messages {type(messages[0])._type}")

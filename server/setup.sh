@@ -64,15 +64,18 @@ package_list() {
   echo openjdk-17-jre-headless maven gcc g++ cmake python3-venv
   if [ -d /opt/ros/noetic ]; then
     echo ros-noetic-ros-base ros-noetic-rostest ros-noetic-tf ros-noetic-tf2-msgs ros-noetic-tf2-py
+    echo ros-noetic-{geometry,std}-msgs
   else
     # ROS base; rosrun, rostest and tf beside it, for the metapackages leave them out.
     echo ros-core-python-dev rosbash python3-rostest python3-tf python3-tf2 python3-tf2-msgs ros-tf2-msgs
+    # What the services send, for Python and for the build.
+    echo python3-{geometry,std}-msgs ros-{geometry,std}-msgs lib{geometry,std}-msgs-dev
   fi
 }
 
 test_package_list() {
   # Only the tests need them: what brings message types, of which they send more than 200.
-  local common=(actionlib diagnostic geometry map move-base nav pcl rosgraph sensor shape std stereo trajectory visualization)
+  local common=(actionlib diagnostic map move-base nav pcl rosgraph sensor shape stereo trajectory visualization)
   if [ -d /opt/ros/noetic ]; then
     printf 'ros-noetic-%s-msgs ' "${common[@]}" moveit
     echo ros-noetic-{actionlib,bond,dynamic-reconfigure,roscpp}
@@ -121,7 +124,7 @@ install_packages() {
 make_venv() {
   local stamp=$venv/.setup wanted
   # Its path belongs to it: the programs of a venv that was moved still name the old place.
-  wanted=$( { echo "$venv"; /usr/bin/python3 --version; cat requirements.txt requirements-dev.txt; } | digest)
+  wanted=$( { echo "$venv"; /usr/bin/python3 --version; cat requirements*.txt; } | digest)
   if [ "$(cat "$stamp" 2>/dev/null)" = "$wanted" ] && "$venv/bin/python" -c '' 2>/dev/null; then
     say "python: .venv has what requirements-dev.txt names, skipped"
     return
@@ -155,7 +158,7 @@ install_jars() {
 
 make_workspace() {
   local package=$workspace/src/cassandra_ros stamp=$workspace/.setup wanted item
-  local items=(CMakeLists.txt package.xml setup.py requirements.txt src scripts msg srv launch config server examples test)
+  local items=(CMakeLists.txt package.xml setup.py requirements.txt requirements-tables.txt src scripts msg srv launch config server examples test)
   mkdir -p "$package"
   for item in "${items[@]}"; do
     # One link per item: rosrun searches the package's folder, and .ws must not be in it.

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import subprocess
 import sys
@@ -85,7 +86,7 @@ def test_the_storyboard_finds_what_the_bag_holds(cassandra, keyspace, ros_env):
         f"when:     {first} to {last}, {(last - first) / 1e9:.2f} s",
         f"x {min(xs):.2f} to {max(xs):.2f} m, y {min(ys):.2f} to {max(ys):.2f} m",
         f"turtle2, {len(others)} transforms in {(others[-1] - others[0]) / 1e9:.2f} s",
-        "carried:  carrot",
+        "carried:  carrot, then at x ",
     ]
     for name in SENSORS:
         count = sum(topic == name and low <= t <= high for topic, _, t in messages)
@@ -101,6 +102,11 @@ def test_the_storyboard_finds_what_the_bag_holds(cassandra, keyspace, ros_env):
     assert not done.stderr
     for text in wanted:
         assert text in done.stdout
+    # The carrot is 1 m ahead of the turtle, which moves 3 cm between two transforms.
+    pose = next(tf for topic, tf, t in messages if topic == "/turtle1/pose" and t >= first)
+    at = re.search(r"then at x (\S+) m, y (\S+) m", done.stdout)
+    assert abs(float(at[1]) - pose.x - math.cos(pose.theta)) < 0.05
+    assert abs(float(at[2]) - pose.y - math.sin(pose.theta)) < 0.05
     assert done.stdout.partition("replay:")[0] in (ROOT / "README.md").read_text()
 
 

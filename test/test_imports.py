@@ -48,6 +48,7 @@ DOORS = {
     "rosbag": {"bag"},
     "roslz4": {"bag"},
     "tf2_py": {"query"},
+    "geometry_msgs": {"query"},
     "lark": {"query"},
     "argparse": {"cli"},
 }
@@ -58,6 +59,8 @@ EXCEPTIONS = {
     "it is loaded when there is one",
     ("topics/asking.py", "query"): "executeCQL is the paper's method of RosCassandra; it "
     "loads the query language when it is called",
+    ("topics/topic_arrays.py", "query"): "so do getArrays and toDataFrame, whose fields and "
+    "conditions are those of a statement",
 }
 
 

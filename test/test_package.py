@@ -82,7 +82,7 @@ def test_the_workspace_holds_links_to_items_never_to_the_root():
 def test_python_of_the_workspace_imports_library_and_services(ros_env):
     program = (
         "import sys; from cassandra_ros import RosCassandra, Stamp, CassandraRosError; "
-        "from cassandra_ros.srv import GetData, Range, ExecuteCQL; "
+        "from cassandra_ros.srv import GetData, LookupTransform, Range, ExecuteCQL; "
         "from cassandra_ros.msg import StoredMessage, Row; print(sys.prefix)"
     )
     done = subprocess.run(
@@ -100,7 +100,7 @@ def test_a_launch_file_argument_for_every_parameter():
     text = (ROOT / "config" / "query_server.yaml").read_text()
     parameters = yaml.safe_load(text)
     arguments = {arg.get("name") for arg in ElementTree.parse(LAUNCH).getroot().findall("arg")}  # noqa: S314 (our own file)
-    assert set(parameters) == {"host", "port", "keyspace"} <= arguments
+    assert set(parameters) == {"host", "port", "keyspace", "allow_writes"} <= arguments
     assert all(value == f"$(arg {name})" for name, value in parameters.items())
 
 
@@ -111,7 +111,7 @@ def test_the_licence_is_the_same_everywhere():
 
 
 def test_every_dependency_is_pinned_with_a_reason():
-    for name in ("requirements.txt", "requirements-dev.txt"):
+    for name in ("requirements.txt", "requirements-tables.txt", "requirements-dev.txt"):
         before = ""
         for line in (ROOT / name).read_text().splitlines():
             if line and not line.startswith(("#", "-r")):

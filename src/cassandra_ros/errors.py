@@ -12,6 +12,10 @@
   - TopicNotFound        (also a KeyError)
   - TopicExists
   - MessageNotFound      (also a KeyError)
+  - TransformException   no transform between two frames; the names are tf2's
+    + LookupException         a frame is in no recorded transform, or frames form a loop
+    + ConnectivityException   nothing connects the frames at that time
+    + ExtrapolationException  the time lies outside of what was recorded of a frame
   - TypeMismatch         (also a ValueError), like the following
   - UnknownFormat
   - InvalidKey           a time, row key or cursor that cannot be one
@@ -75,6 +79,25 @@ class TopicExists(CassandraRosError):
 
 class MessageNotFound(CassandraRosError, KeyError):
     """No message lies at this key."""
+
+
+class TransformException(CassandraRosError):
+    """There is no transform between two frames; tf2's own exception is the cause of this one.
+
+    These four mean what those of their names in tf2 mean, but are no classes of tf2's.
+    """
+
+
+class LookupException(TransformException):
+    """A frame is in no recorded transform, or the frames form a loop."""
+
+
+class ConnectivityException(TransformException):
+    """Nothing connects the two frames at that time."""
+
+
+class ExtrapolationException(TransformException):
+    """The time lies before the first or after the last transform of a frame."""
 
 
 class TypeMismatch(CassandraRosError, ValueError):

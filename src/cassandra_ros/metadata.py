@@ -44,6 +44,8 @@ class TopicMetadata:
     """The key is not the receive time, which then has a column of its own."""
     indexes: Mapping[str, str] = field(default_factory=dict)
     """Indexed field -> shadow column."""
+    index_names: Mapping[str, str] = field(default_factory=dict)
+    """Name given in CREATE INDEX -> field; void where the field is not indexed (any more)."""
     index_count: int = 0
     """Number of the next shadow column; one that was dropped is never used again."""
     columns: tuple[Mapping[str, Any], ...] = ()
@@ -76,7 +78,8 @@ class TopicMetadata:
     def withoutIndex(self, field: str) -> TopicMetadata:
         """Return a copy without an index."""
         indexes = {name: shadow for name, shadow in self.indexes.items() if name != field}
-        return self.with_(indexes=indexes, index_count=self.nextShadow)
+        names = {name: indexed for name, indexed in self.index_names.items() if indexed != field}
+        return self.with_(indexes=indexes, index_names=names, index_count=self.nextShadow)
 
     @property
     def receivedColumns(self) -> dict[str, str]:

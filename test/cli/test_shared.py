@@ -47,6 +47,8 @@ def test_ports_that_are_none(parse, port):
 def test_what_roslaunch_adds_is_dropped():
     words = ["verify", "a.bag", "__name:=x", "/a:=/b", "_rate:=3", "--map", "/a:=/c", "--x=1:=2"]
     assert strip_remappings(words) == ["verify", "a.bag", "--map", "/a:=/c", "--x=1:=2"]
+    words = ["query", "SELECT data FROM /a WHERE data = 'x:=y'", '"x:=y"', "__log:=a b"]
+    assert strip_remappings(words) == words[:3]
 
 
 def test_table():

@@ -170,6 +170,22 @@ def test_neighbours(get):
     assert key(key=T0, node_id="b") is None
 
 
+def test_one_message_that_satisfies_a_condition(get):
+    def found(**request):
+        answer = get(topic="fix", omit_data=True, omit_yaml=True, **request)
+        return (answer["data"]["key"] - T0) // SEC if answer["success"] else answer["message"]
+
+    at = T0 + 50 * SEC
+    assert found(key=at, where="latitude = 50") == 50
+    assert "satisfies 'latitude > 50'" in found(key=at, where="latitude > 50")
+    assert found(key=at, nearest="after", where="latitude > 60.5 and NODE = 'b'") == 61
+    assert found(key=at, nearest="before", where="latitude < 20", node_id="b") == 19
+    assert found(key=at, nearest="either", where="latitude < 20 or latitude > 70") == 71
+    assert "did you mean latitude" in found(key=at, where="lat > 5")
+    names = get(topic="results", key_text="kitchen", where="data < '3'", omit_data=True)
+    assert names["data"]["yaml"] == 'data: "2"'
+
+
 def test_a_number_as_time_went_through_a_float(get):
     """rosservice makes a double of an integer: the last digits change."""
     answer = get(topic="fix", key=T0 + 211)
@@ -343,8 +359,8 @@ def test_rows_too_large_for_a_reply(ask):
     ("statement", "params", "word"),
     [
         ("", (), "SELECT"),
-        ("drop table x", (), "SELECT"),
-        ("delete from fix", (), "SELECT"),
+        ("drop table x", (), "removeTopic"),
+        ("delete from fix", (), "TRUNCATE"),
         ("select latitude frm fix", (), "did you mean FROM?"),
         ("select latitude from fix where latitude > ?", ("abc",), "not JSON"),
         ("select latitude from fix where latitude > ?", ("null",), "null"),

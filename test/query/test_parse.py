@@ -9,10 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidQuery
-from cassandra_ros.query.parse import parseCondition, parseSelect
+from cassandra_ros.query.parse import parseCondition, parseSelect, parseStatement
 from cassandra_ros.query.syntax import (
     All,
     Compare,
+    CreateIndex,
+    Delete,
+    DropIndex,
     Either,
     IsNull,
     Key,
@@ -20,6 +23,8 @@ from cassandra_ros.query.syntax import (
     Negation,
     Node,
     OneOf,
+    Select,
+    Truncate,
 )
 
 
@@ -165,7 +170,11 @@ def test_limit_and_order():
         ("select a from t where x like", (), "", "the statement ends here"),
         ("select a from t where x is 5", (), "5", "NULL"),
         ("select a as 5 from t", (), "5", "a field"),
-        ("delete from t", (), "delete", "SELECT"),
+        ("  delete from t where a = 1", (), "delete", "executeCQL runs"),
+        ("truncate t", (), "truncate", "executeCQL runs"),
+        ("select a from t where x = null", (), "null", "IS NULL"),
+        ("select a from t where x in (1", (), "", "','"),
+        ("select a from t /* where", (), "/*", "not closed"),
         ("", (), "", "SELECT"),
         ("select a from t order by a", (), "a", "KEY"),
         ("select a from t where x = " + "9" * 500, (), "9", "digits"),
@@ -179,6 +188,132 @@ def test_errors_point_at_the_spot(text, params, spot, word):
     assert word in caught.value.reason
     lines = str(caught.value).split("\n")
     assert lines[-1].strip() == "^"
+
+
+def test_statements_that_change_the_store():
+    deleted = parseStatement("DELETE FROM /tf WHERE KEY < ? AND NODE = %s;", [5, "a"])
+    assert isinstance(deleted, Delete)
+    assert deleted.topic == "/tf"
+    assert [item.value.value for item in deleted.condition.items] == [5, "a"]
+    assert isinstance(parseStatement("select a from t"), Select)
+
+
+@pytest.mark.parametrize(
+    ("text", "topic"),
+    [
+        ("truncate tf", "tf"),
+        ("TRUNCATE TABLE /tf;", "/tf"),
+        ("truncate table", "table"),  # a topic called so
+        ("truncate table;", "table"),
+        ("truncate table table", "table"),
+        ("truncate tables", "tables"),
+        ('truncate "; drop keyspace x; --"', "; drop keyspace x; --"),
+    ],
+)
+def test_truncate(text, topic):
+    found = parseStatement(text)
+    assert isinstance(found, Truncate)
+    assert found.topic == topic
+    assert text[found.topic_position :].startswith(topic[:1] if '"' not in text else '"')
+
+
+@pytest.mark.parametrize(
+    ("text", "topic", "field", "name", "condition"),
+    [
+        ("create index on imu (angular_velocity.x)", "imu", "angular_velocity.x", None, False),
+        ('CREATE INDEX Imu_X ON /imu("a.b".c);', "/imu", "a.b.c", "imu_x", False),
+        ("create index if not exists on on (on)", "on", "on", None, True),
+        ('create index if not exists "If" on t (a)', "t", "a", "If", True),
+        ("create index index on index (index)", "index", "index", "index", False),
+    ],
+)
+def test_create_index(text, topic, field, name, condition):
+    found = parseStatement(text)
+    assert isinstance(found, CreateIndex)
+    assert (found.on.topic, found.on.field.text) == (topic, field)
+    assert (found.name and found.name.text) == name
+    assert found.unless_exists == condition
+
+
+def test_drop_index():
+    named = parseStatement("DROP INDEX IF EXISTS Imu_X")
+    assert isinstance(named, DropIndex)
+    assert (named.index.text, named.if_exists) == ("imu_x", True)
+    assert parseStatement('drop index "if"').index.text == "if"
+    by_field = parseStatement("drop index on on (a.b)")
+    assert (by_field.index.topic, by_field.index.field.text) == ("on", "a.b")
+    assert not by_field.if_exists
+
+
+@pytest.mark.parametrize(
+    ("text", "spot", "word"),
+    [
+        ("delete from t", "t", "removed by TRUNCATE"),
+        ("delete a from t where a = 1", "a from", "removed whole"),
+        ("delete * from t", "*", "removed whole"),
+        ("delete from t where", "", "the statement ends here"),
+        ("delete from t where a = ?", "?", "1 parameters, 0"),
+        ("delete from t where KEY = 1 limit 5", "limit", "the end"),
+        ("delete from t where a = 1; truncate t", "truncate", "found"),
+        ("truncat t", "truncat", "did you mean TRUNCATE?"),
+        ("truncate t where a = 1", "where", "the end"),
+        ("create index on t", "", "'('"),
+        ("create index on t ()", ")", "a field"),
+        ("create index on t (KEY)", "KEY", "needs no index"),
+        ("create index on t (a[3].b)", "a[3]", "leave [3] out"),
+        ("create index on t (a, b)", ", b", "')'"),
+        ("create index if exists a on t (b)", "exists", "NOT"),
+        ("drop index", "", "a name"),
+        ("drop index if not exists a", "not", "EXISTS"),
+        ("INSERT INTO t (a) VALUES (1)", "INSERT", "addData"),
+        (" update t set a = 1", "update", "never changed"),
+        ("drop table t", "table", "removeTopic"),
+        ("create table t (a int)", "table", "addTopic"),
+        ("create keyspace k", "keyspace", "connectToKeyspace"),
+        ("alter table t", "alter", "setMeta"),
+        ("use ros", "use", "connectToKeyspace"),
+    ],
+)
+def test_errors_of_other_statements_point_at_the_spot(text, spot, word):
+    with pytest.raises(InvalidQuery) as caught:
+        parseStatement(text)
+    assert text[caught.value.position :].startswith(spot)
+    assert word in caught.value.reason
+
+
+def test_no_parameters_where_nothing_takes_them():
+    for text in ("truncate t", "create index on t (a)", "drop index a"):
+        with pytest.raises(InvalidQuery, match="0 parameters, 1"):
+            parseStatement(text, [1])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "/* all of it; */ select a -- , b\nfrom /t // of\nwhere x = 1 /* and y = 2 */",
+        "select a from/**/t/*** / **/where x=1--",
+        "select a from // a topic\n/t where x = 1",
+        '--\n//\nselect a from "t"--x\n where x = 1;--;',
+    ],
+)
+def test_comments(text):
+    select = parseSelect(text)
+    assert select.topic.lstrip("/") == "t"
+    assert select.condition == Compare(select.condition.operand, "=", select.condition.value)
+    assert columns(text) == ["a"]
+
+
+def test_what_looks_like_a_comment_is_text_where_it_is_quoted():
+    select = parseSelect('select "a--b" from "//t/*" where x = \'/* -- \'')
+    assert (select.topic, select.columns[0].text) == ("//t/*", "a--b")
+    assert select.condition.value.value == "/* -- "
+    assert parseSelect("select a from /a//b").topic == "/a//b"
+
+
+def test_lists_without_elements():
+    assert parseCondition("x in ()").values == ()
+    assert parseCondition("x not in ( )").item.values == ()
+    assert parseCondition("x in ?", [[]]).values == ()
 
 
 @pytest.mark.parametrize("count", [10_000, 100_000])
@@ -209,6 +344,7 @@ def answers(parse, text, params=()):
 WORDS = st.sampled_from(
     "select from where and or not in between order by KEY NODE asc desc limit allow filtering "
     "count min max sum avg like contains is null as min( "
+    "delete truncate create drop index table on if exists ix // */ "
     "( ) * , . [ ] = != <> < <= > >= ? %s ; ' \" '' 'a' \"b\" a a.b x[3] /tf tf ~ 1 -1 1e400 "
     "1. .5 nan infinity true false 2013-05-08 '2013-05-08' \n -- /* é \0 \ud800".split(" ")
 )
@@ -218,6 +354,8 @@ WORDS = st.sampled_from(
 @given(st.lists(WORDS, max_size=25), st.lists(st.integers() | st.text(), max_size=3))
 def test_fuzz_of_words(words, params):
     answers(parseSelect, " ".join(words), params)
+    for start in ("delete from t where", "truncate", "create index", "drop index", "delete"):
+        answers(parseStatement, f"{start} {' '.join(words)}", params)
     answers(parseSelect, "select * from t where " + " ".join(words), params)
     answers(parseCondition, "".join(words), params)
 
@@ -226,7 +364,9 @@ def test_fuzz_of_words(words, params):
 @given(st.text())
 def test_fuzz_of_text(text):
     answers(parseSelect, text)
+    answers(parseStatement, text)
     answers(parseCondition, text)
+    answers(parseStatement, "drop index " + text)
     answers(parseSelect, "select a from t where a = '" + text)
 
 
@@ -239,3 +379,9 @@ def test_quoted_text_stays_data(name, value):
     assert select.topic == name
     assert select.columns[0].text == name
     assert select.condition.value.value == value
+    deleted = parseStatement(f'delete from "{quoted}" where "{quoted}" = \'{literal}\'')
+    assert (deleted.topic, deleted.condition.value.value) == (name, value)
+    assert parseStatement(f'truncate "{quoted}"').topic == name
+    indexed = parseStatement(f'create index "{quoted}" on "{quoted}" ("{quoted}")')
+    assert (indexed.name.text, indexed.on.topic, indexed.on.field.text) == (name, name, name)
+    assert parseStatement(f'drop index "{quoted}"').index.text == name

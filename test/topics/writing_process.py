@@ -19,6 +19,7 @@ from cassandra_ros.messages.definition import definitionOf
 
 T0 = 1_500_000_000 * 10**9
 STEP_NS = 2_000_000
+VALUES = ("a", "b", "", "grün", "x" * 2000)
 
 
 class Writing:
@@ -73,8 +74,11 @@ class ByWriter(Writing):
         self.handle = self.writer.connect(apiConnection(topic, definitionOf(String), "/w"))
         super().__init__(rosCas, topic)
 
+    def text(self, number):
+        return str(number)
+
     def put(self, t, number):
-        self.writer.write(self.handle, t, number, serialize(String(data=str(number))))
+        self.writer.write(self.handle, t, number, serialize(String(data=self.text(number))))
         return ""
 
     def end(self):
@@ -95,6 +99,25 @@ class ByWriter(Writing):
         }
 
 
+class ByValues(ByWriter):
+    """Texts that come again and again; some an index cannot hold."""
+
+    def text(self, number):
+        return VALUES[number % len(VALUES)]
+
+
+def index(rosCas, topic, field, verb="createIndex"):
+    def progress(done, total):
+        print(json.dumps({"done": done, "total": total}), flush=True)
+
+    try:
+        if verb == "removeIndex":
+            return {"removed": rosCas.getTopic(topic).removeIndex(field)}
+        return {"filled": rosCas.getTopic(topic).createIndex(field, progress)}
+    except CassandraRosError as exc:
+        return {"error": f"{type(exc).__name__}: {exc}"}
+
+
 def make(rosCas, topic, text):
     try:
         return {"table": rosCas.addTopic(topic).addData(String(data=text)).table}
@@ -111,10 +134,11 @@ def main(host, port, keyspace):
             if verb == "make":
                 answer = make(rosCas, *words)
             elif verb == "write":
-                writing = {"addData": ByAddData, "messageWriter": ByWriter}[words[0]](
-                    rosCas, words[1]
-                )
+                kinds = {"addData": ByAddData, "messageWriter": ByWriter, "values": ByValues}
+                writing = kinds[words[0]](rosCas, words[1])
                 answer = {}
+            elif verb == "index":
+                answer = index(rosCas, *words)
             else:
                 answer = writing.end()
             print(json.dumps(answer), flush=True)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 from typing import TYPE_CHECKING, Sequence
 
 from cassandra_ros.errors import KeyspaceNotFound
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 9042
 DEFAULT_KEYSPACE = "ros"
+
+_REMAPPING = re.compile(r"[A-Za-z0-9_~/]*:=")
 
 
 def add_store_options(parser: argparse.ArgumentParser) -> None:
@@ -112,13 +115,13 @@ def read_where(options: argparse.Namespace) -> dict[str, str]:
 def strip_remappings(arguments: Sequence[str]) -> list[str]:
     """Drop what rosrun and roslaunch add: ``__name:=x``, ``_param:=y``, ``from:=to``.
 
-    Like rospy.myargv without rospy. What follows --map stays, it means topics of a bag, and what
-    follows --where, a condition.
+    Like rospy.myargv without rospy, but a word that is more than names, as a statement with a text
+    in it, stays. So does what follows --map, topics of a bag, and --where, a condition.
     """
     kept: list[str] = []
     previous = ""
     for word in arguments:
-        if ":=" not in word or word.startswith("-") or previous in ("--map", "--where"):
+        if not _REMAPPING.match(word) or previous in ("--map", "--where"):
             kept.append(word)
         previous = word
     return kept

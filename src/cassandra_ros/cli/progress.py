@@ -33,6 +33,11 @@ class MessageBar:
         """Count messages as done."""
         self._bar.update(messages)
 
+    def reach(self, messages: int, total: int) -> None:
+        """Say how many messages are done, of how many."""
+        self._bar.total = total
+        self._bar.update(messages - self._bar.n)
+
     def __enter__(self) -> MessageBar:
         return self
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Answer questions about recorded topics: services getData, range and executeCQL.
 
-The node is called cassandra_ros. Its parameters ~host, ~port and ~keyspace count where the options
-of the same names are not given.
+The node is called cassandra_ros. Its parameters ~host, ~port, ~keyspace and ~allow_writes count
+where the options of the same names are not given.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import inspect
 import sys
-from typing import Sequence
+from typing import Any, Callable, Sequence
 
 from cassandra_ros.cli.options import (
     add_store_options,
@@ -31,7 +31,25 @@ def make_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_store_options(parser)
+    parser.add_argument(
+        "--allow-writes",
+        action="store_true",
+        help="let executeCQL run DELETE, TRUNCATE, CREATE INDEX and DROP INDEX (default: only "
+        "SELECT)",
+    )
     return parser
+
+
+def truth(text: str) -> bool:
+    """Read true or false, for argparse, as ROS parameters have them."""
+    known = {"true": True, "1": True, "false": False, "0": False}
+    if text.lower() not in known:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither true nor false")
+    return known[text.lower()]
+
+
+_READERS: dict[str, Callable[[str], Any]] = {"port": port_number, "allow_writes": truth}
+"""How the text of a parameter is read that is not meant as text."""
 
 
 def apply_parameters(
@@ -47,7 +65,7 @@ def apply_parameters(
         if getattr(typed, name) is not None:
             continue
         try:
-            setattr(options, name, port_number(text) if name == "port" else text)
+            setattr(options, name, _READERS.get(name, str)(text))
         except argparse.ArgumentTypeError as exc:
             parser.error(f"parameter ~{name}: {exc}")
 
@@ -66,5 +84,5 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     apply_parameters(parser, options, words, startNode([PROGRAM, *arguments]))
     with open_store(options, make=True) as rosCas:
-        serve(rosCas, lambda line: print(line, flush=True))
+        serve(rosCas, lambda line: print(line, flush=True), options.allow_writes)
     return 0

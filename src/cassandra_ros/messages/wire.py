@@ -145,15 +145,27 @@ class WirePlan:
 
         return pick
 
-    def _compile_reader(self, names: tuple[str, ...]) -> Callable[[bytes], list[Any]]:
-        found = [c for c in self.all_columns if c.name in names]
-        order = {column.name: i for i, column in enumerate(found)}
-        for name in names:
-            if name not in order:
-                raise InvalidExpression(f"{self.definition.type} has no field {name!r}")
-        steps = compileWalk(self._segments, False, order)
-        decoders = [compileDecoder(c, self.definition.specs) for c in found]
-        picks = [(order[name], decoders[order[name]]) for name in names]
+    def cutter(self, names: Sequence[str]) -> Callable[[bytes], list[bytes]]:
+        """Return a function that cuts some columns, undecoded, out of a serialised message.
+
+        As ``reader``; the columns are in CQL's encoding and hold the nearest value: they may be
+        bool byte 2, or text that is not UTF-8.
+        """
+        steps, found = self._compile_cut(names)
+        places = [i for i, _ in found]
+        type_ = self.definition.type
+
+        def cut(wire: bytes) -> list[bytes]:
+            out, _, end = _walk(steps, wire)
+            if end < 0:
+                raise CorruptMessage(f"{len(wire)} bytes are no {type_}")
+            return [out[i] for i in places]  # type: ignore[misc]
+
+        return cut
+
+    def _compile_reader(self, names: Sequence[str]) -> Callable[[bytes], list[Any]]:
+        steps, found = self._compile_cut(names)
+        picks = [(i, compileDecoder(column, self.definition.specs)) for i, column in found]
 
         def read(wire: bytes) -> list[Any]:
             out, _, end = _walk(steps, wire)
@@ -162,6 +174,16 @@ class WirePlan:
             return [decode(out[i]) for i, decode in picks]  # type: ignore[arg-type]
 
         return read
+
+    def _compile_cut(self, names: Sequence[str]) -> tuple[list[Step], list[tuple[int, Column]]]:
+        """Return what cuts the named columns out, and where each then stands."""
+        found = [column for column in self.all_columns if column.name in names]
+        order = {column.name: i for i, column in enumerate(found)}
+        for name in names:
+            if name not in order:
+                raise InvalidExpression(f"{self.definition.type} has no field {name!r}")
+        places = [order[name] for name in names]
+        return compileWalk(self._segments, False, order), [(i, found[i]) for i in places]
 
 
 def _walk(steps: Sequence[Step], wire: bytes) -> tuple[Out, bool, int]:

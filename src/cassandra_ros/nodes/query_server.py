@@ -12,16 +12,16 @@ from cassandra_ros.errors import InvalidName
 from cassandra_ros.nodes.node_name import fullName, isTaken, wantedName
 from cassandra_ros.nodes.rosout import forwardLogging
 from cassandra_ros.nodes.services import Services
-from cassandra_ros.srv import ExecuteCQL, GetData, Range
+from cassandra_ros.srv import ExecuteCQL, GetData, LookupTransform, Range
 
 NAME = "cassandra_ros"
-PARAMETERS = ("host", "port", "keyspace")
+PARAMETERS = ("host", "port", "keyspace", "allow_writes")
 
 Say = Callable[[str], None]
 
 
 def startNode(argv: Sequence[str]) -> dict[str, str]:
-    """Become the node; return the private parameters that say which store is meant.
+    """Become the node; return its private parameters, as texts.
 
     Args:
         argv: Command line with the program's name and ROS remappings.
@@ -41,17 +41,20 @@ def startNode(argv: Sequence[str]) -> dict[str, str]:
     return {name: str(value) for name, value in given.items() if value is not None}
 
 
-def serve(rosCas: Any, say: Say) -> None:
+def serve(rosCas: Any, say: Say, allow_writes: bool = False) -> None:
     """Answer requests until the node is shut down.
 
     Args:
         rosCas: A RosCassandra connected to a keyspace.
         say: Prints a line.
+        allow_writes: Let ~executeCQL change what is stored.
     """
-    services = Services(rosCas)
+    services = Services(rosCas, allow_writes)
     rospy.Service("~getData", GetData, services.getData)
     rospy.Service("~range", Range, services.range)
     rospy.Service("~executeCQL", ExecuteCQL, services.executeCQL)
+    rospy.Service("~lookupTransform", LookupTransform, services.lookupTransform)
     say(f"services under {rospy.get_name()}")
-    say(f"serving keyspace {rosCas.keyspace}")
+    how = "writes are allowed" if allow_writes else "read-only"
+    say(f"serving keyspace {rosCas.keyspace}, {how}")
     rospy.spin()

@@ -14,14 +14,32 @@ from cassandra_ros.keys import decodeCursor, encodeCursor
 from cassandra_ros.messages.stamps import toNs
 from cassandra_ros.msg import Row
 from cassandra_ros.nodes.stored_messages import clean, pack, sizeOf
-from cassandra_ros.query import Condition, execute, fromJson, toJson
-from cassandra_ros.srv import ExecuteCQLResponse, GetDataResponse, RangeResponse
+from cassandra_ros.query import (
+    Condition,
+    Select,
+    execute,
+    executeAll,
+    fromJson,
+    parseStatement,
+    toJson,
+)
+from cassandra_ros.srv import (
+    ExecuteCQLResponse,
+    GetDataResponse,
+    LookupTransformResponse,
+    RangeResponse,
+)
 
 _log = logging.getLogger(__name__)
 
 DEFAULT_LIMIT = 100
 MAX_REPLY_BYTES = 16 * 1024 * 1024
 """A page ends behind the message that passes this."""
+READ_ONLY = (
+    "the statement changes what is stored, and this node only reads; start it with the parameter "
+    "~allow_writes, as rosrun cassandra_ros query_server _allow_writes:=true, or run the statement "
+    "with RosCassandra.executeCQL"
+)
 
 Handler = Callable[[Any, Any], Any]
 
@@ -51,21 +69,27 @@ class Services:
 
     Args:
         rosCas: A RosCassandra connected to a keyspace.
+        allow_writes: Run statements that change what is stored.
     """
 
-    def __init__(self, rosCas: Any) -> None:
+    def __init__(self, rosCas: Any, allow_writes: bool = False) -> None:
         self._rosCas = rosCas
+        self._allow_writes = allow_writes
 
     @_answers(GetDataResponse)
     def getData(self, request: Any) -> Any:
         """Answer GetData."""
         topic = self._rosCas.getTopic(request.topic)
-        where = {"nearest": request.nearest or None, "nodeID": request.node_id or None}
+        which = {
+            "nearest": request.nearest or None,
+            "nodeID": request.node_id or None,
+            "where": request.where or None,
+        }
         key = topic.keyOfText(request.key_text) if request.key_text.strip() else request.key
-        row = topic.getRow(key, **where)
+        row = topic.getRow(key, **which)
         if row is None:
-            topic.getData(key, **where)  # raises with what lies near
-            row = topic.getRow(key, **where)
+            topic.getData(key, **which)  # raises with what lies near
+            row = topic.getRow(key, **which)
         return GetDataResponse(True, "", pack(row, request.omit_data, request.omit_yaml))
 
     @_answers(RangeResponse)
@@ -111,12 +135,21 @@ class Services:
     @_answers(ExecuteCQLResponse)
     def executeCQL(self, request: Any) -> Any:
         """Answer ExecuteCQL."""
-        limit = request.limit or DEFAULT_LIMIT
         params = [fromJson(text, f"params[{n}]") for n, text in enumerate(request.params)]
-        node: Optional[str] = request.node_id or None
-        with execute(
-            self._rosCas, request.statement, params, node, limit + 1, request.cursor
-        ) as result:
+        statement = parseStatement(request.statement, params)
+        node = request.node_id or None
+        if isinstance(statement, Select):
+            return self._page(statement, node, request.limit or DEFAULT_LIMIT, request.cursor)
+        if not self._allow_writes:
+            return ExecuteCQLResponse(success=False, message=READ_ONLY)
+        if request.cursor:
+            raise InvalidKey("a cursor leads to the next page of a SELECT; leave it out here")
+        found = executeAll(self._rosCas, statement, nodeID=node)
+        rows = [Row([toJson(value) for value in values]) for values in found]
+        return ExecuteCQLResponse(success=True, columns=list(found.columns), rows=rows)
+
+    def _page(self, select: Select, node: Optional[str], limit: int, cursor: str) -> Any:
+        with execute(self._rosCas, select, (), node, limit + 1, cursor) as result:
             response = ExecuteCQLResponse(success=True, columns=[clean(c) for c in result.columns])
             size = 0
             for values in islice(result, limit):
@@ -130,3 +163,13 @@ class Services:
             if not full or (result.direct and next(result, None) is None):
                 response.next_cursor = ""
         return response
+
+    @_answers(LookupTransformResponse)
+    def lookupTransform(self, request: Any) -> Any:
+        """Answer LookupTransform."""
+        asked = {"nodeID": request.node_id, "tf": request.tf, "tf_static": request.tf_static}
+        found = self._rosCas.lookupTransform(
+            *(request.target_frame, request.source_frame, request.time),
+            **{name: value for name, value in asked.items() if value},
+        )
+        return LookupTransformResponse(True, "", found)

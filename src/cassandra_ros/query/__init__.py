@@ -6,11 +6,37 @@
 finds the fields that it names, ``literals`` fits its values to their types, ``evaluate`` says what
 it means, ``bounds``, ``terms`` and ``pushdown`` what the store may leave out, ``extract`` takes
 values out of messages, ``plan`` makes rows of them, ``run`` joins all, and ``explain`` tells how.
-No driver, no rospy.
+``statements`` runs what changes the store. ``arrays`` and ``frames`` give the fields of many
+messages at once, of which ``table_values`` and ``table_columns`` gather those of one table. No
+driver, no rospy.
 """
 
+from cassandra_ros.query.array_types import ArrayType
+from cassandra_ros.query.arrays import readArrays
 from cassandra_ros.query.conditions import Condition
-from cassandra_ros.query.json_values import fromJson, toJson
-from cassandra_ros.query.run import QueryResult, Rows, execute, executeAll
+from cassandra_ros.query.frames import readFrame
+from cassandra_ros.query.json_values import fromJson, jsonValue, toJson
+from cassandra_ros.query.optional import optionalModule
+from cassandra_ros.query.outputs import columnTypes
+from cassandra_ros.query.parse import parseStatement
+from cassandra_ros.query.run import QueryResult, Rows, execute
+from cassandra_ros.query.statements import executeAll
+from cassandra_ros.query.syntax import Select
 
-__all__ = ["Condition", "QueryResult", "Rows", "execute", "executeAll", "fromJson", "toJson"]
+__all__ = [
+    "ArrayType",
+    "Condition",
+    "QueryResult",
+    "Rows",
+    "Select",
+    "columnTypes",
+    "execute",
+    "executeAll",
+    "fromJson",
+    "jsonValue",
+    "optionalModule",
+    "parseStatement",
+    "readArrays",
+    "readFrame",
+    "toJson",
+]

@@ -86,17 +86,23 @@ def _refuseOrder(condition: Optional[Expression]) -> None:
                 )
 
 
-def warnOfSeconds(condition: Optional[Expression]) -> None:
-    """Log a warning where KEY is compared with what looks like seconds: integers are ns."""
+def meantAsSeconds(condition: Optional[Expression]) -> Iterator[Literal]:
+    """Yield what KEY is compared with and looks like seconds: integers are ns."""
     for comparison in leaves(condition):
         for found in given(comparison) if isinstance(comparison.operand, Key) else ():
             value = found.value if isinstance(found, Literal) else None
             if type(value) is int and 0 < value < SECONDS_BELOW:
-                _log.warning(
-                    "KEY is compared with %d, which means nanoseconds since 1970; did you mean "
-                    "seconds, %d.0?",
-                    *(value, value),
-                )
+                yield Literal(value, found.position)
+
+
+def warnOfSeconds(condition: Optional[Expression]) -> None:
+    """Log a warning where KEY is compared with what looks like seconds."""
+    for found in meantAsSeconds(condition):
+        _log.warning(
+            "KEY is compared with %d, which means nanoseconds since 1970; did you mean "
+            "seconds, %d.0?",
+            *(found.value, found.value),
+        )
 
 
 def _conjuncts(condition: Optional[Expression]) -> Iterator[Expression]:

@@ -13,9 +13,14 @@ from cassandra_ros.query.syntax import (
     All,
     Column,
     Compare,
+    CreateIndex,
     DecimalText,
+    Delete,
+    DropIndex,
     Either,
     Expression,
+    Indexed,
+    IndexName,
     IsNull,
     Key,
     Literal,
@@ -26,6 +31,7 @@ from cassandra_ros.query.syntax import (
     Part,
     Path,
     Placeholder,
+    Truncate,
     Value,
     parts,
 )
@@ -59,7 +65,7 @@ class Parsed(NamedTuple):
 class _Builder(Transformer):  # type: ignore[type-arg]
     """One method per rule of the grammar, called while lark parses."""
 
-    def statement(
+    def select(
         self,
         columns: Optional[tuple[Column, ...]],
         topic: tuple[str, int],
@@ -68,6 +74,49 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         limit: Optional[Value],
     ) -> Parsed:
         return Parsed(columns, *topic, condition, bool(descending), limit)
+
+    def delete(self, topic: tuple[str, int], condition: Optional[Expression]) -> Delete:
+        if condition is None:
+            raise StatementError(
+                topic[1],
+                "DELETE takes a condition: WHERE KEY < …, say; every message of a topic is removed "
+                "by TRUNCATE",
+            )
+        return Delete("", *topic, condition)
+
+    def truncate(self, *words: Union[Token, tuple[str, int]]) -> Truncate:
+        last = words[-1]
+        return Truncate("", *(self.topic(last) if isinstance(last, Token) else last))
+
+    def create_index(
+        self, unless: Optional[bool], name: Optional[IndexName], indexed: Indexed
+    ) -> CreateIndex:
+        return CreateIndex("", indexed, name, bool(unless))
+
+    def drop_index(self, condition: Optional[bool], index: Union[IndexName, Indexed]) -> DropIndex:
+        return DropIndex("", index, bool(condition))
+
+    drop_index_on = drop_index
+
+    def if_exists(self) -> bool:
+        return True
+
+    if_not_exists = if_exists
+
+    def index_name(self, token: Token) -> IndexName:
+        # As CQL has it.
+        return IndexName(_name(token) if token.type == "QUOTED" else token.lower(), _at(token))
+
+    def indexed(self, topic: tuple[str, int], field: Operand) -> Indexed:
+        if not isinstance(field, Path):
+            raise StatementError(field.position, f"{field.text} needs no index: rows lie by it")
+        for part in field.parts:
+            if part.index is not None:
+                raise StatementError(
+                    part.position,
+                    f"an index is on all elements of an array: leave [{part.index}] out",
+                )
+        return Indexed(*topic, field)
 
     def lone_condition(self, condition: Expression) -> Expression:
         return condition
@@ -89,7 +138,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
     def column(self, what: Union[Operand, Aggregate], alias: Optional[Token]) -> Column:
         if alias is None:
             return Column(what)
-        return Column(what, _unquote(alias) if alias.type == "QUOTED" else str(alias))
+        return Column(what, _name(alias))
 
     def aggregate(self, word: Token, operand: Union[Token, Operand]) -> Aggregate:
         function = word.lower()
@@ -100,7 +149,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         return Aggregate(function, None, _at(word))
 
     def topic(self, token: Token) -> tuple[str, int]:
-        return (_unquote(token) if token.type == "QUOTED" else str(token)), _at(token)
+        return _name(token), _at(token)
 
     def where(self, condition: Expression) -> Expression:
         return condition
@@ -125,11 +174,11 @@ class _Builder(Transformer):  # type: ignore[type-arg]
     def compare(self, operand: Operand, operator: Token, value: Value) -> Compare:
         return Compare(operand, "!=" if operator == "<>" else str(operator), value)
 
-    def one_of(self, operand: Operand, *values: Value) -> OneOf:
-        return OneOf(operand, values)
+    def one_of(self, operand: Operand, *values: Optional[Value]) -> OneOf:
+        return OneOf(operand, tuple(value for value in values if value is not None))
 
-    def none_of(self, operand: Operand, *values: Value) -> Negation:
-        return Negation(OneOf(operand, values))
+    def none_of(self, operand: Operand, *values: Optional[Value]) -> Negation:
+        return Negation(self.one_of(operand, *values))
 
     def in_list(self, operand: Operand, values: Placeholder) -> OneOf:
         return OneOf(operand, (values,), whole=True)
@@ -181,7 +230,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         return Path(names, names[0].position)
 
     def part(self, token: Token, index: Optional[Token]) -> tuple[Part, ...]:
-        names = _unquote(token).split(".") if token.type == "QUOTED" else [str(token)]
+        names = _name(token).split(".") if token.type == "QUOTED" else [str(token)]
         made = [Part(name, None, _at(token)) for name in names]
         if index is not None:
             made[-1] = Part(names[-1], _integer(index), _at(token))
@@ -209,8 +258,8 @@ def _at(token: Token) -> int:
     return token.start_pos or 0
 
 
-def _unquote(token: Token) -> str:
-    return token[1:-1].replace('""', '"')
+def _name(token: Token) -> str:
+    return token[1:-1].replace('""', '"') if token.type == "QUOTED" else str(token)
 
 
 def _integer(token: Token) -> int:

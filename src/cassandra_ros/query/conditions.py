@@ -42,6 +42,15 @@ class Condition:
         self._expression = parseCondition(text, params)
         self._node = nodeID
 
+    @classmethod
+    def ofStatement(
+        cls, text: str, expression: Expression, nodeID: Optional[str] = None
+    ) -> Condition:
+        """Return the condition that stands in a statement; errors show the whole of it."""
+        condition = cls.__new__(cls)
+        condition.text, condition._expression, condition._node = text, expression, nodeID
+        return condition
+
     def bounds(self, named: bool = False) -> Bounds:
         """Return what of it the store can check.
 

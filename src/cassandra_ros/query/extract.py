@@ -38,7 +38,10 @@ class Extractor:
         columns = [_columnOf(ref, known) for ref in refs]
         self._names = [name for name in columns if name]
         self._given = [name is not None for name in columns]
-        self._gets = [_gets(r, n, unnested) for r, n in zip(refs, columns)]
+        self._gets = [
+            _emptyGets(definition, ref, unnested) if name is None else _gets(ref, name, unnested)
+            for ref, name in zip(refs, columns)
+        ]
         self._read = self._plan.reader(self._names)
         numbers = {column.name: n for n, column in enumerate(self._plan.columns)}
         self._stored = [numbers[name] for name in self._names if name in numbers]
@@ -85,12 +88,16 @@ class Extractor:
         if level == self._depth:
             yield current
             return
-        count = min((len(current[n] or ()) for n in inner), default=0)
+        count = min((_count(current[n]) for n in inner), default=0)
         for element in range(count):
             one = list(current)
             for n in inner:
                 one[n] = current[n][element]
             yield from self._unnest(level + 1, one)
+
+
+def _count(values: Any) -> int:
+    return len(values) if isinstance(values, (list, bytes)) else 0
 
 
 def _columnOf(ref: FieldRef, known: Any) -> Optional[str]:
@@ -103,9 +110,26 @@ def _columnOf(ref: FieldRef, known: Any) -> Optional[str]:
     return None  # an array of fixed length 0
 
 
-def _gets(ref: FieldRef, column: Optional[str], unnested: Sequence[Array]) -> list[Get]:
+def _emptyGets(definition: Definition, ref: FieldRef, unnested: Sequence[Array]) -> list[Get]:
+    """As _gets for what lies in no column: an array of fixed length 0, or what is inside one."""
+    msg_type, level = definition.type, -1
+    for number, step in enumerate(ref.steps):
+        field = next(f for f in definition.specs[msg_type].fields if f.name == step.name)
+        if field.length == 0:
+            if ref.steps[: number + 1] in unnested:
+                level = list(unnested).index(ref.steps[: number + 1])
+            break
+        msg_type = field.type
+    return [_itself] * (level + 2)
+
+
+def _itself(value: Any) -> Any:
+    return value
+
+
+def _gets(ref: FieldRef, column: str, unnested: Sequence[Array]) -> list[Get]:
     """Functions from a column's value to the field's, one more than arrays are unnested."""
-    ops = _operations(ref, len((column or "").split(".")), set(unnested))
+    ops = _operations(ref, len(column.split(".")), set(unnested))
     gets: list[Get] = []
     current: list[Union[Step, str]] = []
     for op in ops:
@@ -133,7 +157,7 @@ def _operations(ref: FieldRef, held: int, unnested: set[Array]) -> Iterator[Unio
 
 def _follow(ops: Sequence[Union[Step, str]], last: Optional[Get]) -> Get:
     """Chain operations from the last to the first; what is missing stays None."""
-    get: Get = last or (lambda value: value)
+    get: Get = last or _itself
     for op in reversed(ops):
         if isinstance(op, str):
             get = _inside(op, get)
@@ -149,12 +173,19 @@ def _inside(name: str, then: Get) -> Get:
 
 
 def _each(then: Get) -> Get:
-    return lambda value: None if value is None else [then(element) for element in value]
+    def get(value: Any) -> Any:
+        if isinstance(value, int):
+            return []  # messages without bytes: their number is all that there is of them
+        return None if value is None else [then(element) for element in value]
+
+    return get
 
 
 def _at(index: int, then: Get) -> Get:
     def get(value: Any) -> Any:
-        return then(value[index]) if value is not None and index < len(value) else None
+        if value is None or isinstance(value, int) or index >= len(value):
+            return None
+        return then(value[index])
 
     return get
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 from typing import Any
 
 from cassandra_ros.errors import InvalidExpression
@@ -19,6 +20,18 @@ def toJson(value: Any) -> str:
     values null; NaN, Infinity and -Infinity stand as bare words.
     """
     return json.dumps(value, default=_simple)
+
+
+def jsonValue(value: Any) -> Any:
+    """Return a value of a result as other programs can read it in JSON.
+
+    As toJson; but NaN, Infinity and -Infinity, which JSON lacks, are None, as in rosbridge.
+    """
+    if isinstance(value, list):
+        return [jsonValue(element) for element in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value if value is None or isinstance(value, (str, int)) else _simple(value)
 
 
 def fromJson(text: str, name: str = "the value") -> Any:

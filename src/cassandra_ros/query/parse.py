@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 import difflib
+from dataclasses import replace
 from functools import lru_cache
 from numbers import Integral
-from typing import Any, Iterator, Optional, Sequence
+from typing import Any, Iterator, Optional, Sequence, Union
 
 from lark import Lark, UnexpectedInput
 from lark.exceptions import UnexpectedCharacters, UnexpectedToken
@@ -15,7 +16,9 @@ from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.builder import BUILDER, Parsed, StatementError
 from cassandra_ros.query.syntax import (
+    Change,
     Compare,
+    Delete,
     Expression,
     IsNull,
     Leaf,
@@ -50,7 +53,20 @@ _WORDS = {
     "DOT": "'.'",
     "$END": "the end",
 }
-_UNSAID = {"QUOTED", "SEMICOLON", "FUNCTION", "TRUE", "FALSE"}
+_UNSAID = {"QUOTED", "_END", "FUNCTION", "TRUE", "FALSE"}
+_NEVER_CHANGED = (
+    "messages are never changed: addData and the recorder store new ones, DELETE removes them"
+)
+_INSTEAD = {
+    "INSERT": _NEVER_CHANGED,
+    "UPDATE": _NEVER_CHANGED,
+    "ALTER": "renameTopic and setMeta change what is known of a topic",
+    "USE": "connectToKeyspace chooses the keyspace",
+    "CREATE TABLE": "addTopic makes a topic",
+    "CREATE KEYSPACE": "connectToKeyspace makes a keyspace where it is missing",
+    "DROP TABLE": "removeTopic removes a topic, TRUNCATE its messages",
+}
+"""What does here what other words do in CQL."""
 
 
 @lru_cache(maxsize=1)
@@ -64,8 +80,8 @@ def _grammar() -> Lark:
     )
 
 
-def parseSelect(text: str, params: Sequence[Any] = ()) -> Select:
-    """Parse a SELECT statement and bind its parameters.
+def parseStatement(text: str, params: Sequence[Any] = ()) -> Union[Select, Change]:
+    """Parse a statement and bind its parameters.
 
     Args:
         text: The statement.
@@ -74,7 +90,34 @@ def parseSelect(text: str, params: Sequence[Any] = ()) -> Select:
     Raises:
         InvalidQuery: The text is no statement, or the parameters do not fit.
     """
-    parsed: Parsed = _parse(text, "statement")
+    parsed: Union[Parsed, Change] = _parse(text, "statement")
+    if isinstance(parsed, Parsed):
+        return _select(text, parsed, params)
+    if isinstance(parsed, Delete):
+        condition = _boundCondition(text, parsed.condition, params)
+        return replace(parsed, text=text, condition=condition)
+    _Binding(text, [], params)
+    return replace(parsed, text=text)
+
+
+def parseSelect(text: str, params: Sequence[Any] = ()) -> Select:
+    """Parse a statement that gives rows and changes nothing, as parseStatement does.
+
+    Raises:
+        InvalidQuery: As there; or it is another statement than SELECT.
+    """
+    statement = parseStatement(text, params)
+    if isinstance(statement, Select):
+        return statement
+    raise InvalidQuery(
+        text,
+        len(text) - len(text.lstrip()),
+        "this changes what is stored; here only SELECT can be asked, and executeCQL runs the "
+        "others",
+    )
+
+
+def _select(text: str, parsed: Parsed, params: Sequence[Any]) -> Select:
     values = list(leaves(parsed.condition))
     binding = _Binding(text, [*_placeholders(values), *_of_limit(parsed.limit)], params)
     return Select(
@@ -94,9 +137,12 @@ def parseCondition(text: str, params: Sequence[Any] = ()) -> Expression:
     Raises:
         InvalidQuery: The text is no condition, or the parameters do not fit.
     """
-    expression: Expression = _parse(text, "lone_condition")
-    binding = _Binding(text, list(_placeholders(list(leaves(expression)))), params)
-    return binding.expression(expression)
+    return _boundCondition(text, _parse(text, "lone_condition"), params)
+
+
+def _boundCondition(text: str, found: Expression, params: Sequence[Any]) -> Expression:
+    binding = _Binding(text, list(_placeholders(list(leaves(found)))), params)
+    return binding.expression(found)
 
 
 def nearest(name: str, known: Sequence[str]) -> str:
@@ -193,16 +239,33 @@ def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
     found = _word_at(text, position)
     if found[:1] in "'\"" and found and text.count(found[0], position) == 1:
         return position, f"the quote {found[0]} is not closed"
+    if text.startswith("/*", position):
+        return position, "the comment /* is not closed"
     keywords = [name.lstrip("_") for name in expected if _is_keyword(name)]
     shown = f"found {found!r}" if found else "the statement ends here"
+    words = {**_WORDS, "NAME": "a name"} if "_ON" in expected else _WORDS
+    wanted = ", ".join(sorted(words.get(name, name.lstrip("_")) for name in expected - _UNSAID))
+    hint = _hint(text[:position], found, expected) or nearest(found, keywords)
+    return position, f"{shown}{hint}; expected {wanted or 'something else'}"
+
+
+def _hint(before: str, found: str, expected: set[str]) -> str:
+    """Return ' (…)' about a mistake that is known, or ''."""
+    words = f"{before} {found}".upper().split()
+    instead = _INSTEAD.get(" ".join(words)) if expected & {"_SELECT", "_INDEX"} else None
+    if instead:
+        return f" ({instead})"
+    if expected == {"_FROM"}:
+        return " (messages are removed whole: DELETE FROM topic WHERE …)"
     if found == "(" and "_FROM" in expected:
-        shown += " (the functions are count, min, max, sum and avg)"
-    wanted = ", ".join(sorted(_WORDS.get(name, name.lstrip("_")) for name in expected - _UNSAID))
-    return position, f"{shown}{nearest(found, keywords)}; expected {wanted or 'something else'}"
+        return " (the functions are count, min, max, sum and avg)"
+    if found.upper() == "NULL" and "NUMBER" in expected:
+        return " (what is missing is found by IS NULL)"
+    return ""
 
 
 def _is_keyword(name: str) -> bool:
-    return name.startswith("_") or name in ("ASC", "DESC")
+    return name.startswith("_") and name != "_END" or name in ("ASC", "DESC", "TABLE")
 
 
 def _word_at(text: str, position: int) -> str:

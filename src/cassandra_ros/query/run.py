@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Generator, Iterator, Optional, Sequence, Tuple, Union
+from typing import Any, Generator, Iterable, Iterator, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.errors import InvalidQuery, TopicNotFound
 from cassandra_ros.keys import Position, isBehind
@@ -152,18 +152,18 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
 
 def execute(
     rosCas: Any,
-    statement: str,
+    statement: Union[str, Select],
     params: Sequence[Any] = (),
     nodeID: Optional[str] = None,
     limit: Optional[int] = None,
     after: Cursor = None,
     plan: str = "auto",
 ) -> QueryResult:
-    """Run a statement.
+    """Run a SELECT statement.
 
     Args:
         rosCas: A RosCassandra connected to a keyspace.
-        statement: A SELECT statement.
+        statement: Its text, or the tree that was made of it with its parameters.
         params: Values of its ``?`` and ``%s``, in their order.
         nodeID: Only messages of this node; None = of all.
         limit: At most so many rows, besides the statement's LIMIT; None = no bound.
@@ -174,35 +174,39 @@ def execute(
         InvalidQuery: The statement cannot be understood, or names something unknown.
         InvalidKey: ``after`` is no cursor.
     """
-    select = parseSelect(statement, params)
-    try:
-        topic = rosCas.getTopic(select.topic)
-    except TopicNotFound as exc:
-        raise InvalidQuery(statement, select.topic_position, str(exc)) from exc
+    select = statement if isinstance(statement, Select) else parseSelect(statement, params)
+    topic = findTopic(rosCas, select.text, select.topic, select.topic_position)
     try:
         named = any(table.named for table in topic.tables)
         bounds = boundsOf(select.condition, nodeID, named)
     except StatementError as exc:
-        raise InvalidQuery(statement, exc.position, exc.reason) from None
+        raise InvalidQuery(select.text, exc.position, exc.reason) from None
     if not named:
         warnOfSeconds(select.condition)
     return QueryResult(select, topic, bounds, readPlace(after), limit, plan)
 
 
+def findTopic(rosCas: Any, text: str, topic: str, position: int) -> Any:
+    """Find the topic that a statement names.
+
+    Args:
+        rosCas: A RosCassandra connected to a keyspace.
+        text: The statement.
+        topic: The name.
+        position: Where it stands.
+
+    Raises:
+        InvalidQuery: There is none; the text gives the nearest names.
+    """
+    try:
+        return rosCas.getTopic(topic)
+    except TopicNotFound as exc:
+        raise InvalidQuery(text, position, str(exc)) from exc
+
+
 class Rows(list):  # type: ignore[type-arg]
     """All rows of a result: a list of tuples that knows its columns."""
 
-    def __init__(self, result: QueryResult) -> None:
-        super().__init__(result)
-        self.columns = result.columns
-
-
-def executeAll(
-    rosCas: Any,
-    statement: str,
-    params: Sequence[Any] = (),
-    nodeID: Optional[str] = None,
-    limit: Optional[int] = None,
-) -> Rows:
-    """Run a statement and return all its rows; see ``execute``."""
-    return Rows(execute(rosCas, statement, params, nodeID, limit))
+    def __init__(self, rows: Iterable[tuple[Any, ...]], columns: Sequence[str]) -> None:
+        super().__init__(rows)
+        self.columns = tuple(columns)

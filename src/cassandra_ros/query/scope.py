@@ -141,6 +141,16 @@ class Scope:
         return 2 + len(self._refs)
 
     @property
+    def refs(self) -> tuple[FieldRef, ...]:
+        """The fields that were located so far, in the order of their values."""
+        return tuple(self._refs)
+
+    @property
+    def unnested(self) -> tuple[Array, ...]:
+        """The arrays of messages that are unnested, outermost first."""
+        return tuple(self._unnested)
+
+    @property
     def unnests(self) -> bool:
         """Whether a message may give several rows, or none."""
         return bool(self._unnested)

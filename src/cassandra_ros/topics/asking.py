@@ -23,11 +23,14 @@ class Asking(KeyspaceConnection):
     ) -> Any:
         """Run a statement and return all its rows: a list of tuples with ``.columns``.
 
+        SELECT gives what was asked for; DELETE one row with the number of messages that it
+        removed; TRUNCATE, CREATE INDEX and DROP INDEX give no row.
+
         Args:
             statement: CQL with topic names, dotted fields and KEY (paper 3.2).
             params: Values for its ``?`` and ``%s`` markers.
-            nodeID: Only messages of this node; None = of all.
-            limit: At most so many rows.
+            nodeID: Only messages of this node, for SELECT and DELETE; None = of all.
+            limit: At most so many rows, for SELECT.
 
         Raises:
             InvalidQuery: Shows the statement with a caret under the spot.
@@ -45,7 +48,7 @@ class Asking(KeyspaceConnection):
         limit: Optional[int] = None,
         after: Optional[Position] = None,
     ) -> Any:
-        """Run a statement lazily: an iterator of tuples with ``.columns``; as executeCQL."""
+        """Run a SELECT lazily: an iterator of tuples with ``.columns``; as executeCQL."""
         from cassandra_ros.query import execute
 
         return execute(self, statement, params, nodeID=nodeID, limit=limit, after=after)
@@ -66,3 +69,50 @@ class Asking(KeyspaceConnection):
         from cassandra_ros.query.explain import explain
 
         return explain(self, statement, params, nodeID)
+
+    def lookupTransform(
+        self,
+        target: str,
+        source: str,
+        time: Any,
+        *,
+        nodeID: Optional[str] = None,
+        tf: str = "/tf",
+        tf_static: str = "/tf_static",
+    ) -> Any:
+        """Return the transform between two frames at any past time, as tf2 computes it.
+
+        The time is that of the stamps in the headers, whenever the transforms were received. What
+        tf2 knows live, the last ten seconds, is here all that was recorded. A slash in front of a
+        frame's name is ignored on both sides. A frame that is on tf_static is fixed: what was
+        recorded of it last holds at every time. As soon as both frames are connected and the time
+        lies between two transforms of each frame on the way, no more is read; an error comes
+        when everything was read.
+
+        Args:
+            target: Frame to which the transform takes points.
+            source: Frame from which it takes them.
+            time: As a key: genpy.Time, int (ns), float (s) or ISO 8601 text. 0 means, as in tf2,
+                the newest time that is recorded for all frames on the way.
+            nodeID: Only transforms of this node, of both topics; None = of all.
+            tf: Topic of the moving transforms.
+            tf_static: Topic of the fixed ones. One of the two may be missing.
+
+        Returns:
+            A geometry_msgs/TransformStamped: ``header.frame_id`` is target, ``child_frame_id``
+            source, and ``header.stamp`` the time that was asked for (of 0 the one that was found,
+            0 where all frames are fixed).
+
+        Raises:
+            LookupException: A frame is in no transform.
+            ConnectivityException: Nothing connects the frames.
+            ExtrapolationException: The time lies outside of what is recorded of a frame.
+            TransformException: Any of these three; the errors are this package's, with tf2's names.
+            TopicNotFound: Neither topic is stored.
+            TypeMismatch: A topic holds no transforms.
+            MissingDependency: tf2_py is not installed.
+            InvalidKey, InvalidName.
+        """
+        from cassandra_ros.query.transforms import lookupTransform
+
+        return lookupTransform(self, target, source, time, nodeID, tf, tf_static)

@@ -14,15 +14,16 @@ from cassandra_ros.topics.filtering import Where
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.selection import checkMessageName
 from cassandra_ros.topics.stored_row import Key
+from cassandra_ros.topics.topic_arrays import TopicArrays
 from cassandra_ros.topics.topic_indexes import TopicIndexes, checkField
-from cassandra_ros.topics.topic_rows import AnyKey, Time, TopicRows
+from cassandra_ros.topics.topic_rows import AnyKey, Time
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.wish import Wish
 
 _REQUIRED: Any = object()
 
 
-class CassandraTopic(TopicIndexes, TopicRows):
+class CassandraTopic(TopicIndexes, TopicArrays):
     """The stored messages of one topic. Got from RosCassandra, safe to share between threads.
 
     What a key is follows from the ``key_format`` that addTopic was given:

@@ -23,6 +23,7 @@ from cassandra_ros.store.registry import Registry
 from cassandra_ros.store.schema import Planned, Schema
 from cassandra_ros.store.side_tables import makeKeyspace
 from cassandra_ros.topics.connections import Connections
+from cassandra_ros.topics.index_names import IndexNames
 from cassandra_ros.topics.reading import Rows
 from cassandra_ros.topics.removal import Removal
 from cassandra_ros.topics.topic_table import TopicTable, TopicTables
@@ -46,6 +47,7 @@ class Keyspace:
         rows: Reads messages.
         totals: Counts and describes them.
         removal: Deletes them.
+        index_names: What indexes are called.
 
     Raises:
         InvalidName: The name is not 1 to 48 letters, digits and underscores.
@@ -65,6 +67,7 @@ class Keyspace:
         self.rows = Rows(cassandra, self.directory, self.connections)
         self.totals = TopicTotals(cassandra, self.directory)
         self.removal = Removal(cassandra, self.directory)
+        self.index_names = IndexNames(self.schema)
 
     def makeTable(self, metadata: TopicMetadata, definition: Optional[Definition]) -> TopicTable:
         """Find the table for a topic, md5 and format, or make it.

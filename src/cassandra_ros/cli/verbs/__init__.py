@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from cassandra_ros.cli.verbs import export, import_, info, list_, verify
+from cassandra_ros.cli.verbs import export, import_, index, info, list_, query, verify
 
 VERBS = {
     "list": list_,
@@ -12,4 +12,6 @@ VERBS = {
     "import": import_,
     "export": export,
     "verify": verify,
+    "query": query,
+    "index": index,
 }

@@ -1,0 +1,140 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Ask the stored topics: print what a statement of the query language finds.
+
+  cassandra_bag query "SELECT KEY, linear.x FROM /cmd_vel WHERE linear.x > ?" 0.5
+  cassandra_bag query "SELECT count(*) FROM /tf WHERE transforms.child_frame_id = 'base_link'"
+  cassandra_bag query "SELECT * FROM /imu" --output parquet -O imu.parquet
+
+The values for ? stand right behind the statement: a number, true, false, a list ([1, 2]), and all
+else is text; text that looks like a number stands in double quotes ('"42"'). Quote the statement,
+or the shell takes * and ? for file names.
+
+How rows are written, while they are read:
+  table    aligned, for people: times in UTC, long values cut
+  csv      RFC 4180: times in integer ns, bytes in base64, arrays as JSON; a missing value is an
+           empty field, an empty text ""
+  json     a list of objects; ndjson: an object a line. Times and bytes as in csv; NaN and
+           infinities, which JSON lacks, are null
+  parquet  to a file (-O): types are kept, times are timestamps in ns (needs pyarrow)
+
+DELETE, TRUNCATE, CREATE INDEX and DROP INDEX are run with --allow-writes only.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any, Sequence
+
+from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.errors import InvalidExpression, InvalidOption
+
+_OUTPUTS = ("table", "csv", "json", "ndjson", "parquet")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the statement, its values, the form of the output and the store."""
+    parser.add_argument("statement", metavar="STATEMENT", help="what to ask, in quotes")
+    parser.add_argument(
+        "params", metavar="VALUE", nargs="*", help="a value for each ? of the statement"
+    )
+    parser.add_argument(
+        "--output", choices=_OUTPUTS, default="table", help="how to write it (default: %(default)s)"
+    )
+    parser.add_argument(
+        "-O", "--output-file", metavar="FILE", help="write to FILE (default: standard output)"
+    )
+    parser.add_argument("-f", "--force", action="store_true", help="replace FILE if it exists")
+    parser.add_argument(
+        "-l", "--limit", metavar="NUM", type=_count, help="print at most so many rows"
+    )
+    parser.add_argument(
+        "--node-id", metavar="N", help="only messages of this node (default: of all)"
+    )
+    parser.add_argument(
+        "--explain",
+        action="store_true",
+        help="say instead how the statement was answered: what the store checked, what was read",
+    )
+    parser.add_argument(
+        "--allow-writes", action="store_true", help="run statements that change what is stored"
+    )
+    add_store_options(parser)
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of rows: at least 1")
+    return int(text)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Ask, and write the answer."""
+    if options.explain and (options.output_file or options.limit):
+        options.parser.error("--explain goes without --limit and --output-file")
+    if options.output == "parquet" and not (options.output_file or options.explain):
+        options.parser.error("--output parquet needs a file: -O FILE")
+    params = [_parameter(text) for text in options.params]
+    if options.output == "parquet":
+        from cassandra_ros.cli.parquet import load_parquet
+
+        load_parquet()  # before anything is asked
+    with open_store(options) as rosCas:
+        if options.explain:
+            print(rosCas.explainCQL(options.statement, params, nodeID=options.node_id))
+        else:
+            _answer(rosCas, options, params)
+    return 0
+
+
+def _parameter(text: str) -> Any:
+    from cassandra_ros.query import fromJson
+
+    try:
+        return fromJson(text)
+    except InvalidExpression:
+        return text
+
+
+def _answer(rosCas: Any, options: argparse.Namespace, params: Sequence[Any]) -> None:
+    from cassandra_ros.query import ArrayType, Select, columnTypes, execute, parseStatement
+
+    statement = parseStatement(options.statement, params)
+    if not isinstance(statement, Select):
+        _change(rosCas, options, statement)
+        return
+    with execute(rosCas, statement, nodeID=options.node_id, limit=options.limit) as result:
+        kinds: list[tuple[str, ArrayType]] = []
+        if options.output == "parquet":
+            kinds = columnTypes(statement, rosCas.getTopic(statement.topic).tables)
+        _write(options, result.columns, kinds, result)
+
+
+def _change(rosCas: Any, options: argparse.Namespace, statement: Any) -> None:
+    from cassandra_ros.query import ArrayType, executeAll
+
+    if not options.allow_writes:
+        raise InvalidOption("the statement changes what is stored; to run it, add --allow-writes")
+    rows = executeAll(rosCas, statement, nodeID=options.node_id, limit=options.limit)
+    if rows.columns:
+        _write(options, rows.columns, [(name, ArrayType("int64")) for name in rows.columns], rows)
+
+
+def _write(options: argparse.Namespace, columns: Any, kinds: Any, rows: Any) -> None:
+    from cassandra_ros.cli.output_file import open_output
+    from cassandra_ros.cli.parquet import write_parquet
+    from cassandra_ros.cli.results import write_csv, write_json, write_ndjson, write_table
+
+    binary = options.output == "parquet"
+    with open_output(options.output_file, options.force, binary) as stream:
+        if binary:
+            write_parquet(kinds, rows, stream)
+            return
+        writers = {
+            "table": write_table,
+            "csv": write_csv,
+            "json": write_json,
+            "ndjson": write_ndjson,
+        }
+        writers[options.output](columns, rows, stream)
+        stream.flush()

@@ -1,0 +1,91 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the values of a field are in a table: numbers of which kind, alone or in arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Optional, Sequence
+
+import numpy as np
+
+from cassandra_ros.messages.definition import Definition, Field
+from cassandra_ros.query.extract import Array
+from cassandra_ros.query.fields import FieldRef
+
+MIXED = "mixed"
+_MANTISSA = {"float32": 24, "float64": 53}
+"""Bits of the integers that a float holds exactly."""
+
+
+@dataclass(frozen=True)
+class ArrayType:
+    """The type of a column."""
+
+    kind: str
+    """Primitive ROS type, or 'mixed' where the definitions of a topic disagree."""
+    depth: int = 0
+    """How many arrays lie around a value."""
+    length: Optional[int] = None
+    """Elements of the one array, where it is of fixed length."""
+
+    @property
+    def dtype(self) -> Any:
+        """The type of one value in numpy; times and durations are integer nanoseconds."""
+        if self.kind in ("time", "duration"):
+            return np.dtype(np.int64)
+        return np.dtype(object if self.kind in ("string", MIXED) else self.kind)
+
+    @property
+    def cells(self) -> bool:
+        """Whether a row holds an array of its own, as an object."""
+        return self.depth > 1 or (self.depth == 1 and self.length is None)
+
+
+def typeOf(ref: FieldRef, definition: Definition, unnested: Sequence[Array]) -> ArrayType:
+    """Return the type of a field, beside the arrays of messages that are unnested."""
+    fields = list(_fields(ref, definition))
+    lengths = [
+        field.length
+        for n, (step, field) in enumerate(zip(ref.steps, fields))
+        if step.many and step.index is None and ref.steps[: n + 1] not in unnested
+    ]
+    if ref.is_array:
+        lengths.append(fields[-1].length)
+    # nsecs beyond a second add to the seconds, which may then be too many for 32 bits.
+    kind = "int64" if ref.part else ref.type
+    return ArrayType(kind, len(lengths), lengths[0] if len(lengths) == 1 else None)
+
+
+def _fields(ref: FieldRef, definition: Definition) -> Any:
+    msg_type = definition.type
+    for step in ref.steps:
+        field: Field = next(f for f in definition.specs[msg_type].fields if f.name == step.name)
+        yield field
+        msg_type = field.type
+
+
+def uniteTypes(types: Sequence[ArrayType]) -> ArrayType:
+    """Return a type that holds the values of all exactly."""
+    united = types[0]
+    for other in types[1:]:
+        if other.depth != united.depth:
+            return ArrayType(MIXED)
+        if other.length != united.length:
+            united, other = replace(united, length=None), replace(other, length=None)
+        if other.kind != united.kind:
+            united = replace(united, kind=_wider(united.kind, other.kind))
+    return united
+
+
+def _wider(kind: str, other: str) -> str:
+    try:
+        wider = np.promote_types(kind, other)
+        whole = [d for d in map(np.dtype, (kind, other)) if d.kind in "iu"]
+    except TypeError:
+        return MIXED
+    if "bool" in (kind, other):
+        return MIXED
+    if wider.kind == "f" and any(8 * d.itemsize > _MANTISSA[wider.name] for d in whole):
+        return MIXED
+    return wider.name

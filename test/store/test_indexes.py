@@ -1,0 +1,347 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Shadow columns: made and dropped step by step, filled without ghosts, gone with their rows."""
+
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+
+import pytest
+from std_msgs.msg import Float64, String
+
+from cassandra_ros.errors import InvalidOption, TopicNotFound
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection import apiConnection
+from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.metadata import TopicMetadata, fromComment
+from cassandra_ros.store.backfill import Backfill, Update
+from cassandra_ros.store.buckets import MAX_TTL_SEC, checkTtl
+from cassandra_ros.store.directory import Totals
+
+SEC = 10**9
+T0 = 1_500_000_000 * SEC
+
+
+def store(rosCas, name, count, cls=String, **options):
+    """Store texts '0', '1', … in one bucket, as a recording that has ended; return the table."""
+    with rosCas.messageWriter(**options) as writer:
+        handle = writer.connect(apiConnection(name, definitionOf(cls), "/w"), bucket_ns=3600 * SEC)
+        for number in range(count):
+            message = cls(str(number) if cls is String else float(number))
+            writer.write(handle, T0 + number, number, serialize(message))
+    return handle.table
+
+
+def add(rosCas, table, cql_type="text", field="data"):
+    """Make an index that nobody fills; return its column."""
+    rosCas.parts.indexes.add(table.metadata.topic, field, lambda metadata: cql_type)
+    return rosCas.parts.tables.byName(table.name).metadata.indexes[field]
+
+
+def select(cql, table, what):
+    return [tuple(row) for row in cql.execute(f"SELECT {what} FROM {table.qualified}")]
+
+
+def index_names(cql, rosCas, table):
+    rows = cql.execute(
+        "SELECT index_name FROM system_schema.indexes WHERE keyspace_name = %s AND table_name = %s",
+        (rosCas.keyspace, table.name),
+    )
+    return {row[0][len(table.name) :] for row in rows}
+
+
+# ---------------------------------------------------------------- rows
+
+
+def test_a_row_deleted_between_read_and_write_stays_deleted(rosCas, cql):
+    table = store(rosCas, "/t", 20)
+    backfill = Backfill(rosCas.cassandra, table, add(rosCas, table))
+    (page,) = backfill.pages("", table.bucketOf(T0), 10)
+    assert rosCas.getTopic("/t").removeData(T0 + 3, T0 + 9) == 7
+    backfill.write(
+        [Update(written, None if n % 5 == 4 else b"v") for n, written in enumerate(page)]
+    )
+    rows = select(cql, table, '"_t", "_conn", "_ix0", "_odd"')
+    assert [t - T0 for t, *_ in rows] == [0, 1, 2, *range(10, 20)]
+    assert all(conn is not None for _, conn, *_ in rows)
+    assert [value for *_, value, _ in rows].count("v") == 11
+    assert [t - T0 for t, *_, odd in rows if odd] == [14, 19]
+    assert len(list(rosCas.getTopic("/t").rows())) == 13
+
+
+def test_a_row_written_anew_keeps_its_new_value(rosCas, cql):
+    table = store(rosCas, "/t", 2, writer_id=9)
+    shadow = add(rosCas, table)
+    backfill = Backfill(rosCas.cassandra, table, shadow)
+    (page,) = backfill.pages("", table.bucketOf(T0), 10)
+    cql.execute(
+        f'UPDATE {table.qualified} SET "_ix0" = \'newer\' WHERE "_node" = \'\' AND "_bucket" = %s '
+        'AND "_t" = %s AND "_seq" = %s',
+        (table.bucketOf(T0), T0, page[0].row.seq),
+    )
+    backfill.write([Update(written, b"older") for written in page])
+    assert select(cql, table, '"_ix0"') == [("newer",), ("older",)]
+
+
+def test_pages_are_small_where_messages_are_large(rosCas):
+    table = store(rosCas, "/t", 2500)
+    backfill = Backfill(rosCas.cassandra, table, add(rosCas, table))
+    for largest, most in ((10, 1000), (2 * 1024 * 1024 // 7, 6), (10**8, 1)):
+        pages = backfill.pages("", table.bucketOf(T0), largest)
+        sizes = [len(page) for _, page in zip(range(4), pages)]
+        assert max(sizes) == sizes[0] == most
+    every = [w.row.seq for page in backfill.pages("", table.bucketOf(T0), 10) for w in page]
+    assert len(every) == len(set(every)) == 2500
+
+
+def test_a_value_does_not_outlive_its_row(rosCas, cql):
+    table = store(rosCas, "/t", 10, ttl=1000)
+    topic = rosCas.getTopic("/t")
+    shadow = add(rosCas, table)
+    backfill = Backfill(rosCas.cassandra, table, shadow)
+    (page,) = backfill.pages("", table.bucketOf(T0), 10)
+    # A row that has too little left, and one whose page was asked for long ago.
+    page[0] = page[0]._replace(ttl=1)
+    page[1] = page[1]._replace(asked=page[1].asked - 990)
+    page[2] = page[2]._replace(asked=page[2].asked - 2000)
+    backfill.write([Update(written, b"v") for written in page])
+    left = select(cql, table, '"_t", TTL("_conn"), TTL("_ix0")')
+    assert [t - T0 for t, _, mine in left if mine is None] == [0, 2]
+    assert all(900 < row <= 1000 for _, row, _ in left)
+    assert all(mine < row for _, row, mine in left if mine is not None)
+    assert [mine < 10 for t, _, mine in left if t == T0 + 1] == [True]
+    assert topic.createIndex("data") == 10
+    assert all(mine < row for _, row, mine in select(cql, table, '"_t", TTL("_conn"), TTL("_ix0")'))
+    rows = cql.execute(f"SELECT TTL(filled), TTL(odd) FROM {rosCas.keyspace}.cr_bucket")
+    assert all(900 < value <= 1900 for row in rows for value in row)
+
+
+def test_no_row_of_a_value_alone_is_left_when_rows_expire(rosCas, cql):
+    table = store(rosCas, "/t", 50, ttl=6)
+    rosCas.getTopic("/t").createIndex("data")
+    deadline = time.monotonic() + 30
+    seen = set()
+    while time.monotonic() < deadline:
+        rows = select(cql, table, '"_conn", "_ix0"')
+        assert all(conn is not None for conn, _ in rows)
+        seen |= {value is not None for _, value in rows}
+        if not rows:
+            break
+        time.sleep(0.02)
+    assert rows == [] and True in seen
+
+
+def test_without_a_ttl_a_value_stays(rosCas, cql):
+    table = store(rosCas, "/t", 5)
+    rosCas.getTopic("/t").createIndex("data")
+    assert select(cql, table, 'TTL("_ix0")') == [(None,)] * 5
+    stamps = select(cql, table, 'WRITETIME("_conn"), WRITETIME("_ix0")')
+    assert all(row == mine for row, mine in stamps)
+
+
+# ---------------------------------------------------------------- directory
+
+
+def test_what_a_recount_says_fails_where_something_changed(rosCas):
+    table = store(rosCas, "/t", 5, writer_id=7)
+    directory = rosCas.parts.directory
+    place = (table.name, "", table.bucketOf(T0), 7)
+    (row,) = directory.find(*place[:3])
+    assert row.closed and row.filled == frozenset()
+    time.sleep(0.005)
+    directory.open(*place, 0, {"_ix0"})
+    wanted = row._replace(filled=frozenset({"_ix1"}))
+    assert directory.putRecount(table.name, wanted, Totals(), 0) is False
+    (row,) = directory.find(*place[:3])
+    assert not row.closed and row.filled == {"_ix0"} and row.rows == 5
+    wanted = row._replace(filled=row.filled | {"_ix1"})
+    totals = Totals(5, 50, 10, T0, T0 + 4, 3)
+    assert directory.putRecount(table.name, wanted, totals, 0) is True
+    (row,) = directory.buckets(table.name, *(table.bucketOf(T0),) * 2)
+    assert row.closed and row.filled == {"_ix0", "_ix1"} and (row.rows, row.odd) == (5, 3)
+    directory.put(*place, totals, True, 0)
+    assert directory.find(*place[:3])[0].filled == frozenset()
+
+
+def test_rows_of_an_earlier_release_fill_nothing(rosCas, cql):
+    table = store(rosCas, "/t", 5)
+    (row,) = rosCas.parts.directory.buckets(table.name, *(table.bucketOf(T0),) * 2)
+    cql.execute(
+        f"DELETE filled FROM {rosCas.keyspace}.cr_bucket "
+        "WHERE tbl = %s AND node = '' AND slot = %s AND bucket = %s AND writer = %s",
+        (table.name, row.bucket // 4096, row.bucket, row.writer),
+    )
+    (row,) = rosCas.parts.directory.buckets(table.name, *(table.bucketOf(T0),) * 2)
+    assert row.filled == frozenset() and row.closed
+    assert rosCas.getTopic("/t").createIndex("data") == 5
+
+
+def test_a_writer_does_not_list_what_its_earlier_rows_lack(rosCas):
+    table = store(rosCas, "/t", 10, writer_id=9)
+    assert add(rosCas, table) == "_ix0"
+    store(rosCas, "/t", 5, writer_id=9)
+    store(rosCas, "/t", 5, writer_id=10)
+    ends = (table.bucketOf(T0),) * 2
+    rows = {row.writer: row.filled for row in rosCas.parts.directory.buckets(table.name, *ends)}
+    assert rows == {9: frozenset(), 10: {"_ix0"}}
+    assert rosCas.getTopic("/t").createIndex("data") == 10
+
+
+# ---------------------------------------------------------------- schema
+
+
+class Crash(Exception):
+    pass
+
+
+@pytest.mark.parametrize("step", ["createIndex", "setComment"])
+def test_a_crash_between_the_steps_is_completed(rosCas, cql, monkeypatch, step):
+    table = store(rosCas, "/t", 5)
+    topic, schema = rosCas.getTopic("/t"), rosCas.parts.schema
+
+    def crash(*args):
+        raise Crash
+
+    with monkeypatch.context() as broken:
+        broken.setattr(schema, step, crash)
+        with pytest.raises(Crash):
+            topic.createIndex("data")
+    # The table works, for reading and for a new writer.
+    schema.tables(fresh=True)
+    assert topic.getMeta["indexes"] == []
+    store(rosCas, "/t", 8, writer_id=3)
+    assert topic.countTopicData() == 13
+    assert topic.createIndex("data") == 13
+    # The column that was left is taken: no comment had listed it.
+    assert dict(topic.tables[0].metadata.indexes) == {"data": "_ix0"}
+    assert index_names(cql, rosCas, table) == {"_ix0"}
+    found = cql.execute(f"SELECT count(*) FROM {table.qualified} WHERE \"_ix0\" = '3'").one()
+    assert found[0] == 2
+
+
+def test_a_column_that_was_left_of_another_type_is_passed_over(rosCas, cql):
+    table = store(rosCas, "/t", 5, Float64)
+    cql.execute(f'ALTER TABLE {table.qualified} ADD "_ix0" text')
+    rosCas.getTopic("/t").createIndex("data")
+    metadata = rosCas.getTopic("/t").tables[0].metadata
+    assert (dict(metadata.indexes), metadata.nextShadow) == ({"data": "_ix1"}, 2)
+
+
+def test_an_index_that_its_comment_lists_is_made_where_it_is_missing(rosCas, cql):
+    table = store(rosCas, "/t", 5)
+    topic = rosCas.getTopic("/t")
+    topic.createIndex("data")
+    cql.execute(f'DROP INDEX {rosCas.keyspace}."{table.name}_ix0"')
+    assert topic.createIndex("data") == 0
+    assert index_names(cql, rosCas, table) == {"_ix0"}
+
+
+def test_numbers_are_never_used_again(rosCas, cql):
+    table = store(rosCas, "/t", 5)
+    topic = rosCas.getTopic("/t")
+    for number in range(3):
+        topic.createIndex("data")
+        assert dict(topic.tables[0].metadata.indexes) == {"data": f"_ix{number}"}
+        assert index_names(cql, rosCas, table) == {f"_ix{number}"}
+        topic.removeIndex("data")
+    assert index_names(cql, rosCas, table) == set()
+    # The columns stay: somebody may be writing into them.
+    assert {"_ix0", "_ix1", "_ix2"} < set(rosCas.parts.schema.columns(table.name))
+
+
+def test_a_crash_while_removing_is_completed(rosCas, cql, monkeypatch):
+    table = store(rosCas, "/t", 5)
+    topic, cassandra = rosCas.getTopic("/t"), rosCas.cassandra
+    topic.createIndex("data")
+    change = cassandra.schemaChange
+
+    def crash(statement, *, what):
+        if statement.startswith("DROP INDEX"):
+            raise Crash
+        change(statement, what=what)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(cassandra, "schemaChange", crash)
+        with pytest.raises(Crash):
+            topic.removeIndex("data")
+    rosCas.parts.schema.tables(fresh=True)
+    assert topic.getMeta["indexes"] == []
+    assert index_names(cql, rosCas, table) == {"_ix0"}
+    topic.removeIndex("data")
+    assert index_names(cql, rosCas, table) == set()
+
+
+def test_a_topic_that_is_gone(rosCas):
+    store(rosCas, "/t", 5)
+    topic = rosCas.getTopic("/t")
+    rosCas.removeTopic("/t")
+    for change in (topic.createIndex, topic.removeIndex):
+        with pytest.raises(TopicNotFound):
+            change("data")
+
+
+def test_comments_of_earlier_releases_are_read():
+    old = TopicMetadata("/t", "a/B", "0" * 32, "ros", SEC, indexes={"data": "_ix0"})
+    comment = old.toComment().replace('"index_count": 0, ', "")
+    assert "index_count" not in comment
+    read = fromComment(comment, "t")
+    assert read == old and read.nextShadow == 1
+    assert read.withoutIndex("data").nextShadow == 1
+    assert read.withoutIndex("data").withIndex("x", 1).indexes == {"x": "_ix1"}
+    assert TopicMetadata("/t", "a/B", "", "ros", SEC).nextShadow == 0
+
+
+# ---------------------------------------------------------------- times to live
+
+
+def test_what_is_no_ttl_is_refused(rosCas):
+    wrong = ["abc", "10", b"10", None, float("inf"), float("nan"), 1.5, -1, True, MAX_TTL_SEC + 1]
+    for ttl in (*wrong, 10**400):
+        with pytest.raises(InvalidOption, match="cannot be kept"):
+            checkTtl(ttl)
+        with pytest.raises(InvalidOption):
+            rosCas.addTopic("/t", ttl=ttl)
+
+
+@pytest.mark.parametrize("ttl", [0, 1, 60.0, MAX_TTL_SEC])
+def test_what_is_a_ttl(ttl):
+    assert checkTtl(ttl) == ttl and type(checkTtl(ttl)) is int
+
+
+def test_a_slot_is_noted_again_while_it_is_written(rosCas, monkeypatch):
+    from cassandra_ros.store import slot_notes
+
+    writer = rosCas.messageWriter(ttl=500)
+    handle = writer.connect(apiConnection("/t", definitionOf(String), "/w"), bucket_ns=600 * SEC)
+
+    noted = []
+    directory = writer._rows._directory
+    add_node = directory.addNode
+
+    def counting(table, slot, node, ttl=0):
+        noted.append(ttl)
+        add_node(table, slot, node, ttl)
+
+    monkeypatch.setattr(directory, "addNode", counting)
+    clock = [time.monotonic()]
+    monkeypatch.setattr(slot_notes, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    wire = serialize(String(data="x"))
+    writer.write(handle, T0, 0, wire)
+    writer.write(handle, T0 + 600 * SEC, 1, wire)
+    assert noted == [500 + 7200]
+    (bucket, _) = writer._rows._buckets.values()
+    clock[0] += 3599
+    writer._rows._mark(bucket)
+    assert len(noted) == 1
+    clock[0] += 2
+    writer._rows._mark(bucket)  # the heartbeat of a bucket that is written all the time
+    assert len(noted) == 2
+    clock[0] += 3601
+    writer._rows._reopen(bucket)  # a bucket that lay idle
+    assert len(noted) == 3
+    clock[0] += 3601
+    writer.write(handle, T0 + 1200 * SEC, 2, wire)  # another bucket of the slot
+    assert len(noted) == 4
+    monkeypatch.undo()
+    writer.close()
