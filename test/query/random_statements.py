@@ -203,7 +203,7 @@ class Asker:
         self._indexed = {path for path in paths if path.text in indexes}
 
     def statements(self):
-        """Strategy of statements, most of them with a condition."""
+        """Strategy of statements with a condition."""
         return st.sampled_from(sorted(self._chains, key=str)).flatmap(self._inChain)
 
     def _inChain(self, chain):
@@ -226,7 +226,7 @@ class Asker:
         totals = st.builds(
             Statement,
             st.lists(self._totals(paths), min_size=1, max_size=3).map(tuple),
-            st.none() | tree | tree,
+            tree,
         )
         return st.one_of(plain, plain, plain, totals)
 
@@ -273,17 +273,21 @@ class Asker:
         made = [
             *[st.builds(Leaf, st.just(operand), st.sampled_from(ORDERED), st.tuples(values))] * 5,
             st.builds(
-                *(Leaf, st.just(operand), st.just("IN")),
-                st.lists(values, min_size=1, max_size=4).map(tuple),
-                st.booleans(),
-            ),
-            st.builds(
                 *(Leaf, st.just(operand), st.just("BETWEEN")),
                 st.tuples(values, values),
                 st.booleans(),
             ),
             null,
         ]
+        if len(kinds) == 1:
+            # Where a definition has a number and another a text, only = says what is meant.
+            made.append(
+                st.builds(
+                    *(Leaf, st.just(operand), st.just("IN")),
+                    st.lists(values, min_size=1, max_size=4).map(tuple),
+                    st.booleans(),
+                )
+            )
         if "text" in {kind for kind, _ in kinds}:
             patterns = st.sampled_from(self._patternsOf(operand))
             made += [
