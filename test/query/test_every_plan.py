@@ -78,8 +78,8 @@ def test_every_plan_finds_what_python_finds(stored, record_property):
 
     check()
     assert seen["conditions"] * len(KINDS) >= 2000, seen
-    # Most of them find something, and many are the server's to check.
-    assert seen["found"] * 2 > seen["conditions"], seen
+    # Many of them find something, and many are the server's to check.
+    assert seen["found"] * 3 > seen["conditions"], seen
     assert min(seen["indexed"], seen["filtered"]) * 20 > STATEMENTS, seen
     record_property("told", f"{stored.name}: {dict(seen)}")
 
