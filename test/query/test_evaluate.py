@@ -402,6 +402,20 @@ def test_a_field_that_one_definition_lacks_is_missing_there():
     assert test(row_of(Float32(5)))
 
 
+def test_in_means_equal_to_one_of_them_also_where_definitions_differ_in_kind():
+    rows = [row_of(String(data="a")), row_of(Int64(data=1))]
+
+    def found(text):
+        test = Condition(text).test([row.table for row in rows])
+        return [test(row) for row in rows]
+
+    assert found("data != 'b'") == found("data NOT IN ('b')") == [True, False]
+    assert found("data IN ('a', 1)") == [True, True]
+    # Neither equal to 'b' nor comparable with it.
+    assert found("data NOT IN ('b', 2)") == found("data != 'b' AND data != 2") == [False, False]
+    assert found("NOT data IN ('b')") == [True, False]
+
+
 def test_names_that_are_keywords_of_python():
     definition = parseDefinition("pkg/T", "int32 from\nint32 class\nint32 limit", None)
     wire = struct.pack("<iii", 1, 2, 3)

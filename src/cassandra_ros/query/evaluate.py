@@ -75,9 +75,7 @@ def compileCondition(expression: Optional[Expression], locate: Locate, fit: Fit)
         return _unknown
     if isinstance(expression, Compare):
         return _comparison(place, expression.operator, listed[0])
-    # NaN equals nothing, yet a set finds it by identity.
-    members = frozenset(value for value in listed if value is not None and value == value)
-    return _tested(place, members.__contains__)
+    return _membership(place, listed)
 
 
 def _unknown(values: Values) -> Optional[bool]:
@@ -96,6 +94,19 @@ def _comparison(place: int, sign: str, wanted: Optional[Comparable]) -> Check:
     def check(values: Values) -> Optional[bool]:
         value = values[place]
         return None if value is None else compare(value, wanted)
+
+    return check
+
+
+def _membership(place: int, listed: Sequence[Optional[Comparable]]) -> Check:
+    """``IN``: as ``=`` with each value, joined by OR."""
+    # NaN equals nothing, yet a set finds it by identity.
+    members = frozenset(value for value in listed if value is not None and value == value)
+    otherwise = None if None in listed else False  # of another kind: unknown
+
+    def check(values: Values) -> Optional[bool]:
+        value = values[place]
+        return None if value is None else value in members or otherwise
 
     return check
 

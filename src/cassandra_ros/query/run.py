@@ -24,6 +24,10 @@ Cursor = Union[str, Position, None]
 _Rows = Generator[Tuple[Any, ...], None, None]
 
 
+_ENDED = Place(1, 0, Position(0, "", 0, ""))
+"""Behind the one row of aggregates."""
+
+
 class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples of any values
     """The rows of a statement, read while they are taken.
 
@@ -123,6 +127,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     def _aggregated(self, topic: Any, bounds: Bounds, place: Place, left: Optional[int]) -> _Rows:
         if place.position is not None or left == 0:
             return
+        self._place = _ENDED
         if self.counted and not bounds.empty:
             yield (self._countedByKey(topic, bounds),) * len(self.select.aggregates)
             return
