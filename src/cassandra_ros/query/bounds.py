@@ -14,7 +14,17 @@ from typing import Iterator, Optional
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.literals import fitToText, fitToTime
-from cassandra_ros.query.syntax import All, Compare, Expression, Key, Literal, Node, given, leaves
+from cassandra_ros.query.syntax import (
+    All,
+    Compare,
+    Expression,
+    Key,
+    Literal,
+    Node,
+    OneOf,
+    given,
+    leaves,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -128,4 +138,8 @@ def _narrowed(bounds: Bounds, part: Expression, named: bool) -> Bounds:
             low = {"=": ns, ">=": ns, ">": ns + 1}.get(part.operator)
             high = {"=": ns, "<=": ns, "<": ns - 1}.get(part.operator)
             return bounds.within(low, high)
+    if isinstance(part, OneOf) and isinstance(part.operand, Key) and not named:
+        times = [fitToTime(value) for value in part.values if isinstance(value, Literal)]
+        if times:
+            bounds = bounds.within(min(times), max(times))
     return replace(bounds, whole=False)

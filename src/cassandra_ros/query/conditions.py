@@ -8,7 +8,7 @@ import logging
 from itertools import islice
 from typing import Any, Callable, Iterator, Optional, Sequence
 
-from cassandra_ros.errors import CorruptMessage, InvalidQuery, MessageNotFound
+from cassandra_ros.errors import CorruptMessage, InvalidKey, InvalidQuery, MessageNotFound
 from cassandra_ros.keys import Position, isBehind
 from cassandra_ros.query.bounds import Bounds, boundsOf
 from cassandra_ros.query.builder import StatementError
@@ -21,6 +21,28 @@ from cassandra_ros.query.syntax import Expression
 _log = logging.getLogger(__name__)
 
 Test = Callable[[Any], bool]
+
+
+class _TableTest:
+    """Tells whether a row of one table satisfies a condition."""
+
+    def __init__(self, expression: Expression, table: Any, findings: Findings) -> None:
+        self._format = table.metadata.format
+        self._scope = Scope(table.definition, findings, table.named)
+        self._check = compileCondition(expression, self._scope.locate, self._scope.fit)
+        self._extractor = self._scope.extractor()
+
+    @property
+    def columns(self) -> Optional[Sequence[str]]:
+        """Columns of the table that it looks at; None = all."""
+        if self._extractor is None:
+            return ()
+        return self._extractor.columns if self._format == "ros" else None
+
+    def __call__(self, row: Any) -> bool:
+        values = self._scope.rows(row, self._extractor)
+        found = readable(row, values, self._scope.width)
+        return any(self._check(value) is True for value in found)
 
 
 class Condition:
@@ -75,19 +97,20 @@ class Condition:
             InvalidQuery: The condition names a field that no definition of the topic has, or
                 compares one with a value of another kind.
         """
+        testOf = self._tests(tables)
+        return lambda row: testOf(row.table)(row)
+
+    def _tests(self, tables: Sequence[Any]) -> Callable[[Any], _TableTest]:
         findings = Findings(self.text)
-        tests = {
-            t.name: _test(self._expression, Scope(t.definition, findings, t.named)) for t in tables
-        }
+        tests = {t.name: _TableTest(self._expression, t, findings) for t in tables}
         findings.check()
 
-        def test(row: Any) -> bool:
-            if row.table.name not in tests:  # made since
-                scope = Scope(row.table.definition, Findings(self.text), row.table.named)
-                tests[row.table.name] = _test(self._expression, scope)
-            return tests[row.table.name](row)
+        def testOf(table: Any) -> _TableTest:
+            if table.name not in tests:  # made since
+                tests[table.name] = _TableTest(self._expression, table, Findings(self.text))
+            return tests[table.name]
 
-        return test
+        return testOf
 
     def rows(
         self,
@@ -96,6 +119,8 @@ class Condition:
         to_key: Optional[int] = None,
         after: Optional[Position] = None,
         reverse: bool = False,
+        *,
+        bare: bool = False,
     ) -> Iterator[Any]:
         """Walk through the rows of a topic that satisfy the condition, in the order of time.
 
@@ -105,13 +130,16 @@ class Condition:
             to_key: Upper end, included, ns; None = open.
             after: Begin behind this row.
             reverse: Newest first.
+            bare: Only the keys are wanted: a row fetches its message when it is asked for.
         """
         tables = topic.tables
-        test = self.test(tables)
+        testOf = self._tests(tables)
         bounds = self.bounds(any(t.named for t in tables)).within(key, to_key)
-        pushed = Pushdown(self._expression)
-        rows = boundedRows(topic, bounds, after, reverse, chooser=pushed)
-        return (row for row in rows if test(row))
+        reading: Any = {"chooser": Pushdown(self._expression)}
+        if bare:
+            reading["columns"] = lambda table: testOf(table).columns
+        rows = boundedRows(topic, bounds, after, reverse, **reading)
+        return (row for row in rows if testOf(row.table)(row))
 
 
 def boundedRows(
@@ -131,7 +159,10 @@ def boundedRows(
             bounds.low, bounds.high, nodeID=bounds.node, **direction, **reading
         )
         return rows
-    every = topic.versions(bounds.name, nodeID=bounds.node, reverse=reverse)
+    try:
+        every = topic.versions(bounds.name, nodeID=bounds.node, reverse=reverse)
+    except InvalidKey:
+        return iter(())  # no message can have such a name
     found = (
         row
         for row in every
@@ -150,14 +181,3 @@ def readable(row: Any, values: Iterator[Sequence[Any]], width: int) -> list[Sequ
         _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
         key = row.name if row.table.named else row.t
         return [(key, row.node, *[None] * (width - 2))]
-
-
-def _test(expression: Expression, scope: Scope) -> Test:
-    check = compileCondition(expression, scope.locate, scope.fit)
-    extractor = scope.extractor()
-
-    def test(row: Any) -> bool:
-        found = readable(row, scope.rows(row, extractor), scope.width)
-        return any(check(values) is True for values in found)
-
-    return test

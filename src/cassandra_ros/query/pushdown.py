@@ -29,7 +29,7 @@ from cassandra_ros.query.syntax import (
     Path,
     given,
 )
-from cassandra_ros.query.terms import NEVER, Held, Ways, spanOf, waysOf
+from cassandra_ros.query.terms import NEVER, Held, Term, Ways, spanOf, waysOf
 
 PLANS = ("auto", "index", "filter", "client")
 """What may be pushed: whatever is quickest; the same, with every index; no index; nothing."""
@@ -40,6 +40,9 @@ FEW_VALUES = 4
 DENSE_SHARE = 0.05
 """Where an index finds more of a bucket than this, a filter is quicker: it fetches row by row."""
 DENSE_ROWS = 500
+"""So few are no burden, whatever their share."""
+CROWDED_SHARE = 0.3
+"""Where more of a bucket is wanted, it is read once instead of by several queries."""
 LONGEST_TEXT = 64 * 1024
 """Longer texts of large messages are in no column."""
 LONGEST_INDEXED = 1024
@@ -82,6 +85,7 @@ class Pushdown:
         self._plan = plan
         self._branches: dict[str, Optional[list[Branch]]] = {}
         self._dense: set[str] = set()
+        self._crowded: set[str] = set()
         self.indexed = self.filtered = self.whole = self.skipped = 0
         self.used: dict[tuple[Leaf, str], None] = {}
 
@@ -99,9 +103,12 @@ class Pushdown:
         return chosen
 
     def learn(self, table: Any, bucket: Sequence[Any], found: int) -> None:
-        """Leave the index alone where it finds much: each of its rows is fetched by itself."""
-        if found > DENSE_ROWS and found > DENSE_SHARE * sum(row.rows for row in bucket):
+        """Do less in the next buckets where much was found in this one."""
+        every = sum(row.rows for row in bucket)
+        if found > DENSE_ROWS and found > DENSE_SHARE * every:
             self._dense.add(table.name)
+            if found > CROWDED_SHARE * every:
+                self._crowded.add(table.name)
 
     def _chosen(self, table: Any, bucket: Sequence[Any]) -> Optional[list[Any]]:
         if self._plan == "client" or self._expression is None:
@@ -113,11 +120,15 @@ class Pushdown:
             return None
         filled = self._filled(table, bucket)
         queries: list[Any] = []
+        used: dict[tuple[Leaf, str], None] = {}
         for branch in branches:
-            found = self._queries(branch, filled)
+            found = self._queries(branch, filled, used)
             if found is None or len(queries) + len(found) > MAX_QUERIES:
                 return None
             queries.extend(found)
+        if self._plan == "auto" and len(queries) > 1 and table.name in self._crowded:
+            return None
+        self.used.update(used)
         if any(row.odd or not row.closed for row in bucket):
             queries.append(_ODD)
         return queries
@@ -129,23 +140,41 @@ class Pushdown:
             return frozenset()
         return frozenset.intersection(*(row.filled for row in bucket))
 
-    def _queries(self, branch: Branch, filled: frozenset[str]) -> Optional[list[Any]]:
+    def _queries(
+        self, branch: Branch, filled: frozenset[str], used: dict[tuple[Leaf, str], None]
+    ) -> Optional[list[Any]]:
         """Return the queries for one branch; None where the server cannot check anything of it."""
         if any(NEVER in (need.filtered, need.indexed) for need in branch):
             return []
         shadow = next(
             (n.shadow for n in branch if n.indexed is not None and n.shadow in filled), ""
         )
-        ways = []
-        for need in branch:
-            by_index = shadow and need.shadow == shadow and need.indexed is not None
+        ways, count = [], 1
+        chosen = [
+            (bool(shadow) and n.shadow == shadow and n.indexed is not None, n) for n in branch
+        ]
+        for by_index, need in sorted(chosen, key=lambda found: not found[0]):
             way = need.indexed if by_index else need.filtered
-            if way is not None:
+            if way is not None and count * len(way) <= MAX_QUERIES:
+                count *= len(way)
                 ways.append(way)
-                self.used[need.leaf, "index" if by_index else "filter"] = None
+                used[need.leaf, "index" if by_index else "filter"] = None
         if not ways:
             return None
-        return [(sum(terms, ()), bool(shadow)) for terms in product(*ways)]
+        return [(_compatible(sum(terms, ())), bool(shadow)) for terms in product(*ways)]
+
+
+def _compatible(terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Leave out what the server refuses beside others: a second bound, or one beside =."""
+    equal = {column for column, operator, _ in terms if operator == "="}
+    kept: dict[tuple[Any, ...], Term] = {}
+    for term in terms:
+        column, operator, value = term
+        if operator == "CONTAINS":
+            kept.setdefault((column, operator, value), term)
+        elif operator == "=" or column not in equal:
+            kept.setdefault((column, operator), term)
+    return tuple(kept.values())
 
 
 def _branches(expression: Expression, table: Any) -> Optional[list[Branch]]:

@@ -19,6 +19,7 @@ from cassandra_ros.query.plan import TablePlan, uniteColumns
 from cassandra_ros.query.pushdown import Pushdown
 from cassandra_ros.query.scope import Findings
 from cassandra_ros.query.syntax import Select
+from cassandra_ros.topics.selection import checkLimit
 
 Cursor = Union[str, Position, None]
 _Rows = Generator[Tuple[Any, ...], None, None]
@@ -178,7 +179,9 @@ def execute(
     Raises:
         InvalidQuery: The statement cannot be understood, or names something unknown.
         InvalidKey: ``after`` is no cursor.
+        InvalidOption: ``limit`` is negative.
     """
+    checkLimit(limit)
     select = statement if isinstance(statement, Select) else parseSelect(statement, params)
     topic = findTopic(rosCas, select.text, select.topic, select.topic_position)
     try:

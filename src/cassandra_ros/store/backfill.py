@@ -8,7 +8,6 @@ deleted, and with what is left of the row's time to live.
 
 from __future__ import annotations
 
-import time
 from typing import Any, Iterator, NamedTuple, Sequence
 
 from cassandra.query import BatchStatement, BatchType
@@ -23,14 +22,16 @@ from cassandra_ros.store.row_table import (
     RowTable,
     TableRow,
     bind,
+    decodeLong,
     encodeInt,
     encodeLong,
 )
 
 PAGE_ROWS = 1000
 PAGE_BYTES = 2 * 1024 * 1024
-EARLY_SEC = 1.0
-"""How much earlier than its row a value expires; one that stayed longer would be a row alone."""
+LATER_SEC = 1
+"""How much longer than its row a value stays, at least: an index must not lose a row before it
+expires. Readers leave out what is left of it then."""
 
 
 class Written(NamedTuple):
@@ -40,9 +41,7 @@ class Written(NamedTuple):
     timestamp: bytes
     """Microseconds, encoded."""
     ttl: int | None
-    """Seconds that it had left when its page was asked for; None = it stays."""
-    asked: float
-    """When that was, by the monotonic clock."""
+    """Seconds that it had left when its page was read; None = it stays."""
 
 
 class Update(NamedTuple):
@@ -84,38 +83,44 @@ class Backfill:
         low = (-(2**63), MIN_SEQ)
         size = max(1, min(PAGE_ROWS, PAGE_BYTES // (largest + 64)))
         while True:
-            page, more = self._page(node, bucket, low, size)
+            page, following = self._page(node, bucket, low, size)
             yield page
-            if not page or not more:
+            if following is None:
                 return
-            low = (page[-1].row.t, page[-1].row.seq + 1)
+            low = following
 
     def _page(
         self, node: str, bucket: int, low: tuple[int, int], size: int
-    ) -> tuple[list[Written], bool]:
+    ) -> tuple[list[Written], tuple[int, int] | None]:
+        """Return rows, and where the next page begins."""
         patience = Patience(f"reading topic {self._table.metadata.topic}")
         place = (node.encode("utf-8"), encodeLong(bucket))
         while True:
             bound = bind(self._select, (*place, *map(encodeLong, low)))
             bound.fetch_size = size
-            asked = time.monotonic()
             try:
                 result = self._cassandra.sendRaw(bound).result()
-                make = self._table.rowFromValues
-                rows = [
-                    Written(make(node, values[:-2]), values[-2], _ttl(values[-1]), asked)
-                    for values in result.current_rows
-                ]
-                return rows, result.has_more_pages
+                every, more = result.current_rows, result.has_more_pages
             except DRIVER_ERRORS as exc:
                 patience.wait(exc)
+                continue
+            make = self._table.rowFromValues
+            rows = [
+                Written(make(node, values[:-2]), values[-2], _ttl(values[-1]))
+                for values in every
+                if not self._table.isRest(values)
+            ]
+            if not (every and more):
+                return rows, None
+            t, seq = map(decodeLong, every[-1][:2])
+            return rows, (t, seq + 1)
 
     def write(self, updates: Sequence[Update]) -> None:
         """Write the values of rows of one bucket; return when they are acknowledged."""
         sent = [(part, self._send(part)) for part in _parts(updates)]
         for part, future in sent:
             patience = Patience(f"indexing topic {self._table.metadata.topic}")
-            while future is not None:
+            while True:
                 try:
                     future.result()
                     break
@@ -126,15 +131,12 @@ class Backfill:
     def _send(self, updates: Sequence[Update]) -> Any:
         batch = BatchStatement(BatchType.UNLOGGED)
         batch.is_idempotent = True
-        now = time.monotonic()
-        for (row, timestamp, ttl, asked), value in updates:
-            left = 0 if ttl is None else int(ttl - (now - asked) - EARLY_SEC)
-            if ttl is not None and left < 1:
-                continue
+        for (row, timestamp, ttl), value in updates:
+            left = 0 if ttl is None else ttl + LATER_SEC
             statement = self._set_odd if value is None else self._set_value
             head = (timestamp, encodeInt(left), b"\x01" if value is None else value)
             batch.add(bind(statement, (*head, *self._table.keyOf(row))))
-        return self._cassandra.sendRaw(batch) if len(batch) else None
+        return self._cassandra.sendRaw(batch)
 
 
 def _ttl(value: bytes | None) -> int | None:

@@ -10,14 +10,16 @@ from typing import Any, Iterator
 
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isBusy, isTableGone
+from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isRefused
 from cassandra_ros.store.patience import Patience
-from cassandra_ros.store.row_table import MAX_SEQ, MIN_SEQ, TableRow, bind, encodeLong
+from cassandra_ros.store.row_table import MAX_SEQ, MIN_SEQ, TableRow, bind, decodeLong, encodeLong
 from cassandra_ros.store.scan import Piece, Query, Scan
 
 _log = logging.getLogger(__name__)
 
 _ALL: Query = ((), False)
+TURNED_PAGES = 2
+"""So many pages of what an index finds are held to be turned."""
 
 
 class BucketStream:
@@ -33,6 +35,8 @@ class BucketStream:
         chosen = None if scan.chooser is None else scan.chooser.choose(piece.table, piece.rows)
         self.filtered = chosen is not None
         queries = [_ALL] if chosen is None else chosen
+        # All queries of a bucket share what one may hold.
+        piece = piece._replace(page_rows=max(1, piece.page_rows // max(1, len(queries))))
         self._streams = [_Stream(cassandra, piece, scan, query) for query in queries]
 
     def rows(self) -> Iterator[TableRow]:
@@ -49,7 +53,7 @@ class BucketStream:
                 last = _place(row)
                 count += 1
                 yield row
-        if self._scan.chooser is not None:
+        if self._scan.chooser is not None and not any(s.refused for s in self._streams):
             self._scan.chooser.learn(self._piece.table, self._piece.rows, count)
 
 
@@ -67,8 +71,10 @@ class _Stream:
         self._low = _lowest(piece, scan)
         self._high = _highest(piece, scan)
         self._terms, indexed = query
-        # The server cannot turn the order of what an index finds; it is little.
+        # The server cannot turn the order of what an index finds.
         self._turned = scan.reverse and indexed
+        self.refused = False
+        """The server did not do what it was asked for; all rows are read."""
         self._statement: Any = None
         self._future: Any = None
         self._start()
@@ -81,6 +87,8 @@ class _Stream:
         try:
             self._statement = self._piece.table.selectRange(columns, reverse=reverse, terms=terms)
         except SchemaConflict as exc:
+            if not self._terms:
+                raise
             self._readAll(exc)
             return
         self._future = self._ask()
@@ -93,13 +101,13 @@ class _Stream:
         bound.fetch_size = self._piece.page_rows
         return self._cassandra.sendRaw(bound)
 
-    def _readAll(self, exc: BaseException) -> None:
+    def _readAll(self, exc: object) -> None:
         """Go on with all rows from here: a server may forbid to filter, or be too slow at it."""
         _log.info(
             "topic %s is read whole, the server does not filter it: %s",
             *(self._piece.table.metadata.topic, exc),
         )
-        self._terms, self._turned = (), False
+        self._terms, self._turned, self.refused = (), False, True
         self._start()
 
     def _page(self) -> list[Any]:
@@ -108,20 +116,30 @@ class _Stream:
             try:
                 return self._future.result().current_rows  # type: ignore[no-any-return]
             except DRIVER_ERRORS as exc:
-                if self._terms and not (isBusy(exc) or isTableGone(exc)):
+                if self._terms and isRefused(exc):
                     self._readAll(exc)
                     continue
                 patience.wait(exc)
                 self._future = self._ask()
 
     def rows(self) -> Iterator[TableRow]:
-        if not self._turned:
-            yield from self._pages()
-            return
-        # Where reading whole took over, the rows that came before are there again.
-        found = {_place(row): row for row in self._pages()}
-        for place in sorted(found, reverse=True):
-            yield found[place]
+        if self._turned:
+            found: list[TableRow] = []
+            for row in self._pages():
+                if not self._turned or len(found) >= TURNED_PAGES * self._piece.page_rows:
+                    break
+                found.append(row)
+            else:
+                yield from sorted(found, key=_place, reverse=True)
+                return
+            # Too much to be held, or the index failed: from the newest on, all rows.
+            del found
+            self._low, self._high = (
+                _lowest(self._piece, self._scan),
+                _highest(self._piece, self._scan),
+            )
+            self._readAll("an index finds too many rows to turn their order")
+        yield from self._pages()
 
     def _pages(self) -> Iterator[TableRow]:
         table, node = self._piece.table, self._piece.node
@@ -131,15 +149,16 @@ class _Stream:
             more = self._future.has_more_pages
             if page and more:
                 # Where a later page fails the rest is asked for from here.
-                last = make(node, page[-1])
+                t, seq = map(decodeLong, page[-1][:2])
                 if self._scan.reverse and not self._turned:
-                    self._high = (last.t, last.seq - 1)
+                    self._high = (t, seq - 1)
                 elif not self._turned:
-                    self._low = (last.t, last.seq + 1)
+                    self._low = (t, seq + 1)
             if more:
                 self._future.start_fetching_next_page()
             for values in page:
-                yield make(node, values)
+                if not table.isRest(values):
+                    yield make(node, values)
             if not more:
                 return
 

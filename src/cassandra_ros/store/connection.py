@@ -146,13 +146,17 @@ class Cassandra:
         # A table that another client is making can be read in system_schema a moment before
         # every coordinator knows it.
         pause = 0.05
+        patience = Patience("preparing a statement")
         while True:
             try:
                 statement = self._session.prepare(cql)
                 statement.is_idempotent = True
                 return statement
             except DRIVER_ERRORS as exc:
-                if not isTableGone(exc) or pause > NEW_TABLE_SEC:
+                if not isTableGone(exc):
+                    patience.wait(exc)
+                    continue
+                if pause > NEW_TABLE_SEC:
                     raise translate(exc, "preparing a statement") from exc
             time.sleep(pause)
             pause *= 2

@@ -50,7 +50,8 @@ def _scanFrom(
         if more:
             future.start_fetching_next_page()
         for row in rows:
-            yield _key(row)
+            if row[2] is not None or not table.metadata.ttl:  # else only an index's value is left
+                yield _key(row)
         if not more:
             return
 

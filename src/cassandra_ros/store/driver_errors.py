@@ -14,6 +14,8 @@ from cassandra import (
     DriverException,
     InvalidRequest,
     OperationTimedOut,
+    ReadFailure,
+    ReadTimeout,
     Timeout,
     Unauthorized,
     Unavailable,
@@ -84,6 +86,15 @@ def isTableGone(exc: BaseException) -> bool:
     return isinstance(exc, InvalidRequest) and (
         "unconfigured table" in text or "does not exist" in text or "unknown table" in text
     )
+
+
+def isRefused(exc: BaseException) -> bool:
+    """Say whether a server cannot, or will not, do this statement, but perhaps a simpler one.
+
+    A read that took too long is one: less work may be done in time.
+    """
+    slow = isinstance(exc, (ReadTimeout, ReadFailure, OperationTimedOut))
+    return slow or not (isPassing(exc) or isBusy(exc) or isTableGone(exc))
 
 
 def translate(exc: BaseException, what: str) -> CassandraRosError:

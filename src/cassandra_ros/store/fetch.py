@@ -59,5 +59,5 @@ def _answer(cassandra: Cassandra, key: Wanted, future: Any) -> Iterator[TableRow
         except DRIVER_ERRORS as exc:
             patience.wait(exc)
             future = _ask(cassandra, key)
-    if rows:
+    if rows and not table.isRest(rows[0]):
         yield table.rowFromValues(position.node, rows[0], position.name)

@@ -71,6 +71,7 @@ def _first(
     while True:
         try:
             rows = future.result().current_rows
+            rows = [row for row in rows if not table.isRest(row)]
             return table.rowFromValues(node, rows[0]) if rows else None
         except DRIVER_ERRORS as exc:
             patience.wait(exc)

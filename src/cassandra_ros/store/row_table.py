@@ -197,7 +197,8 @@ class RowTable:
         where = '"_node" = ? AND "_bucket" = ? AND ' if bucket else ""
         return self._cassandra.prepare(
             f'SELECT "_node", "_t", "_seq" FROM {self.qualified} '
-            f"WHERE {where}{quoteName(shadow)} = ?"
+            # It is filtered only where the index is missing: somebody died before making it.
+            f"WHERE {where}{quoteName(shadow)} = ? ALLOW FILTERING"
         )
 
     def deleteRange(self) -> str:
@@ -216,6 +217,10 @@ class RowTable:
         )
 
     # ---------------------------------------------------------------- values
+
+    def isRest(self, values: Sequence[bytes | None]) -> bool:
+        """Say whether a selectRange row has expired but for the value of an index."""
+        return values[2] is None and bool(self.metadata.ttl)
 
     def rowFromValues(self, node: str, values: Sequence[bytes | None], name: str = "") -> TableRow:
         """Read the undecoded values of a selectRange row.
@@ -274,6 +279,11 @@ def _flags(nchunks: Any, crc: Any, odd: Any, raw: Any) -> tuple[int, int, bool, 
 def encodeLong(value: int) -> bytes:
     """Encode a bigint."""
     return _LONG.pack(value)
+
+
+def decodeLong(raw: bytes) -> int:
+    """Decode a bigint."""
+    return int(_LONG.unpack(raw)[0])
 
 
 def encodeInt(value: int) -> bytes:

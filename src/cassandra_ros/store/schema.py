@@ -9,7 +9,7 @@ import threading
 import time
 from typing import Callable, Iterable, Mapping, Sequence, Tuple
 
-from cassandra_ros.errors import SchemaConflict, TopicNotFound
+from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
 from cassandra_ros.metadata import SHADOW, TopicMetadata, fromComment
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.lock import SchemaLock
@@ -72,6 +72,15 @@ class Schema:
                 self._tables = self._read()
                 self._read_at = now
             return self._tables
+
+    def latest(self, table: str, known: TopicMetadata) -> TopicMetadata:
+        """Return the metadata of a table, those known where they cannot be read now."""
+        try:
+            return self.tables().get(table, known)
+        except CassandraRosError as exc:
+            # No reason to lose a message: the directory is told which indexes its row is given.
+            _log.warning("topic %s keeps the indexes it had: %s", known.topic, exc)
+            return known
 
     def _read(self) -> dict[str, TopicMetadata]:
         rows = self._cassandra.execute(

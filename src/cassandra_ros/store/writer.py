@@ -120,13 +120,13 @@ class RowWriter:
             bucket = self._open(table, node, number)
             self._buckets[key] = bucket
         elif now - bucket.marked > REOPEN_SEC:
-            self._reopen(bucket)
+            self._reopen(bucket, late=True)
         bucket.touched = now
         return bucket
 
     def _open(self, table: RowTable, node: str, number: int) -> OpenBucket:
         # The indexes of now: a bucket that is opened before one is made is filled without it.
-        table.metadata = self._schema.tables().get(table.name, table.metadata)
+        table.metadata = self._schema.latest(table.name, table.metadata)
         shadows = table.shadows()
         found = self._directory.find(table.name, node, number)
         mine = [row.filled for row in found if row.writer == self._writer_id]
@@ -136,7 +136,9 @@ class RowWriter:
         self.stats.setdefault(table.name, WriteStats())
         return bucket
 
-    def _reopen(self, bucket: OpenBucket) -> None:
+    def _reopen(self, bucket: OpenBucket, late: bool = False) -> None:
+        # Others took the writer for dead: they may have deleted, and closed the bucket since.
+        bucket.must_recount = bucket.must_recount or late
         table, node, number = bucket.table, bucket.node, bucket.bucket
         self._slots.note(table, node, number)
         place = (table.name, node, number, self._writer_id)
@@ -208,7 +210,7 @@ class RowWriter:
         for bucket in list(self._buckets.values()):
             if bucket.batch.rows and now - bucket.batch.since > self._linger_sec:
                 if now - bucket.marked > REOPEN_SEC:
-                    self._reopen(bucket)  # this process stood still
+                    self._reopen(bucket, late=True)  # this process stood still
                 self._send(bucket)
 
     def _heartbeats(self, now: float) -> None:

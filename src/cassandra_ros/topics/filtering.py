@@ -41,10 +41,16 @@ class Filter:
         self.test = self._condition.test(topic.tables)
 
     def rows(
-        self, low: int = 0, high: int = LAST_NS, *, reverse: bool = False
+        self, low: int = 0, high: int = LAST_NS, *, reverse: bool = False, bare: bool = False
     ) -> Iterator[StoredRow]:
-        """Walk through the rows with t in [low, high], ns, that satisfy it, in order of time."""
-        return self._condition.rows(self._topic, low, high, reverse=reverse)
+        """Walk through the rows with t in [low, high], ns, that satisfy it, in order of time.
+
+        Args:
+            low, high: Both included.
+            reverse: Newest first.
+            bare: Only keys are wanted, no messages.
+        """
+        return self._condition.rows(self._topic, low, high, reverse=reverse, bare=bare)
 
 
 def _parts(where: Any) -> Tuple[str, Sequence[Any]]:

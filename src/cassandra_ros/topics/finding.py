@@ -18,6 +18,7 @@ from cassandra_ros.topics.selection import (
     Named,
     Selection,
     Stretch,
+    checkLimit,
     selectMany,
     selectOne,
 )
@@ -63,14 +64,20 @@ class Finder:
         return self._select(self._several(key, to_key), limit=limit, reverse=reverse)
 
     def _select(
-        self, wanted: Selection, *, reverse: bool = False, limit: Optional[int] = None
+        self,
+        wanted: Selection,
+        *,
+        reverse: bool = False,
+        limit: Optional[int] = None,
+        bare: bool = False,
     ) -> Iterator[StoredRow]:
+        checkLimit(limit)
         if self._where is None:
             return self._keyspace.rows.select(
                 self._tables, wanted, nodes=self._nodes, limit=limit, reverse=reverse
             )
         if isinstance(wanted, Stretch):
-            return islice(self._where.rows(*wanted, reverse=reverse), limit)
+            return islice(self._where.rows(*wanted, reverse=reverse, bare=bare), limit)
         rows = self._keyspace.rows.select(self._tables, wanted, nodes=self._nodes, reverse=reverse)
         return islice(filter(self._where.test, rows), limit)
 
@@ -79,7 +86,7 @@ class Finder:
         wanted = self._several(key, to_key)
         if isinstance(wanted, Stretch) and self._where is None:
             return self._keyspace.totals.count(self._tables, *wanted, self._nodes)
-        return sum(1 for _ in self._select(wanted))
+        return sum(1 for _ in self._select(wanted, bare=True))
 
     def remove(self, key: Any, to_key: Any) -> int:
         """Delete the rows at key, or those of ``many`` without key or with to_key.
@@ -105,12 +112,12 @@ class Finder:
     def _remove(self, key: Any, to_key: Any, single: bool) -> int:
         removal = self._keyspace.removal
         if single and self.isExact(key):
-            row = self.find(key, None)
+            row = self._exact(key)  # and no other of the same time
             return 0 if row is None else removal.deleteRows([row])
         wanted = self._one(key) if single else self._several(key, to_key)
         if isinstance(wanted, Stretch) and self._where is None:
             return removal.delete(self._tables, *wanted, self._nodes)
-        return removal.deleteRows(self._select(wanted))
+        return removal.deleteRows(self._select(wanted, bare=True))
 
     def _one(self, key: Any) -> Selection:
         return selectOne(self._topic, self._key_format, self._tables, key)
@@ -122,15 +129,22 @@ class Finder:
         """Find the one row that getData means by a key; None where there is none."""
         if nearest is not None:
             return self._near(key, nearest)
-        if self.isExact(key):
-            table = self._keyspace.tables.byName(key.table)
-            if table is not None and table.metadata.topic == self._topic:
-                return self._passing(self._keyspace.rows.exact(table, key))
+        if self.isExact(key) and self._tableOf(key) is not None:
+            return self._exact(key)
         wanted = self._one(key)
         if isinstance(wanted, Stretch) and self._where is None:
             return self._keyspace.rows.at(self._tables, wanted.low, self._nodes)
         newest = isinstance(wanted, Named)  # of several versions; of equal values the first
         return next(self._select(wanted, reverse=newest, limit=1), None)
+
+    def _tableOf(self, key: Any) -> Optional[TopicTable]:
+        """Return the table in which a key of ours lies; None where it is gone."""
+        table = self._keyspace.tables.byName(key.table)
+        return table if table is not None and table.metadata.topic == self._topic else None
+
+    def _exact(self, key: Any) -> Optional[StoredRow]:
+        table = self._tableOf(key)
+        return None if table is None else self._passing(self._keyspace.rows.exact(table, key))
 
     def _passing(self, row: Optional[StoredRow]) -> Optional[StoredRow]:
         if row is None or self._where is None or self._where.test(row):

@@ -120,7 +120,8 @@ class IndexFilling:
             try:
                 value, odd = index.value(self._rows.wire(table, row))
             except CorruptMessage as exc:
-                _log.warning("a message of topic %s cannot be indexed: %s", index.field, exc)
+                topic = table.metadata.topic
+                _log.warning("a message of topic %s cannot be indexed: %s", topic, exc)
                 value, odd = None, True
             counted.count(row.t, row.size, row.nchunks > 0, odd or row.odd)
             self._done += 1

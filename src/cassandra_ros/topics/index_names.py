@@ -41,7 +41,7 @@ class IndexNames:
                     )
 
         def change(metadata: TopicMetadata) -> TopicMetadata:
-            return metadata.with_(index_names={**_valid(metadata), name: field})
+            return metadata.with_(index_names={**metadata.index_names, name: field})
 
         self._schema.changeTopic(topic, change, check)
 

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from itertools import islice
-from typing import Dict, Iterable, List, Optional, Sequence, Tuple, Union
+from typing import Dict, FrozenSet, Iterable, List, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.counting import scanKeys
@@ -38,8 +38,7 @@ class Removal:
                 table.name, table.bucketOf(low), table.bucketOf(high), nodes, table.metadata.ttl
             )
             for node, bucket in sorted({(row.node, row.bucket) for row in rows}):
-                writers = [r.writer for r in rows if (r.node, r.bucket) == (node, bucket)]
-                deleted += self._deleteBucket(table, node, bucket, writers, low, high)
+                deleted += self._deleteBucket(table, node, bucket, low, high)
         return deleted
 
     def deleteRows(self, rows: Iterable[StoredRow]) -> int:
@@ -62,30 +61,34 @@ class Removal:
     ) -> None:
         if isinstance(partition, int):
             # Anew for each group: a reader may count the bucket in between, and believe that.
-            found = self._directory.find(table.name, node, partition)
-            self._markDeleted(table, node, partition, [row.writer for row in found])
+            self._markDeleted(table, node, partition)
         # Row by row: what another writer adds between two of them stays.
         params = [(node, partition, t, seq) for t, seq, _ in keys]
         what = f"deleting from topic {table.metadata.topic}"
         self._cassandra.executeMany(table.deleteOne(), params, what=what)
         self._deleteChunks(table, node, partition, keys)
 
-    def _deleteBucket(
-        self, table: TopicTable, node: str, bucket: int, writers: list[int], low: int, high: int
-    ) -> int:
+    def _deleteBucket(self, table: TopicTable, node: str, bucket: int, low: int, high: int) -> int:
         found = scanKeys(self._cassandra, table, node, bucket, low, high)
         keys = [(t, seq, large) for t, seq, _, large, _ in found]
         if keys:
-            self._markDeleted(table, node, bucket, writers)
+            marked = self._markDeleted(table, node, bucket)
             params = (node, bucket, *keys[0][:2], *keys[-1][:2])
             what = f"deleting from topic {table.metadata.topic}"
             self._cassandra.execute(table.deleteRange(), params, what=what)
+            # Rows of who opened the bucket in between may be gone, too.
+            self._markDeleted(table, node, bucket, marked)
             self._deleteChunks(table, node, bucket, keys)
         return len(keys)
 
-    def _markDeleted(self, table: TopicTable, node: str, bucket: int, writers: list[int]) -> None:
-        for writer in writers:
+    def _markDeleted(
+        self, table: TopicTable, node: str, bucket: int, but: FrozenSet[int] = frozenset()
+    ) -> FrozenSet[int]:
+        """Mark the bucket for its writers of now, return them."""
+        writers = frozenset(r.writer for r in self._directory.find(table.name, node, bucket))
+        for writer in writers - but:
             self._directory.markDeleted(table.name, node, bucket, writer, table.metadata.ttl)
+        return writers
 
     def _deleteChunks(
         self, table: TopicTable, node: str, partition: Union[int, str], keys: List[_Key]

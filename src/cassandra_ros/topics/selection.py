@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, Optional, Sequence, Union
 
-from cassandra_ros.errors import InvalidKey
+from cassandra_ros.errors import InvalidKey, InvalidOption
 from cassandra_ros.keys import KEY_FORMATS, NAMED_FORMATS
 from cassandra_ros.messages.stamps import isTime, toNs
 from cassandra_ros.topics.topic_table import TopicTable
@@ -52,6 +52,16 @@ def checkKeyFormat(key_format: str, key_part: str) -> None:
             "key_part names the field that is the key, as 'header.stamp', and goes with "
             f"key_format='msg_part': given were key_format={key_format!r}, key_part={key_part!r}"
         )
+
+
+def checkLimit(limit: Optional[int]) -> None:
+    """Check how many messages or rows somebody wants; None = all.
+
+    Raises:
+        InvalidOption: It is no number of them.
+    """
+    if limit is not None and (isinstance(limit, bool) or not isinstance(limit, int) or limit < 0):
+        raise InvalidOption(f"limit={limit!r} is no number of messages: give 0 or more, or None")
 
 
 def checkMessageName(topic: str, name: Any) -> str:

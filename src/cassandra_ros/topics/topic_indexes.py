@@ -78,6 +78,9 @@ class TopicIndexes(TopicFacts):
                 f"the index on {field} cannot be removed: it is the key_part of topic {self.name}, "
                 "and getData finds messages by it"
             )
+        listed = any(field in table.metadata.indexes for table in tables)
+        if not listed and tables:
+            checkIndexable(self.name, tables, field)
         if not space.indexes.drop(self.name, field):
             known = sorted({name for table in tables for name in table.metadata.indexes})
             hint = nearestFields(field, known) if known else "it has none"

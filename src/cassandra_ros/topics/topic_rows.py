@@ -12,7 +12,7 @@ from cassandra_ros.messages.stamps import Stamp, isIsoText, toNs
 from cassandra_ros.topics.filtering import Filter, Where
 from cassandra_ros.topics.finding import Finder
 from cassandra_ros.topics.reading import Columns
-from cassandra_ros.topics.selection import LAST_NS, valueOfText
+from cassandra_ros.topics.selection import LAST_NS, checkLimit, valueOfText
 from cassandra_ros.topics.stored_row import Key, StoredRow
 from cassandra_ros.topics.topic_facts import TopicFacts
 from cassandra_ros.topics.topic_table import TopicTable
@@ -94,6 +94,7 @@ class TopicRows(TopicFacts):
         """
         low = 0 if key is None else toNs(key)
         high = LAST_NS if to_key is None else toNs(to_key)
+        checkLimit(limit)
         return self._keyspace.rows.read(
             *(self._stored(), low, high),
             nodes=None if nodeID is None else (nodeID,),
