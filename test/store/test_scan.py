@@ -9,6 +9,7 @@ import struct
 import pytest
 from std_msgs.msg import UInt32
 
+from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
@@ -121,3 +122,12 @@ def test_a_row_of_few_columns_fetches_the_rest(topic):
     rows = list(topic.rows(columns=lambda table: ()))
     assert {row.columns for row in rows} == {()}
     assert numbers(rows) == wanted(topic, lambda n: True)
+
+
+def test_a_column_that_somebody_dropped_is_said_at_once(fresh, cql):
+    with fresh() as rosCas:
+        topic = filled(rosCas)
+        (table,) = topic.tables
+        cql.execute(f'ALTER TABLE {rosCas.keyspace}."{table.name}" DROP data')
+        with pytest.raises(SchemaConflict):
+            list(topic.rows())

@@ -90,7 +90,7 @@ def explain(
         returned = sum(1 for _ in result)
     pushed, topic = result.pushdown, rosCas.getTopic(result.select.topic)
     ways: dict[Leaf, list[str]] = {}
-    for leaf, way in pushed.used:
+    for (_, way), leaf in pushed.used.items():
         ways.setdefault(leaf, []).append(way)
     server = [f"{_leaf(leaf)} ({' and '.join(how)})" for leaf, how in ways.items()]
     return Explanation(

@@ -10,8 +10,9 @@ whose columns are not exact (``_odd``) are read besides.
 from __future__ import annotations
 
 from itertools import product
-from typing import Any, Iterator, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterator, NamedTuple, Optional, Sequence, Tuple
 
+from cassandra_ros.messages.index_field import MAX_TEXT_BYTES
 from cassandra_ros.messages.wire import Column, wirePlan
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.fields import FieldRef, fieldOf
@@ -43,9 +44,6 @@ DENSE_ROWS = 500
 """So few are no burden, whatever their share."""
 CROWDED_SHARE = 0.3
 """Where more of a bucket is wanted, it is read once instead of by several queries."""
-LONGEST_TEXT = 64 * 1024
-"""Longer texts of large messages are in no column."""
-LONGEST_INDEXED = 1024
 _ODD = ((("_odd", "=", b"\x01"),), False)
 
 
@@ -63,6 +61,8 @@ class Need(NamedTuple):
 
 Branch = Tuple[Need, ...]
 """Needs that all hold."""
+Used = Dict[Tuple[int, str], Leaf]
+"""Comparisons by their identity (they may be long) and the way."""
 
 
 class Pushdown:
@@ -87,7 +87,7 @@ class Pushdown:
         self._dense: set[str] = set()
         self._crowded: set[str] = set()
         self.indexed = self.filtered = self.whole = self.skipped = 0
-        self.used: dict[tuple[Leaf, str], None] = {}
+        self.used: Used = {}
 
     def choose(self, table: Any, bucket: Sequence[Any]) -> Optional[Sequence[Any]]:
         """Return the queries whose rows include those that match; see Chooser."""
@@ -120,7 +120,7 @@ class Pushdown:
             return None
         filled = self._filled(table, bucket)
         queries: list[Any] = []
-        used: dict[tuple[Leaf, str], None] = {}
+        used: Used = {}
         for branch in branches:
             found = self._queries(branch, filled, used)
             if found is None or len(queries) + len(found) > MAX_QUERIES:
@@ -140,15 +140,13 @@ class Pushdown:
             return frozenset()
         return frozenset.intersection(*(row.filled for row in bucket))
 
-    def _queries(
-        self, branch: Branch, filled: frozenset[str], used: dict[tuple[Leaf, str], None]
-    ) -> Optional[list[Any]]:
+    def _queries(self, branch: Branch, filled: frozenset[str], used: Used) -> Optional[list[Any]]:
         """Return the queries for one branch; None where the server cannot check anything of it."""
         if any(NEVER in (need.filtered, need.indexed) for need in branch):
             return []
-        shadow = next(
-            (n.shadow for n in branch if n.indexed is not None and n.shadow in filled), ""
-        )
+        usable = [n for n in branch if n.indexed is not None and n.shadow in filled]
+        # The index on what is to be equal finds less than one on a range.
+        shadow = min(usable, key=_isRange).shadow if usable else ""
         ways, count = [], 1
         chosen = [
             (bool(shadow) and n.shadow == shadow and n.indexed is not None, n) for n in branch
@@ -158,10 +156,14 @@ class Pushdown:
             if way is not None and count * len(way) <= MAX_QUERIES:
                 count *= len(way)
                 ways.append(way)
-                used[need.leaf, "index" if by_index else "filter"] = None
+                used[id(need.leaf), "index" if by_index else "filter"] = need.leaf
         if not ways:
             return None
         return [(_compatible(sum(terms, ())), bool(shadow)) for terms in product(*ways)]
+
+
+def _isRange(need: Need) -> bool:
+    return any(term[1] not in ("=", "CONTAINS") for way in need.indexed or () for term in way)
 
 
 def _compatible(terms: Sequence[Term]) -> tuple[Term, ...]:
@@ -216,7 +218,7 @@ def _need(leaf: Leaf, table: Any) -> Need:
     if ref.part:
         return Need(leaf, None, "", None)
     index = table.index_fields.get(ref.column)
-    carried = index and Held(index.shadow, index.element_type, index.many, LONGEST_INDEXED)
+    carried = index and Held(index.shadow, index.element_type, index.many, MAX_TEXT_BYTES)
     return Need(
         leaf,
         _ways(_columnOf(ref, table), operator, values, FEW_VALUES),
@@ -252,4 +254,4 @@ def _columnOf(ref: FieldRef, table: Any) -> Optional[Held]:
     element = column.cql_type
     if column.is_list:
         element = element[len("frozen<list<") : -len(">>")]
-    return Held(column.name, element, column.is_list, LONGEST_TEXT)
+    return Held(column.name, element, column.is_list, table.longest_text)

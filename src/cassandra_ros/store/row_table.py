@@ -68,7 +68,10 @@ class RowTable:
     Attributes:
         named: Rows are found by a name, not by their time.
         partition: Name of the second column of the partition key.
+        longest_text: A longer text of a large message is in no column; bytes of UTF-8.
     """
+
+    longest_text = INLINE_COLUMN_BYTES
 
     def __init__(
         self,
