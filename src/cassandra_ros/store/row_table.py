@@ -21,7 +21,6 @@ CHUNK_BYTES = 512 * 1024
 """Messages above this go to the chunk table in pieces of this size (schema version 1)."""
 INLINE_COLUMN_BYTES = 64 * 1024
 """Columns above this are left unset in the row of a chunked message."""
-
 MIN_SEQ, MAX_SEQ = -(2**63), 2**63 - 1
 _PACK = struct.Struct(">qqqi")
 _LONG = struct.Struct(">q")
