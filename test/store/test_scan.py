@@ -13,7 +13,7 @@ from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
-from cassandra_ros.store import reader
+from cassandra_ros.store import bucket_stream, reader
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -22,7 +22,8 @@ T0 = 1_500_000_000 * SEC
 class Chooser:
     """Asks for the same in each bucket."""
 
-    def __init__(self, *queries, indexed=False):
+    def __init__(self, *queries, indexed=False, few=False):
+        self.few_found = few
         self.queries = [(terms, indexed) for terms in queries]
         self.asked = 0
         self.found = []
@@ -30,6 +31,9 @@ class Chooser:
     def choose(self, table, bucket):
         self.asked += 1
         return self.queries
+
+    def few(self, table):
+        return self.few_found
 
     def learn(self, table, bucket, found):
         self.found.append(found)
@@ -68,13 +72,15 @@ def wanted(topic, test, **reading):
 
 @pytest.mark.parametrize("page_bytes", [1, 10**6])
 @pytest.mark.parametrize("reverse", [False, True])
-def test_filtered_rows_come_in_the_one_order(topic, monkeypatch, page_bytes, reverse):
+@pytest.mark.parametrize("few", [False, True])
+def test_filtered_rows_come_in_the_one_order(topic, monkeypatch, page_bytes, reverse, few):
     monkeypatch.setattr(reader, "PAGE_BYTES", page_bytes)
-    chooser = Chooser(bound("<=", 120), bound(">=", 100))  # both give 100 to 120
+    monkeypatch.setattr(bucket_stream, "KEYS_AT_ONCE", 3)
+    chooser = Chooser(bound("<=", 120), bound(">=", 100), few=few)  # both give 100 to 120
     rows = numbers(topic.rows(reverse=reverse, chooser=chooser))
     assert rows == wanted(topic, lambda n: True, reverse=reverse)
     assert chooser.asked == 60
-    chooser = Chooser(bound("=", 120), bound(">=", 290))
+    chooser = Chooser(bound("=", 120), bound(">=", 290), few=few)
     rows = numbers(topic.rows(reverse=reverse, chooser=chooser))
     assert rows == wanted(topic, lambda n: n == 120 or n >= 290, reverse=reverse)
     assert sum(chooser.found) == len(rows) == 22
@@ -106,10 +112,10 @@ def test_the_first_row_does_not_cost_all_buckets(topic):
 @pytest.mark.parametrize("reverse", [False, True])
 def test_what_the_server_refuses_to_filter_is_read_whole(topic, reverse):
     unknown = (("no such column", "=", b"x"),)
-    rows = numbers(topic.rows(reverse=reverse, chooser=Chooser(unknown)))
+    rows = numbers(topic.rows(reverse=reverse, chooser=Chooser(unknown, few=True)))
     assert rows == wanted(topic, lambda n: True, reverse=reverse)
     refused = (("data", "CONTAINS", b"\0"),)  # prepared or run: it is no list
-    rows = numbers(topic.rows(reverse=reverse, chooser=Chooser(refused, bound("=", 3))))
+    rows = numbers(topic.rows(reverse=reverse, chooser=Chooser(refused, bound("=", 3), few=True)))
     assert rows == wanted(topic, lambda n: True, reverse=reverse)
 
 

@@ -38,6 +38,9 @@ MAX_QUERIES = 8
 """Of one bucket: more would cost more than reading it."""
 FEW_VALUES = 4
 """Of IN: for more the server is asked for their span."""
+FEW_SHARE = 0.02
+"""Up to here it is quicker to fetch what a filter found than to let it answer with whole rows."""
+FEW_ROWS = 20
 DENSE_SHARE = 0.05
 """Where an index finds more of a bucket than this, a filter is quicker: it fetches row by row."""
 DENSE_ROWS = 500
@@ -84,6 +87,7 @@ class Pushdown:
         self._expression = expression
         self._plan = plan
         self._branches: dict[str, Optional[list[Branch]]] = {}
+        self._many: set[str] = set()
         self._dense: set[str] = set()
         self._crowded: set[str] = set()
         self.indexed = self.filtered = self.whole = self.skipped = 0
@@ -102,9 +106,15 @@ class Pushdown:
             self.skipped += 1
         return chosen
 
+    def few(self, table: Any) -> bool:
+        """Say whether little was found so far; see Chooser."""
+        return table.name not in self._many
+
     def learn(self, table: Any, bucket: Sequence[Any], found: int) -> None:
         """Do less in the next buckets where much was found in this one."""
         every = sum(row.rows for row in bucket)
+        if found > FEW_ROWS and found > FEW_SHARE * every:
+            self._many.add(table.name)
         if found > DENSE_ROWS and found > DENSE_SHARE * every:
             self._dense.add(table.name)
             if found > CROWDED_SHARE * every:

@@ -6,18 +6,30 @@ from __future__ import annotations
 
 import heapq
 import logging
-from typing import Any, Iterator
+import struct
+from typing import Any, Iterator, Sequence
 
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isRefused
 from cassandra_ros.store.patience import Patience
-from cassandra_ros.store.row_table import MAX_SEQ, MIN_SEQ, TableRow, bind, decodeLong, encodeLong
+from cassandra_ros.store.row_table import (
+    MAX_SEQ,
+    MIN_SEQ,
+    RowTable,
+    TableRow,
+    bind,
+    decodeLong,
+    encodeLong,
+)
 from cassandra_ros.store.scan import Piece, Query, Scan
 
 _log = logging.getLogger(__name__)
 
+_INT = struct.Struct(">i")
 _ALL: Query = ((), False)
+KEYS_AT_ONCE = 100
+"""Rows that are fetched with one statement."""
 TURNED_PAGES = 2
 """So many pages of what an index finds are held to be turned."""
 
@@ -71,6 +83,10 @@ class _Stream:
         self._low = _lowest(piece, scan)
         self._high = _highest(piece, scan)
         self._terms, indexed = query
+        # To look at a row the server needs fewer columns than to answer with it: where it lets
+        # few through, only their keys are asked for, and then these rows.
+        filtered = bool(self._terms) and not indexed
+        self._keyed = filtered and scan.chooser is not None and scan.chooser.few(piece.table)
         # The server cannot turn the order of what an index finds.
         self._turned = scan.reverse and indexed
         self.refused = False
@@ -80,18 +96,21 @@ class _Stream:
         self._start()
 
     def _start(self) -> None:
-        wanted = None if self._scan.columns is None else self._scan.columns(self._piece.table)
-        columns = self._piece.table.columns if wanted is None else wanted
-        terms = [term[:2] for term in self._terms]
+        table, terms = self._piece.table, [term[:2] for term in self._terms]
         reverse = self._scan.reverse and not self._turned
+        columns = None if self._keyed else self._columns()
         try:
-            self._statement = self._piece.table.selectRange(columns, reverse=reverse, terms=terms)
+            self._statement = table.selectRange(columns, reverse=reverse, terms=terms)
         except SchemaConflict as exc:
             if not self._terms:
                 raise
             self._readAll(exc)
             return
         self._future = self._ask()
+
+    def _columns(self) -> Sequence[str]:
+        wanted = None if self._scan.columns is None else self._scan.columns(self._piece.table)
+        return self._piece.table.columns if wanted is None else wanted
 
     def _ask(self) -> Any:
         bounds = [encodeLong(v) for v in (*self._low, *self._high)]
@@ -107,7 +126,7 @@ class _Stream:
             "topic %s is read whole, the server does not filter it: %s",
             *(self._piece.table.metadata.topic, exc),
         )
-        self._terms, self._turned, self.refused = (), False, True
+        self._terms, self._turned, self._keyed, self.refused = (), False, False, True
         self._start()
 
     def _page(self) -> list[Any]:
@@ -156,11 +175,44 @@ class _Stream:
                     self._low = (t, seq + 1)
             if more:
                 self._future.start_fetching_next_page()
-            for values in page:
+            for values in self._fetched(page) if self._keyed else page:
                 if not table.isRest(values):
                     yield make(node, values)
             if not more:
                 return
+
+    def _fetched(self, keys: Sequence[Any]) -> Iterator[Any]:
+        """Fetch the rows of keys, in their order."""
+        table = self._piece.table
+        statement = self._cassandra.prepare(_rowsOf(table, self._columns(), self._scan.reverse))
+        place = (self._piece.node.encode(), encodeLong(self._piece.bucket))
+        parts = [keys[n : n + KEYS_AT_ONCE] for n in range(0, len(keys), KEYS_AT_ONCE)]
+        for part in parts:
+            patience = Patience(f"reading topic {table.metadata.topic}")
+            bound = bind(statement, (*place, _pairs(part)))
+            bound.fetch_size = KEYS_AT_ONCE
+            while True:
+                try:
+                    rows = self._cassandra.sendRaw(bound).result().current_rows
+                    break
+                except DRIVER_ERRORS as exc:
+                    patience.wait(exc)
+            yield from rows
+
+
+def _rowsOf(table: RowTable, columns: Sequence[str], reverse: bool) -> str:
+    order = ' ORDER BY "_t" DESC, "_seq" DESC' if reverse else ""
+    return (
+        f'SELECT {table.listing(columns)} FROM {table.qualified} WHERE "_node" = ? AND '
+        f'"{table.partition}" = ? AND ("_t", "_seq") IN ?{order}'
+    )
+
+
+def _pairs(keys: Sequence[Any]) -> bytes:
+    """Encode (t, seq), each encoded already, as a list of tuples."""
+    size = _INT.pack(8)
+    pairs = (size + t + size + seq for t, seq in keys)
+    return _INT.pack(len(keys)) + b"".join(_INT.pack(24) + pair for pair in pairs)
 
 
 def _lowest(piece: Piece, scan: Scan) -> tuple[int, int]:

@@ -160,21 +160,21 @@ class RowTable:
 
     def selectRange(
         self,
-        columns: Sequence[str],
+        columns: Sequence[str] | None,
         *,
         reverse: bool = False,
         terms: Sequence[tuple[str, str]] = (),
     ) -> PreparedStatement:
         """SELECT of one partition from (t, seq) to (t, seq), both included.
 
-        The values of ``terms``, columns and operators of a filter, come behind those four.
+        The values of ``terms``, columns and operators of a filter, come behind. Columns None: keys.
         """
+        names = '"_t", "_seq"' if columns is None else self.listing(columns)
         order = ' ORDER BY "_t" DESC, "_seq" DESC' if reverse else ""
         checks = "".join(f" AND {quoteName(name)} {operator} ?" for name, operator in terms)
         allow = " ALLOW FILTERING" if terms else ""
         return self._cassandra.prepare(
-            f"SELECT {self.listing(columns)} FROM {self.qualified} "
-            f'WHERE "_node" = ? AND "{self.partition}" = ? '
+            f'SELECT {names} FROM {self.qualified} WHERE "_node" = ? AND "{self.partition}" = ? '
             f'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?){checks}{order}{allow}'
         )
 

@@ -25,6 +25,9 @@ class Chooser(Protocol):
         None = all rows of the bucket; empty = none of them.
         """
 
+    def few(self, table: RowTable) -> bool:
+        """Say whether the server is expected to let few rows of a bucket through."""
+
     def learn(self, table: RowTable, bucket: Sequence[BucketRow], found: int) -> None:
         """Take note of how many rows the queries of a bucket found."""
 
