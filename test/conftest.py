@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 ROOT = Path(__file__).resolve().parent.parent
 WORKSPACE = ROOT / ".ws"
@@ -84,6 +85,11 @@ def pytest_sessionstart(session):
     server.enter_context(pytest.MonkeyPatch.context()).setenv(
         SERVER_VARIABLE, f"{running.host}:{running.port}"
     )
+
+
+# All tests together stay below ten minutes on two cores; what needs more examples says so.
+settings.register_profile("suite", max_examples=50, deadline=None)
+settings.load_profile("suite")
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections import Counter
+from itertools import islice
 
 import pytest
 import rosbag
@@ -53,10 +54,22 @@ def counts_agree(rosCas, cql):
     return counted
 
 
+def beginning(path, target):
+    """Write the first fifth of a bag."""
+    with rosbag.Bag(str(path)) as bag, rosbag.Bag(str(target), "w") as out:
+        count = bag.get_message_count() // 5
+        messages = bag.read_messages(raw=True, return_connection_header=True)
+        for topic, raw, t, header in islice(messages, count):
+            out.write(topic, raw, t, raw=True, connection_header=header)
+    return target
+
+
 @pytest.mark.parametrize("form", FORMATS)
 @pytest.mark.parametrize("name", READABLE)
 def test_every_bag_comes_back_as_it_was(rosCas, bags, tmp_path, name, form):
     path = bags / f"{name}.bag"
+    if form == "yaml" and name == "backpack_multiecho_bz2":
+        path = beginning(path, tmp_path / "in.bag")  # slow, and more of the same
     report = importBag(rosCas, path, format=form)
     expected = read_with_rosbag(path)
     assert report.messages == len(expected[1])

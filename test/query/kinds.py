@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Messages of many types, real ones and random ones at the edges, and how they are stored.
 
-Every kind lies over eight buckets, under two nodeIDs, with equal stamps among them; some rows are
+Every kind lies over four buckets, under two nodeIDs, with equal stamps among them; some rows are
 deleted, some come after the indexes were made, and one writer has not closed its buckets.
 """
 
@@ -37,7 +37,7 @@ T0 = 1_400_000_040 * SECOND
 """Where a bucket of a minute begins."""
 BUCKET = 60 * SECOND
 NODES = ("husky", "husky_2")
-BUCKETS = 6
+BUCKETS = 4
 CHUNKED = 530 * 1024
 """Bytes; above 512 KiB a message lies in chunks."""
 
@@ -286,7 +286,7 @@ class Stored:
         # One stretch that begins and ends inside of buckets, and one whole bucket.
         self._removed = [
             (times[len(times) // 5], times[len(times) // 4]),
-            (T0 + 4 * BUCKET, T0 + 5 * BUCKET - 1),
+            (T0 + 2 * BUCKET, T0 + 3 * BUCKET - 1),
         ]
         self.messages = [
             message
