@@ -93,6 +93,8 @@ class _Stream:
         """The server did not do what it was asked for; all rows are read."""
         self._statement: Any = None
         self._future: Any = None
+        self._at_once = min(KEYS_AT_ONCE, piece.page_rows)
+        self._early: tuple[Sequence[Any], Any] = ((), None)
         self._start()
 
     def _start(self) -> None:
@@ -118,6 +120,27 @@ class _Stream:
         values = [value for _, _, value in self._terms]
         bound = bind(self._statement, (*key, *bounds, *values))
         bound.fetch_size = self._piece.page_rows
+        future = self._cassandra.sendRaw(bound)
+        if self._keyed:
+            # Prepared before: the driver's thread must not wait for the server.
+            self._these()
+            future.add_callback(self._fetchEarly)
+        return future
+
+    def _fetchEarly(self, keys: Sequence[Any]) -> None:
+        """Ask for the first rows as soon as their keys are here, on the driver's thread."""
+        if keys:
+            part = keys[: self._at_once]
+            self._early = part, self._askThese(part)
+
+    def _these(self) -> Any:
+        wanted = _rowsOf(self._piece.table, self._columns(), self._scan.reverse)
+        return self._cassandra.prepare(wanted)
+
+    def _askThese(self, part: Sequence[Any]) -> Any:
+        place = (self._piece.node.encode(), encodeLong(self._piece.bucket))
+        bound = bind(self._these(), (*place, _pairs(part)))
+        bound.fetch_size = self._at_once
         return self._cassandra.sendRaw(bound)
 
     def _readAll(self, exc: object) -> None:
@@ -184,19 +207,19 @@ class _Stream:
     def _fetched(self, keys: Sequence[Any]) -> Iterator[Any]:
         """Fetch the rows of keys, in their order."""
         table = self._piece.table
-        statement = self._cassandra.prepare(_rowsOf(table, self._columns(), self._scan.reverse))
-        place = (self._piece.node.encode(), encodeLong(self._piece.bucket))
-        parts = [keys[n : n + KEYS_AT_ONCE] for n in range(0, len(keys), KEYS_AT_ONCE)]
+        parts = [keys[n : n + self._at_once] for n in range(0, len(keys), self._at_once)]
         for part in parts:
             patience = Patience(f"reading topic {table.metadata.topic}")
-            bound = bind(statement, (*place, _pairs(part)))
-            bound.fetch_size = KEYS_AT_ONCE
+            asked, future = self._early
+            if asked != part:
+                future = self._askThese(part)
             while True:
                 try:
-                    rows = self._cassandra.sendRaw(bound).result().current_rows
+                    rows = future.result().current_rows
                     break
                 except DRIVER_ERRORS as exc:
                     patience.wait(exc)
+                    future = self._askThese(part)
             yield from rows
 
 
