@@ -38,7 +38,7 @@ LIMIT = 100.0
 FIELD = "linear_acceleration.x"
 CONDITION = f"select KEY, header.seq, {FIELD} from /imu where {FIELD} > ?"
 """It gives what the scan gives."""
-WARM = 3
+WARM = 10
 """Statements before the first that is measured, for the server's Java compiles meanwhile."""
 ALL = "select * from /imu"
 COUNT = "select count(*) from /imu"
