@@ -9,6 +9,8 @@ that has a bucket open goes on filling it, and would lose its messages.
 
 from __future__ import annotations
 
+import logging
+import time
 from typing import Callable
 
 from cassandra_ros.errors import TopicNotFound
@@ -20,6 +22,11 @@ from cassandra_ros.store.schema import Schema
 
 TypeOf = Callable[[TopicMetadata], "str | None"]
 """CQL type of the shadow column of a field in a table; None where its type lacks the field."""
+
+_log = logging.getLogger(__name__)
+
+BUILD_SEC = 30.0
+"""How long a new index, which is empty, may take to be built."""
 
 
 class IndexChanges:
@@ -66,6 +73,23 @@ class IndexChanges:
         if table + shadow not in self._names(table):
             lock.renew()
             self._schema.createIndex(table, shadow)
+        self._awaitBuilt(table + shadow, lock)
+
+    def _awaitBuilt(self, index: str, lock: SchemaLock) -> None:
+        """Wait until the node that we ask has built an index; values come behind that."""
+        deadline = time.monotonic() + BUILD_SEC
+        while time.monotonic() < deadline:
+            rows = self._cassandra.execute(
+                "SELECT is_queryable FROM system_views.sai_column_indexes "
+                "WHERE keyspace_name = ? AND index_name = ?",
+                (self._schema.keyspace, index),
+                what=f"waiting for index {index}",
+            )
+            if any(queryable for (queryable,) in rows):
+                return
+            lock.renew()
+            time.sleep(0.05)
+        _log.warning("index %s is still being built after %.0f s", index, BUILD_SEC)
 
     def drop(self, topic: str, field: str) -> bool:
         """Drop an index in every table of a topic, and what others left behind in doing so.
