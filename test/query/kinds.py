@@ -25,12 +25,9 @@ import tf2_msgs.msg
 from messages.random_wire import SEPARATOR, WireMaker
 from query.brute_force import Message, Types
 
-from cassandra_ros import CassandraTopic
 from cassandra_ros.messages.connection import liveConnection
 from cassandra_ros.messages.definition import parseDefinition
 from cassandra_ros.messages.stamps import Stamp
-
-INDEXABLE = hasattr(CassandraTopic, "createIndex")
 
 SECOND = 10**9
 T0 = 1_400_000_040 * SECOND
@@ -334,7 +331,7 @@ class Stored:
             topic = store.getTopic(self.topic(format))
             if number == 0:
                 self._remove(topic, *self._removed[0])
-                for field in self.kind.indexes if INDEXABLE else ():
+                for field in self.kind.indexes:
                     topic.createIndex(field)
         for low, high in self._removed:
             self._remove(topic, low, high)
