@@ -9,11 +9,10 @@ that has a bucket open goes on filling it, and would lose its messages.
 
 from __future__ import annotations
 
-import logging
 import time
 from typing import Callable
 
-from cassandra_ros.errors import TopicNotFound
+from cassandra_ros.errors import StoreUnavailable, TopicNotFound
 from cassandra_ros.metadata import SHADOW, TopicMetadata, shadowColumn
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.lock import SchemaLock
@@ -22,8 +21,6 @@ from cassandra_ros.store.schema import Schema
 
 TypeOf = Callable[[TopicMetadata], "str | None"]
 """CQL type of the shadow column of a field in a table; None where its type lacks the field."""
-
-_log = logging.getLogger(__name__)
 
 BUILD_SEC = 30.0
 """How long a new index, which is empty, may take to be built."""
@@ -89,7 +86,10 @@ class IndexChanges:
                 return
             lock.renew()
             time.sleep(0.05)
-        _log.warning("index %s is still being built after %.0f s", index, BUILD_SEC)
+        raise StoreUnavailable(
+            f"index {index} is still being built after {BUILD_SEC:.0f} s, and values written now "
+            "could be missed by it; ask for the index again"
+        )
 
     def drop(self, topic: str, field: str) -> bool:
         """Drop an index in every table of a topic, and what others left behind in doing so.
