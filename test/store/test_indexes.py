@@ -10,11 +10,14 @@ from types import SimpleNamespace
 import pytest
 from std_msgs.msg import Float64, String
 
-from cassandra_ros.errors import InvalidOption, TopicNotFound
+from cassandra_ros import RosCassandra
+from cassandra_ros.errors import InvalidOption, StoreUnavailable, TopicNotFound
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
 from cassandra_ros.metadata import TopicMetadata, fromComment
+from cassandra_ros.store import compaction as merging
+from cassandra_ros.store import index_changes
 from cassandra_ros.store.backfill import Backfill, Update
 from cassandra_ros.store.buckets import MAX_TTL_SEC, checkTtl
 from cassandra_ros.store.directory import Totals
@@ -209,6 +212,73 @@ def test_a_crash_between_the_steps_is_completed(rosCas, cql, monkeypatch, step):
     assert index_names(cql, rosCas, table) == {"_ix0"}
     found = cql.execute(f"SELECT count(*) FROM {table.qualified} WHERE \"_ix0\" = '3'").one()
     assert found[0] == 2
+
+
+def compaction(cql, rosCas, table):
+    query = (
+        "SELECT compaction FROM system_schema.tables WHERE keyspace_name = %s AND table_name = %s"
+    )
+    return dict(cql.execute(query, (rosCas.keyspace, table.name)).one()[0])
+
+
+def test_files_are_not_merged_while_an_index_is_made(rosCas, cql, monkeypatch):
+    table = store(rosCas, "/t", 5)
+    topic, schema = rosCas.getTopic("/t"), rosCas.parts.schema
+    cql.execute(
+        f"ALTER TABLE {table.qualified} WITH compaction = "
+        "{'class': 'LeveledCompactionStrategy', 'sstable_size_in_mb': '10'}"
+    )
+    before = compaction(cql, rosCas, table)
+    make, seen = schema.createIndex, []
+
+    def look(*args):
+        seen.append(compaction(cql, rosCas, table))
+        make(*args)
+
+    monkeypatch.setattr(schema, "createIndex", look)
+    topic.createIndex("data")
+    assert seen == [{**before, "enabled": "false"}]
+    assert compaction(cql, rosCas, table) == before
+    for change in (topic.createIndex, topic.removeIndex, topic.createIndex):
+        # As one that died in the middle leaves it.
+        pairs = ", ".join(f"'{name}': '{value}'" for name, value in seen[0].items())
+        cql.execute(f"ALTER TABLE {table.qualified} WITH compaction = {{{pairs}}}")
+        change("data")
+        assert compaction(cql, rosCas, table) == before
+
+
+def test_no_index_is_made_while_files_are_merged(rosCas, cql, monkeypatch):
+    table = store(rosCas, "/t", 5)
+    topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
+    with monkeypatch.context() as busy:
+        busy.setattr(merging, "QUIET_SEC", 0.2)
+        busy.setattr(merging, "tasks", lambda *args: {"node": [("compaction", 0.5)]})
+        with pytest.raises(StoreUnavailable, match="compaction, 50 % done"):
+            topic.createIndex("data")
+    assert index_names(cql, rosCas, table) == set()
+    with monkeypatch.context() as busy:
+        busy.setattr(index_changes, "BUILD_SEC", 0)
+        with pytest.raises(StoreUnavailable, match="one after the other"):
+            topic.createIndex("data")
+    assert index_names(cql, rosCas, table) == set()
+    assert compaction(cql, rosCas, table) == before
+    assert topic.createIndex("data") == 5
+
+
+def test_nobody_finds_a_table_before_its_indexes_are_made(rosCas, cql, monkeypatch):
+    schema, seen = rosCas.parts.schema, []
+    make = schema.createIndex
+
+    def look(*args):
+        with RosCassandra(rosCas.cassandra.hosts, rosCas.cassandra.port) as other:
+            other.connectToKeyspace(rosCas.keyspace)
+            seen.append(list(other.getAllTopics()))
+        make(*args)
+
+    monkeypatch.setattr(schema, "createIndex", look)
+    rosCas.addTopic("/t", index=["data"]).addData(String("a"))
+    assert seen == [[]]
+    assert rosCas.getTopic("/t").hasIndex("data")
 
 
 def test_a_column_that_was_left_of_another_type_is_passed_over(rosCas, cql):

@@ -194,6 +194,21 @@ class Cassandra:
             except DRIVER_ERRORS as exc:
                 patience.wait(exc)
 
+    def executeOnEach(
+        self, cql: str, params: Sequence[Any] = (), *, what: str
+    ) -> dict[str, list[tuple[Any, ...]]]:
+        """Run one statement on every node in reach; return address → rows (system_views)."""
+        patience = Patience(what)
+        while True:
+            try:
+                bound = self.prepare(cql).bind(tuple(params))
+                nodes = [host for host in self._session.get_pool_state() if host.is_up]
+                if not nodes:
+                    raise NoHostAvailable("no node is in reach", {})
+                return {str(n.endpoint): list(self._session.execute(bound, host=n)) for n in nodes}
+            except DRIVER_ERRORS as exc:
+                patience.wait(exc)
+
     def executeOnce(
         self, cql: str, params: Sequence[Any] = (), *, what: str
     ) -> list[tuple[Any, ...]]:

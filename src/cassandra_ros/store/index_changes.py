@@ -12,8 +12,9 @@ from __future__ import annotations
 import time
 from typing import Callable
 
-from cassandra_ros.errors import StoreUnavailable, TopicNotFound
+from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound
 from cassandra_ros.metadata import SHADOW, TopicMetadata, shadowColumn
+from cassandra_ros.store.compaction import PAUSE_SEC, paused, resume, tasks
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.lock import SchemaLock
 from cassandra_ros.store.names import quoteName
@@ -23,7 +24,7 @@ TypeOf = Callable[[TopicMetadata], "str | None"]
 """CQL type of the shadow column of a field in a table; None where its type lacks the field."""
 
 BUILD_SEC = 30.0
-"""How long a new index, which is empty, may take to be built."""
+"""How long Cassandra may take to begin to build an index."""
 
 
 class IndexChanges:
@@ -67,28 +68,49 @@ class IndexChanges:
         self._schema.setComment(table, metadata.withIndex(field, number))
 
     def _complete(self, table: str, shadow: str, lock: SchemaLock) -> None:
-        if table + shadow not in self._names(table):
+        keyspace = self._schema.keyspace
+        if table + shadow in self._names(table):
+            resume(self._cassandra, keyspace, table, lock)
+            return
+        with paused(self._cassandra, keyspace, table, lock):
             lock.renew()
             self._schema.createIndex(table, shadow)
-        self._awaitBuilt(table + shadow, lock)
+            try:
+                self._awaitBuild(table, shadow, lock)
+            except CassandraRosError:
+                self._drop(table, table + shadow, lock)
+                raise
 
-    def _awaitBuilt(self, index: str, lock: SchemaLock) -> None:
-        """Wait until the node that we ask has built an index; values come behind that."""
+    def _awaitBuild(self, table: str, shadow: str, lock: SchemaLock) -> None:
+        """Wait until every node in reach has built an index, or is at it.
+
+        It knows then which files the index covers, and they may be merged again.
+        """
+        keyspace = self._schema.keyspace
         deadline = time.monotonic() + BUILD_SEC
         while time.monotonic() < deadline:
-            rows = self._cassandra.execute(
+            built = self._cassandra.executeOnEach(
                 "SELECT is_queryable FROM system_views.sai_column_indexes "
                 "WHERE keyspace_name = ? AND index_name = ?",
-                (self._schema.keyspace, index),
-                what=f"waiting for index {index}",
+                (keyspace, table + shadow),
+                what=f"waiting for an index of table {table}",
             )
-            if any(queryable for (queryable,) in rows):
+            building = tasks(self._cassandra, keyspace, table)
+            if all((True,) in rows or building.get(node) for node, rows in built.items()):
                 return
             lock.renew()
-            time.sleep(0.05)
+            time.sleep(PAUSE_SEC)
         raise StoreUnavailable(
-            f"index {index} is still being built after {BUILD_SEC:.0f} s, and values written now "
-            "could be missed by it; ask for the index again"
+            f"Cassandra has not begun to build an index of table {table} within {BUILD_SEC:.0f} s: "
+            "it builds one after the other, and is busy with those of other tables "
+            "(nodetool compactionstats); ask again when that has ended"
+        )
+
+    def _drop(self, table: str, index: str, lock: SchemaLock) -> None:
+        lock.renew()
+        self._cassandra.schemaChange(
+            f"DROP INDEX IF EXISTS {quoteName(self._schema.keyspace)}.{quoteName(index)}",
+            what=f"dropping an index of table {table}",
         )
 
     def drop(self, topic: str, field: str) -> bool:
@@ -103,6 +125,7 @@ class IndexChanges:
         done = False
         with SchemaLock(self._cassandra, self._schema.keyspace) as lock:
             for table, metadata in self._tables(topic).items():
+                resume(self._cassandra, self._schema.keyspace, table, lock)
                 if field in metadata.indexes:
                     metadata = metadata.withoutIndex(field)
                     lock.renew()
@@ -110,12 +133,7 @@ class IndexChanges:
                     done = True
                 kept = {table + shadow for shadow in metadata.indexes.values()}
                 for name in self._names(table) - kept:
-                    lock.renew()
-                    self._cassandra.schemaChange(
-                        f"DROP INDEX IF EXISTS {quoteName(self._schema.keyspace)}."
-                        f"{quoteName(name)}",
-                        what=f"dropping an index of table {table}",
-                    )
+                    self._drop(table, name, lock)
                     done = True
         self._schema.tables(fresh=True)
         return done

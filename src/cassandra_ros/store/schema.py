@@ -7,27 +7,17 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Callable, Iterable, Mapping, Sequence, Tuple
+from typing import Callable, Collection, Mapping, Sequence, Tuple
 
 from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
 from cassandra_ros.metadata import SHADOW, TopicMetadata, fromComment
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.lock import SchemaLock
 from cassandra_ros.store.names import chunkTableName, quoteName, quoteText, tableName
-from cassandra_ros.store.table_storage import storage
+from cassandra_ros.store.table_storage import KEY_TYPES, ownColumns, storage
 
 _log = logging.getLogger(__name__)
 
-OWN_COLUMNS = {
-    "_conn": "bigint",
-    "_size": "int",
-    "_nchunks": "int",
-    "_crc": "bigint",
-    "_odd": "boolean",
-    "_raw": "blob",
-}
-KEY_TYPES = {"_bucket": "bigint", "_key": "text"}
-"""Second part of the partition key: a stretch of time, or the name of a message."""
 CHUNK_TTL_MARGIN_SEC = 86_400
 CACHE_SEC = 2.0
 """How old the list of tables may be: other clients add definitions and drop topics."""
@@ -129,7 +119,7 @@ class Schema:
             wanted, columns, shadows = plan(others)
             wanted = wanted.with_(generation=time.time_ns())
             name = tableName(*key, wanted.generation)
-            every = {**_ownColumns(wanted), **columns, **shadows}
+            every = {**ownColumns(wanted), **columns, **shadows}
             self._createAll(name, wanted, every, shadows, lock)
             self._check(name, wanted, every)
         return name
@@ -139,20 +129,26 @@ class Schema:
         name: str,
         wanted: TopicMetadata,
         columns: Mapping[str, str],
-        shadows: Iterable[str],
+        shadows: Collection[str],
         lock: SchemaLock,
     ) -> None:
-        self._create(name, wanted, columns)
+        # Its comment makes it a topic's table. Nobody writes into it while its indexes are built.
+        self._create(name, wanted, columns, "" if shadows else wanted.toComment())
         for shadow in shadows:
             lock.renew()
             self.createIndex(name, shadow)
+        if shadows:
+            lock.renew()
+            self.setComment(name, wanted)
 
-    def _create(self, name: str, wanted: TopicMetadata, columns: Mapping[str, str]) -> None:
+    def _create(
+        self, name: str, wanted: TopicMetadata, columns: Mapping[str, str], comment: str
+    ) -> None:
         listing = ", ".join(f"{quoteName(c)} {cql}" for c, cql in columns.items())
         self._cassandra.schemaChange(
             f"CREATE TABLE {self.qualified(name)} ({listing}, "
             f'PRIMARY KEY (("_node", "{wanted.partition}"), "_t", "_seq")) '
-            f"WITH comment = {quoteText(wanted.toComment())} AND {storage(wanted.ttl, 0)} "
+            f"WITH comment = {quoteText(comment)} AND {storage(wanted.ttl, 0)} "
             f"AND compression = {{'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}}",
             what=f"making the table of topic {wanted.topic}",
         )
@@ -289,12 +285,3 @@ class Schema:
         kept = {c: cql for c, cql in columns if c in shadows or not c.startswith(SHADOW)}
         lock.renew()
         self._createAll(name, metadata, kept, shadows, lock)
-
-
-def _ownColumns(metadata: TopicMetadata) -> dict[str, str]:
-    partition = metadata.partition
-    return {
-        **{"_node": "text", partition: KEY_TYPES[partition], "_t": "bigint", "_seq": "bigint"},
-        **OWN_COLUMNS,
-        **metadata.receivedColumns,
-    }
