@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import shutil
 import signal
@@ -12,13 +13,13 @@ import subprocess
 import sys
 import tempfile
 import time
-import uuid
 import xmlrpc.client
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from keyspaces import Keyspaces, new_name
 
 ROOT = Path(__file__).resolve().parent.parent
 WORKSPACE = ROOT / ".ws"
@@ -51,6 +52,11 @@ ONE_BY_ONE = {
     "test_import_process.py",
     "test_examples.py",
 }
+SHARING = {
+    *("test_paging.py", "test_pushdown.py", "test_run.py", "test_scan.py", "test_statements.py"),
+    *("test_statement_fuzz.py", "test_transforms.py"),
+}
+"""Modules whose tests share what is stored for them."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +107,9 @@ def pytest_xdist_make_scheduler(config, log):
         # a small machine, and two servers that start at once may choose the same port.
         def _split_scope(self, nodeid):
             parts = nodeid.split("::")[0].split("/")
-            return "programs" if ONE_BY_ONE.intersection(parts) else nodeid
+            if ONE_BY_ONE.intersection(parts):
+                return "programs"
+            return parts[-1] if parts[-1] in SHARING else nodeid
 
     return Scheduling(config, log)
 
@@ -218,45 +226,53 @@ def cql(cassandra):
         cluster.shutdown()
 
 
+@pytest.fixture(scope="session")
+def connect(cassandra):
+    """Makes a RosCassandra on the server of this run."""
+    from cassandra_ros import RosCassandra
+
+    return functools.partial(RosCassandra, cassandra.host, cassandra.port)
+
+
+@pytest.fixture(scope="session")
+def keyspaces(cql, connect):
+    """Lends keyspaces."""
+    lender = Keyspaces(cql, connect)
+    yield lender
+    lender.close()
+
+
 @pytest.fixture
-def keyspace(cql):
-    """Name of a keyspace of this test alone; it does not exist yet, and is dropped afterwards."""
-    name = _keyspace_name()
+def keyspace(keyspaces):
+    """Name of an empty keyspace of this test alone."""
+    with keyspaces.lend() as name:
+        yield name
+
+
+@pytest.fixture
+def new_keyspace(cql):
+    """Name of a keyspace that does not exist yet, and is dropped afterwards."""
+    name = new_name()
     yield name
     cql.execute(f"DROP KEYSPACE IF EXISTS {name}")
 
 
-def _keyspace_name():
-    return f"t_{uuid.uuid4().hex[:16]}"
-
-
 @pytest.fixture(scope="session")
-def fresh(cassandra, cql):
-    """Makes a RosCassandra that is connected to a fresh keyspace, dropped when it is left."""
-    from cassandra_ros import RosCassandra
+def fresh(keyspaces, connect):
+    """Makes a RosCassandra that is connected to an empty keyspace."""
 
     @contextlib.contextmanager
-    def make(name=None):
-        name = name or _keyspace_name()
-        # Not in the commit log, or its tables would be flushed to be dropped.
-        cql.execute(
-            f"CREATE KEYSPACE {name} WITH durable_writes = false AND replication = "
-            "{'class': 'NetworkTopologyStrategy', 'datacenter1': 1}"
-        )
-        try:
-            with RosCassandra(cassandra.host, cassandra.port) as store:
-                store.connectToKeyspace(name)
-                yield store
-        finally:
-            cql.execute(f"DROP KEYSPACE IF EXISTS {name}")
+    def make():
+        with keyspaces.lend() as name, connect(keyspace=name) as store:
+            yield store
 
     return make
 
 
 @pytest.fixture
-def rosCas(fresh, keyspace):
-    """A RosCassandra that is connected to a fresh keyspace."""
-    with fresh(keyspace) as store:
+def rosCas(keyspace, connect):
+    """A RosCassandra that is connected to the keyspace of this test."""
+    with connect(keyspace=keyspace) as store:
         yield store
 
 

@@ -187,13 +187,13 @@ def test_errors_are_one_line_and_status_1(type_in, bags, tmp_path):
         assert not (tmp_path / "out.bag").exists()
 
 
-def test_reading_makes_no_keyspace(type_in, cql, keyspace, tmp_path):
+def test_reading_makes_no_keyspace(type_in, cql, new_keyspace, tmp_path):
     for arguments in (("list",), ("info",), ("export", tmp_path / "out.bag")):
-        status, _, err = type_in(*arguments)
+        status, _, err = type_in(*arguments, CASSANDRA_ROS_KEYSPACE=new_keyspace)
         assert status == 1
-        assert f"there is no keyspace '{keyspace}'" in err
+        assert f"there is no keyspace '{new_keyspace}'" in err
     rows = cql.execute("SELECT keyspace_name FROM system_schema.keyspaces")
-    assert keyspace not in {row[0] for row in rows}
+    assert new_keyspace not in {row[0] for row in rows}
 
 
 def test_no_server(type_in, bags):

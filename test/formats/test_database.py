@@ -58,7 +58,7 @@ def test_every_installed_type_comes_back_equal(fresh, name, record_property):
     for first in range(0, len(types), TABLES):
         with fresh() as rosCas:
             batch = [installedDefinition(t) for t in types[first : first + TABLES]]
-            checkStored(rosCas, name, batch, examples=3)
+            checkStored(rosCas, name, batch, examples=2)
 
 
 @every_format

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 from cassandra_ros.local_server import ports
@@ -34,6 +37,31 @@ def test_the_owner_of_a_port_is_named():
     server, port = listener()
     with server:
         assert f"(pid {os.getpid()})" in ports.port_owner(port)
+
+
+def test_a_port_is_known_by_its_address():
+    server, port = listener()
+    with server:
+        assert f"(pid {os.getpid()})" in ports.port_owner(port, "127.0.0.1")
+        assert ports.port_owner(port, "127.0.0.2") == "an unknown process"
+        assert ports.await_the_dead("127.0.0.2", port)
+        begin = time.monotonic()
+        assert not ports.await_the_dead("127.0.0.1", port)
+        assert time.monotonic() - begin < ports._DYING_SEC / 2  # it lives: nothing to wait for
+
+
+def test_the_port_of_one_that_was_killed_is_waited_for():
+    # What it gives back first takes a while.
+    code = (
+        "import socket, time\n"
+        "s = socket.create_server(('127.0.0.1', 0)); held = b'x' * (1 << 29)\n"
+        "print(s.getsockname()[1], flush=True); time.sleep(60)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
+        port = int(child.stdout.readline())
+        assert not ports.await_the_dead("127.0.0.1", port)
+        child.kill()
+        assert ports.await_the_dead("127.0.0.1", port)
 
 
 def test_clients_of_a_port_are_counted():

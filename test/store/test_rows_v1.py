@@ -34,7 +34,8 @@ def make_table(cql, keyspace, path):
         cql.execute(bound)
 
 
-def test_all_rows_are_read(cassandra, keyspace, cql):
+def test_all_rows_are_read(cassandra, new_keyspace, cql):
+    keyspace = new_keyspace
     cql.execute(
         f"CREATE KEYSPACE {keyspace} WITH replication = "
         "{'class': 'SimpleStrategy', 'replication_factor': 1}"

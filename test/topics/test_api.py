@@ -29,10 +29,10 @@ SEC = 10**9
 T0 = 1_500_000_000 * SEC
 
 
-def test_the_listing_of_the_paper(cassandra, keyspace):
+def test_the_listing_of_the_paper(cassandra, new_keyspace):
     """Lines of design 4 and listing 1, as they stand there."""
     rosCas = RosCassandra(cassandra.host, cassandra.port)
-    rosCas.connectToKeyspace(keyspace)
+    rosCas.connectToKeyspace(new_keyspace)
     rosCas.addTopic("topic", format="ros")
     casTopic = rosCas.getTopic("topic")
     msg = Twist()

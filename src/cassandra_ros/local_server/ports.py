@@ -7,14 +7,17 @@ from __future__ import annotations
 import os
 import random
 import socket
+import time
 from pathlib import Path
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server.processes import describe_process
+from cassandra_ros.local_server.processes import command_line, describe_process
 
 _SERVER_PORTS = range(18_000, 32_768)
 _LISTEN = "0A"
 _ESTABLISHED = "01"
+_ANY = bytes(4)
+_DYING_SEC = 10.0
 
 
 def is_free(host: str, port: int) -> bool:
@@ -41,9 +44,30 @@ def free_port(host: str = "127.0.0.1") -> int:
     raise ServerError(f"no port of {host} from 18000 to 32767 is free")
 
 
-def port_owner(port: int) -> str:
-    """Describe who listens on a TCP port of this machine, as far as we may know it."""
-    for words in _sockets(port, _LISTEN):
+def await_the_dead(host: str, port: int) -> bool:
+    """Wait while the listener of a port is a process that is just ending.
+
+    One that was killed gives its memory back first, and its port seconds later on a busy machine.
+
+    Returns:
+        Whether a server could listen on the port now.
+    """
+    deadline = time.monotonic() + _DYING_SEC
+    while not is_free(host, port):
+        if time.monotonic() > deadline or not all(map(_dying, _sockets(port, _LISTEN, host))):
+            return False
+        time.sleep(0.05)
+    return True
+
+
+def port_owner(port: int, host: str = "") -> str:
+    """Describe who listens on a TCP port of this machine, as far as we may know it.
+
+    Args:
+        port: Its number.
+        host: Only listeners of this address; '' = of any.
+    """
+    for words in _sockets(port, _LISTEN, host):
         pid = _pid_of_socket(words[9])
         return describe_process(pid) if pid else f"a process of user id {words[7]}"
     return "an unknown process"
@@ -54,8 +78,9 @@ def count_clients(port: int) -> int:
     return len(_sockets(port, _ESTABLISHED))
 
 
-def _sockets(port: int, state: str) -> list[list[str]]:
+def _sockets(port: int, state: str, host: str = "") -> list[list[str]]:
     """Return the lines of the kernel's tables for a local port, as words."""
+    address = socket.inet_aton(socket.gethostbyname(host)) if host else _ANY
     lines = []
     for table in ("/proc/net/tcp", "/proc/net/tcp6"):
         try:
@@ -65,8 +90,20 @@ def _sockets(port: int, state: str) -> list[list[str]]:
     return [
         words
         for words in lines
-        if words[3] == state and int(words[1].rsplit(":", 1)[1], 16) == port
+        if words[3] == state
+        and int(words[1].rsplit(":", 1)[1], 16) == port
+        and (address == _ANY or _address(words) in (address, _ANY))
     ]
+
+
+def _address(words: list[str]) -> bytes:
+    """Return the last four bytes of the local address: all of one of IPv4, mapped or not."""
+    return bytes.fromhex(words[1].rsplit(":", 1)[0])[-4:][::-1]
+
+
+def _dying(words: list[str]) -> bool:
+    """Tell whether the process that holds a socket has nothing left but that."""
+    return int(words[7]) == os.getuid() and not command_line(_pid_of_socket(words[9]))
 
 
 def _pid_of_socket(inode: str) -> int:

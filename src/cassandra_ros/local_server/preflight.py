@@ -80,11 +80,11 @@ def check_port(node: Node) -> None:
         ServerError: It is not; the text says who has it, as far as that can be known.
     """
     port = node.settings.port
-    if ports.is_free(node.address, port):
+    if ports.await_the_dead(node.address, port):
         return
     text = (
-        f"port {port} of {node.address} is taken by {ports.port_owner(port)}; end that, or "
-        "choose another port with --port"
+        f"port {port} of {node.address} is taken by {ports.port_owner(port, node.address)}; end "
+        "that, or choose another port with --port"
     )
     if answers_cql(node.address, port):
         text += (
@@ -105,7 +105,7 @@ def choose_storage_port(settings: Settings, addresses: list[str]) -> int:
         return all(ports.is_free(address, port) for address in addresses)
 
     known = settings.storage_port
-    if known and free(known):
+    if known and all(ports.await_the_dead(address, known) for address in addresses):
         return known
     if known and settings.nodes > 1:
         # Several nodes know each other by this port.
