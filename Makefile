@@ -33,7 +33,7 @@ demo: setup
 	@$(IN_WORKSPACE) $(PYTHON) examples/demo.py $(ARGS)
 
 test: setup
-	@$(IN_WORKSPACE) $(PYTHON) -m pytest -n 2 $(ARGS)
+	@$(IN_WORKSPACE) $(PYTHON) -m pytest -n 3 $(ARGS)
 
 lint: setup
 	$(PYTHON) -m ruff check .

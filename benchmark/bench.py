@@ -162,8 +162,7 @@ def _printLookups(rosCas: RosCassandra, name: str, count: int, total: int) -> No
 def main() -> int:
     """Parse the command line and run."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--host", help="a running Cassandra (default: one of our own)")
-    parser.add_argument("--port", type=int, default=9042, help="its port (%(default)s)")
+    addStoreOptions(parser)
     parser.add_argument("--messages", type=int, default=100_000, help="a round (%(default)s)")
     parser.add_argument("--rounds", type=int, default=3, help="(%(default)s)")
     parser.add_argument("--lookups", type=int, default=1000, help="(%(default)s)")
@@ -177,6 +176,12 @@ def main() -> int:
         print(f"bench: {exc}", file=sys.stderr)
         return 1
     return 0
+
+
+def addStoreOptions(parser: argparse.ArgumentParser) -> None:
+    """Let the user name a running Cassandra."""
+    parser.add_argument("--host", help="a running Cassandra (default: one of our own)")
+    parser.add_argument("--port", type=int, default=9042, help="its port (%(default)s)")
 
 
 def runOnOwnServer(args: argparse.Namespace, measure: Callable[[argparse.Namespace], None]) -> None:

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Callable, Iterable, Iterator, List, Tuple
 
 import rosbag
-from bench import makeMessages, runOnOwnServer, writeBag
+from bench import addStoreOptions, makeMessages, runOnOwnServer, writeBag
 from genpy import Time
 from sensor_msgs.msg import Imu
 
@@ -187,8 +187,7 @@ def run(args: argparse.Namespace) -> None:
 def main() -> int:
     """Parse the command line and run."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--host", help="a running Cassandra (default: one of our own)")
-    parser.add_argument("--port", type=int, default=9042, help="its port (%(default)s)")
+    addStoreOptions(parser)
     parser.add_argument("--messages", type=int, default=1_000_000, help="(%(default)s)")
     parser.add_argument("--hz", type=int, default=100, help="their rate (%(default)s)")
     parser.add_argument("--rounds", type=int, default=3, help="(%(default)s)")

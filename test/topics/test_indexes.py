@@ -6,13 +6,7 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-import subprocess
-import sys
-import threading
 import time
-from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 from geometry_msgs.msg import TransformStamped, Vector3
@@ -20,6 +14,7 @@ from sensor_msgs.msg import Image, JointState, PointCloud
 from std_msgs.msg import Float32, Float64, String, UInt8MultiArray
 from tf2_msgs.msg import TFMessage
 from topics.by_index import by_index, check, directory_rows, filled
+from topics.clients import children
 from topics.writing_process import T0, VALUES
 
 from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound
@@ -28,60 +23,8 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
 
-ROOT = Path(__file__).resolve().parents[2]
 SEC = 10**9
 NAN = float("nan")
-
-
-class Child:
-    def __init__(self, process):
-        self.process = process
-        assert self.hear() == "ready"
-
-    def say(self, *words):
-        self.process.stdin.write(json.dumps(words) + "\n")
-        self.process.stdin.flush()
-
-    def hear(self):
-        return self.process.stdout.readline().rstrip("\n")
-
-    def answer(self):
-        """The next answer, and the progress that was told before it."""
-        told = []
-        while True:
-            line = json.loads(self.hear())
-            if "done" not in line:
-                return line, told
-            told.append((line["done"], line["total"]))
-
-
-@contextmanager
-def children(count, cassandra, keyspace):
-    """Start clients that are connected; they end with their stdin."""
-    arguments = [cassandra.host, str(cassandra.port), keyspace]
-    processes = [
-        subprocess.Popen(
-            [sys.executable, str(ROOT / "test/topics/writing_process.py"), *arguments],
-            env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        for _ in range(count)
-    ]
-    # A client that hangs fails the test by its silence.
-    patience = threading.Timer(120, lambda: [process.kill() for process in processes])
-    patience.start()
-    try:
-        yield [Child(process) for process in processes]
-        for process in processes:
-            process.stdin.close()
-            assert process.wait(30) in (0, -signal.SIGKILL)
-    finally:
-        patience.cancel()
-        for process in processes:
-            process.kill()
-            process.wait()
 
 
 def store(rosCas, name, messages, bucket_ns=SEC, step_ns=100_000_000, **options):
@@ -118,7 +61,7 @@ def test_made_while_another_process_records(rosCas, cassandra, keyspace):
     topic = store(rosCas, "/t", texts(3000), step_ns=10_000_000)  # 30 buckets
     with children(1, cassandra, keyspace) as (child,):
         child.say("write", "values", "/t")
-        assert child.answer()[0] == {}
+        assert child.answer() == {}
         time.sleep(0.5)
         compared, told = [], []
 
@@ -136,7 +79,7 @@ def test_made_while_another_process_records(rosCas, cassandra, keyspace):
         assert len(compared) >= 6 and compared == sorted(compared)
         assert all(done <= total for done, total in told)
         child.say("end")
-        ended, _ = child.answer()
+        ended = child.answer()
     assert ended["lost"] == 0 and ended["failure"] == ""
     # What the writer had open before the index was there is filled when it is closed.
     topic.createIndex("data")
@@ -152,7 +95,7 @@ def test_two_processes_make_the_same_index_at_once(rosCas, cassandra, keyspace):
     with children(2, cassandra, keyspace) as pair:
         for child in pair:
             child.say("index", "/t", "data")
-        answers = [child.answer()[0] for child in pair]
+        answers = [child.answer() for child in pair]
     assert not any("error" in answer for answer in answers), answers
     assert sum(answer["filled"] for answer in answers) == 1500
     rosCas.parts.schema.tables(fresh=True)
@@ -192,7 +135,7 @@ def test_removed_while_another_process_records(rosCas, cassandra, keyspace):
         time.sleep(0.5)
         assert topic.getMeta["indexes"] == []
         child.say("end")
-        ended, _ = child.answer()
+        ended = child.answer()
     assert ended["lost"] == 0 and ended["failure"] == ""
     assert topic.countTopicData() == 50 + ended["stats_stored"]
     with pytest.raises(InvalidName, match="has no index on 'data'; it has none"):

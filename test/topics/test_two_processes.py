@@ -5,67 +5,16 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
-import threading
 import time
-from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 from std_msgs.msg import String
+from topics.clients import children
 
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
 
-ROOT = Path(__file__).resolve().parents[2]
 SEC = 10**9
-
-
-class Child:
-    def __init__(self, process):
-        self.process = process
-        assert self.hear() == "ready"
-
-    def say(self, *words):
-        self.process.stdin.write(json.dumps(words) + "\n")
-        self.process.stdin.flush()
-
-    def hear(self):
-        return self.process.stdout.readline().rstrip("\n")
-
-    def answer(self):
-        return json.loads(self.hear())
-
-
-@contextmanager
-def children(count, cassandra, keyspace):
-    """Start clients that are connected; they end with their stdin."""
-    arguments = [cassandra.host, str(cassandra.port), keyspace]
-    processes = [
-        subprocess.Popen(
-            [sys.executable, str(ROOT / "test/topics/writing_process.py"), *arguments],
-            env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        for _ in range(count)
-    ]
-    # A client that hangs fails the test by its silence.
-    patience = threading.Timer(60, lambda: [process.kill() for process in processes])
-    patience.start()
-    try:
-        yield [Child(process) for process in processes]
-        for process in processes:
-            process.stdin.close()
-            assert process.wait(30) == 0
-    finally:
-        patience.cancel()
-        for process in processes:
-            process.kill()
-            process.wait()
 
 
 def test_two_processes_make_a_topic_at_once(rosCas, cassandra, keyspace, cql):

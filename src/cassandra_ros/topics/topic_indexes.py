@@ -44,6 +44,8 @@ class TopicIndexes(TopicFacts):
             InvalidName: The type has no such field, or it cannot be indexed.
             InvalidOption: The messages are kept under names, or the field is an array that is the
                 key.
+            StoreUnavailable: Cassandra is rewriting the files of the topic (an index made
+                meanwhile could miss rows), or is busy with other indexes; ask again later.
             TopicNotFound: The topic is gone, or has no type yet.
         """
         space = self._keyspace
