@@ -66,4 +66,4 @@ def test_random_types_come_back_equal(fresh, name):
     makers = [DefinitionMaker(seed, depth=seed % 5) for seed in range(40)]
     definitions = [parseDefinition(*maker.make()) for maker in makers]
     with fresh() as rosCas:
-        checkStored(rosCas, name, definitions, examples=4)
+        checkStored(rosCas, name, definitions, examples=2)
