@@ -32,8 +32,8 @@ if str(GENERATED) not in sys.path:
 SERVER_VARIABLE = "CASSANDRA_ROS_TEST_SERVER"
 """Names a running server, host:port, that the tests use instead of one of their own."""
 
-# The servers of the tests live for seconds or minutes: the second compiler would take more time
-# than it saves, at a start more than half.
+# The servers of single tests live for seconds: the second compiler would take more time than it
+# saves, at a start more than half. The one that all share lives long enough for it.
 ONE_COMPILER = "-XX:TieredStopAtLevel=1"
 
 # Nothing is synced to the disk of the server that all share: it is never killed, those that are
@@ -182,7 +182,7 @@ def _local_server():
     cluster = LocalCluster(folder, port=free_port(), heap="1G")
     try:
         with pytest.MonkeyPatch.context() as environment:
-            environment.setenv("JAVA_TOOL_OPTIONS", f"{ONE_COMPILER} {WITHOUT_SYNC}")
+            environment.setenv("JAVA_TOOL_OPTIONS", WITHOUT_SYNC)
             cluster.start(die_with_us=True)
         yield CassandraServer(cluster.settings.host, cluster.settings.port)
     finally:

@@ -68,7 +68,7 @@ def beginning(path, target):
 @pytest.mark.parametrize("name", READABLE)
 def test_every_bag_comes_back_as_it_was(rosCas, bags, tmp_path, name, form):
     path = bags / f"{name}.bag"
-    if form in ("string", "yaml", "json") and name == "backpack_multiecho_bz2":
+    if form != "ros" and name == "backpack_multiecho_bz2":
         path = beginning(path, tmp_path / "in.bag")  # slow, and more of the same
     report = importBag(rosCas, path, format=form)
     expected = read_with_rosbag(path)

@@ -31,7 +31,7 @@ IN_TURN = [
 ]
 """One of these a statement. Where fields have no columns, a filter has nothing to check but KEY and
 NODE."""
-STATEMENTS = 170
+STATEMENTS = 168
 """Of each kind; each has a condition."""
 
 
