@@ -18,7 +18,9 @@ from cassandra import ConsistencyLevel
 from cassandra.cluster import EXEC_PROFILE_DEFAULT, Cluster, ExecutionProfile
 from cassandra.policies import WhiteListRoundRobinPolicy
 from cassandra.query import SimpleStatement
+from std_msgs.msg import String
 
+from cassandra_ros import RosCassandra
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import LocalCluster, free_port, processes
 
@@ -204,6 +206,15 @@ def test_one_that_is_cleared_is_new(folder):
     assert make(folder).stop() is False
 
 
+def connect(cluster):
+    return RosCassandra(cluster.settings.address(3), cluster.settings.port, keyspace="robot")
+
+
+def nodes_asked(rosCas):
+    listed = rosCas.cassandra.executeOnEach("SELECT key FROM system.local", what="asking each")
+    return len(listed)
+
+
 def test_three_nodes(tmp_path):
     cluster = make(tmp_path, nodes=3, host="127.0.0.11", port=free_port(), heap="256M")
     try:
@@ -219,9 +230,19 @@ def test_three_nodes(tmp_path):
             "INSERT INTO k.t (i) VALUES (1)", consistency_level=ConsistencyLevel.ALL
         )
         ask(cluster, insert)
+        with connect(cluster) as rosCas:
+            assert nodes_asked(rosCas) == 3
+            topic = rosCas.addTopic("/t", msg_type="std_msgs/String", nodeID="n")
+            for number in range(20):
+                topic.addData(String(str(number % 5)), key=number)
+            assert topic.createIndex("data") == 20
+            assert topic.countTopicData(where="data = '3'") == 4
         # One that died is started alone.
         kill(cluster)
         assert [bool(s.pid) for s in cluster.status()] == [False, True, True]
+        with connect(cluster) as rosCas:
+            assert nodes_asked(rosCas) == 2
+            assert rosCas.getTopic("/t").countTopicData(where="data = '3'") == 4
         assert make(tmp_path).start(die_with_us=True)
         assert all(status.answers for status in make(tmp_path).status())
         ask(cluster, insert)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import contextmanager
 from types import SimpleNamespace
 
 import pytest
@@ -17,7 +18,7 @@ from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
 from cassandra_ros.metadata import TopicMetadata, fromComment
 from cassandra_ros.store import compaction as merging
-from cassandra_ros.store import index_changes
+from cassandra_ros.store import index_builds
 from cassandra_ros.store.backfill import Backfill, Update
 from cassandra_ros.store.buckets import MAX_TTL_SEC, checkTtl
 from cassandra_ros.store.directory import Totals
@@ -256,29 +257,201 @@ def test_no_index_is_made_while_files_are_merged(rosCas, cql, monkeypatch):
         with pytest.raises(StoreUnavailable, match="compaction, 50 % done"):
             topic.createIndex("data")
     assert index_names(cql, rosCas, table) == set()
-    with monkeypatch.context() as busy:
-        busy.setattr(index_changes, "BUILD_SEC", 0)
-        with pytest.raises(StoreUnavailable, match="one after the other"):
-            topic.createIndex("data")
-    assert index_names(cql, rosCas, table) == set()
     assert compaction(cql, rosCas, table) == before
     assert topic.createIndex("data") == 5
+
+
+@pytest.fixture
+def busy(monkeypatch):
+    """As if each node were building another index for ever; context manager."""
+
+    @contextmanager
+    def nobody_begins():
+        with monkeypatch.context() as patched:
+            patched.setattr(index_builds, "BUILD_SEC", 0)
+            patched.setattr(index_builds, "begun", lambda names, listed, **state: not names)
+            yield
+
+    return nobody_begins
+
+
+def warnings(caplog):
+    return [record.getMessage() for record in caplog.records if "not merged" in record.getMessage()]
+
+
+def test_an_index_that_is_not_built_yet_is_gone_on_with(rosCas, cql, busy, caplog):
+    table = store(rosCas, "/t", 5)
+    topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
+    for _ in range(2):
+        with busy(), pytest.raises(StoreUnavailable, match="one after the other"):
+            topic.createIndex("data")
+        # To drop it would not end its build: nothing is merged before that has begun.
+        assert index_names(cql, rosCas, table) == {"_ix0"} and topic.getMeta["indexes"] == []
+        assert compaction(cql, rosCas, table) == {**before, "enabled": "false"}
+    assert len(warnings(caplog)) == 2
+    assert "createIndex or removeIndex is called for its topic again" in warnings(caplog)[0]
+    assert topic.createIndex("data") == 5
+    assert dict(topic.tables[0].metadata.indexes) == {"data": "_ix0"}
+    assert compaction(cql, rosCas, table) == before
+
+
+def test_the_first_error_is_told(rosCas, cql, monkeypatch, caplog):
+    table = store(rosCas, "/t", 5)
+    topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
+
+    def gone(*args, **options):
+        raise StoreUnavailable("the server is gone for good")
+
+    def first(*args):
+        monkeypatch.setattr(rosCas.cassandra, "executeOnce", gone)
+        raise StoreUnavailable("the server is gone")
+
+    monkeypatch.setattr(rosCas.parts.schema, "createIndex", first)
+    with pytest.raises(StoreUnavailable, match="is gone$"):
+        topic.createIndex("data")
+    monkeypatch.undo()
+    assert len(warnings(caplog)) == 1
+    assert "the schema lock runs out by itself within 120 s: the server is gone" in caplog.text
+    assert compaction(cql, rosCas, table) == {**before, "enabled": "false"}
+    cql.execute(f"DELETE FROM {rosCas.keyspace}.cr_lock WHERE name = 'schema'")
+    assert topic.createIndex("data") == 5
+    assert compaction(cql, rosCas, table) == before
+
+
+def test_an_interrupted_index_is_gone_on_with(rosCas, cql, monkeypatch, caplog):
+    table = store(rosCas, "/t", 5)
+    topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
+    make = rosCas.parts.schema.createIndex
+
+    def interrupted(*args):
+        make(*args)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(rosCas.parts.schema, "createIndex", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            topic.createIndex("data")
+    assert len(warnings(caplog)) == 1
+    assert topic.getMeta["indexes"] == []
+    assert compaction(cql, rosCas, table) == {**before, "enabled": "false"}
+    assert topic.createIndex("data") == 5
+    assert compaction(cql, rosCas, table) == before
+
+
+@pytest.mark.parametrize("again", ["its own", "another", "of another type", "removed"])
+def test_an_index_that_no_comment_lists_is_waited_for(rosCas, cql, busy, again):
+    """Somebody died when he had made it, before he let files be merged again."""
+    table = store(rosCas, "/t", 5)
+    topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
+    topic.createIndex("data")
+    with busy(), pytest.raises(StoreUnavailable):
+        add(rosCas, table, "text", "other")
+    ask = {
+        "its own": lambda: add(rosCas, table, "text", "other"),
+        "another": lambda: topic.createIndex("data"),
+        "of another type": lambda: rosCas.parts.indexes.add("/t", "third", lambda metadata: None),
+        "removed": lambda: topic.removeIndex("data"),
+    }[again]
+    with busy(), pytest.raises(StoreUnavailable, match="has not begun to build"):
+        ask()
+    rosCas.parts.schema.tables(fresh=True)
+    assert index_names(cql, rosCas, table) == {"_ix0", "_ix1"}
+    assert topic.getMeta["indexes"] == ["data"]
+    assert compaction(cql, rosCas, table) == {**before, "enabled": "false"}
+    ask()
+    assert compaction(cql, rosCas, table) == before
+
+
+def test_an_index_that_was_made_while_files_were_merged_is_made_anew(rosCas, cql, monkeypatch):
+    table = store(rosCas, "/t", 5)
+    topic, cassandra, sent = rosCas.getTopic("/t"), rosCas.cassandra, []
+    cql.execute(f'ALTER TABLE {table.qualified} ADD "_ix0" text')
+    rosCas.parts.schema.createIndex(table.name, "_ix0")
+    change = cassandra.schemaChange
+
+    def look(statement, *, what):
+        sent.append(statement)
+        change(statement, what=what)
+
+    monkeypatch.setattr(cassandra, "schemaChange", look)
+    assert topic.createIndex("data") == 5
+    steps = [" ".join(statement.split()[:2]) for statement in sent]
+    assert steps == ["ALTER TABLE", "DROP INDEX", "CREATE INDEX", "ALTER TABLE", "ALTER TABLE"]
+
+
+BUILT, WAITING = True, False
+
+
+@pytest.mark.parametrize(
+    "listed, building, idle, expected",
+    [
+        ({"a": BUILT, "b": BUILT}, False, False, True),
+        ({"a": BUILT, "b": BUILT}, False, True, True),
+        ({"a": BUILT, "b": WAITING}, True, False, True),
+        ({"a": BUILT, "b": WAITING}, False, False, False),
+        # It is building the one or the other.
+        ({"a": WAITING, "b": WAITING}, True, False, False),
+        ({"a": BUILT, "b": BUILT, "of somebody else": WAITING}, False, False, False),
+        # A build that has failed comes no more.
+        ({"a": BUILT, "b": WAITING}, False, True, True),
+        # The node has not heard of it.
+        ({"a": BUILT}, False, True, False),
+        ({"a": BUILT}, False, False, False),
+        ({}, True, True, False),
+    ],
+)
+def test_when_a_node_has_begun(listed, building, idle, expected):
+    assert index_builds.begun({"a", "b"}, listed, building=building, idle=idle) is expected
 
 
 def test_nobody_finds_a_table_before_its_indexes_are_made(rosCas, cql, monkeypatch):
     schema, seen = rosCas.parts.schema, []
     make = schema.createIndex
 
-    def look(*args):
+    def look(table, shadow):
         with RosCassandra(rosCas.cassandra.hosts, rosCas.cassandra.port) as other:
             other.connectToKeyspace(rosCas.keyspace)
             seen.append(list(other.getAllTopics()))
-        make(*args)
+        seen.append(compaction(cql, rosCas, SimpleNamespace(name=table))["enabled"])
+        make(table, shadow)
 
     monkeypatch.setattr(schema, "createIndex", look)
     rosCas.addTopic("/t", index=["data"]).addData(String("a"))
-    assert seen == [[]]
-    assert rosCas.getTopic("/t").hasIndex("data")
+    assert seen == [[], "false"]
+    topic = rosCas.getTopic("/t")
+    assert topic.hasIndex("data")
+    plain = rosCas.addTopic("/plain", msg_type="std_msgs/String").tables[0]
+    assert compaction(cql, rosCas, topic.tables[0]) == compaction(cql, rosCas, plain)
+
+
+def test_a_message_does_not_wait_for_ever_for_an_index(rosCas, cql, busy, caplog):
+    topic = rosCas.addTopic("/t", index=["data"], ttl=500)
+    with busy():
+        topic.addData(String("a"))
+    assert [message.data for _, message in topic.items()] == ["a"]
+    assert len(warnings(caplog)) == 1
+    (table,) = topic.tables
+    options = compaction(cql, rosCas, table)
+    assert options.pop("enabled") == "false"
+    topic.createIndex("data")
+    assert compaction(cql, rosCas, table) == options
+
+
+def test_a_table_that_was_left_without_its_indexes_is_no_topic(rosCas, cql, monkeypatch):
+    def crash(*args):
+        raise Crash
+
+    with monkeypatch.context() as broken:
+        broken.setattr(rosCas.parts.schema, "createIndex", crash)
+        with pytest.raises(Crash):
+            rosCas.addTopic("/t", index=["data"]).addData(String("a"))
+    assert list(rosCas.info()) == []
+    rows = cql.execute(
+        "SELECT comment FROM system_schema.tables WHERE keyspace_name = %s", (rosCas.keyspace,)
+    )
+    assert sum("client that died, is empty, and may be dropped" in row[0] for row in rows) == 1
+    rosCas.getTopic("/t").addData(String("b"))
+    assert [message.data for _, message in rosCas.getTopic("/t").items()] == ["b"]
 
 
 def test_a_column_that_was_left_of_another_type_is_passed_over(rosCas, cql):

@@ -109,9 +109,10 @@ def choose_storage_port(settings: Settings, addresses: list[str]) -> int:
         return known
     if known and settings.nodes > 1:
         # Several nodes know each other by this port.
+        taken = next((address for address in addresses if not ports.is_free(address, known)), "")
         raise ServerError(
             f"port {known}, by which the nodes speak to each other, is taken by "
-            f"{ports.port_owner(known)}; end that first"
+            f"{ports.port_owner(known, taken)}; end that first"
         )
     # Two that start at once do not begin with the same one.
     first = os.getpid() % 100

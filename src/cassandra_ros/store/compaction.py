@@ -1,14 +1,17 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A table whose files are not merged for a while."""
+"""A table whose files are not merged for a while.
+
+Where an index is made just while a merge ends, Cassandra 5.0.8 takes the new file for a broken one
+and drops it from all indexes of the table: their rows are not found any more, without an error.
+"""
 
 from __future__ import annotations
 
 import time
-from contextlib import contextmanager
-from typing import Iterator, Mapping
+from typing import Mapping
 
-from cassandra_ros.errors import StoreUnavailable
+from cassandra_ros.errors import StoreUnavailable, TopicNotFound
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.lock import SchemaLock
 from cassandra_ros.store.names import quoteName, quoteText
@@ -16,57 +19,81 @@ from cassandra_ros.store.names import quoteName, quoteText
 QUIET_SEC = 30.0
 """How long merging that is going on is waited for."""
 PAUSE_SEC = 0.05
+_ENABLED = "enabled"
 
 
-@contextmanager
-def paused(cassandra: Cassandra, keyspace: str, table: str, lock: SchemaLock) -> Iterator[None]:
-    """Keep the files of a table from being merged; under the schema lock.
+class Compaction:
+    """The merging of one table's files, by the nodes in reach; under the schema lock.
 
-    Where an index is made just while a merge ends, Cassandra 5.0.8 takes the new file for a broken
-    one and drops it from all indexes of the table: their rows are not found any more, without an
-    error. A client that dies in here leaves the table unmerged until this is entered again.
-
-    Raises:
-        StoreUnavailable: The files are still being merged after 30 s.
+    Who dies while it is paused leaves it so: it goes on when somebody resumes it.
     """
-    options = _options(cassandra, keyspace, table)
-    try:
-        _alter(cassandra, keyspace, table, {**options, "enabled": "false"}, lock)
-        _awaitQuiet(cassandra, keyspace, table, lock)
-        yield
-    finally:
-        _alter(cassandra, keyspace, table, options, lock)
 
+    def __init__(self, cassandra: Cassandra, keyspace: str, table: str, lock: SchemaLock) -> None:
+        self._cassandra = cassandra
+        self._keyspace = keyspace
+        self._table = table
+        self._lock = lock
 
-def resume(cassandra: Cassandra, keyspace: str, table: str, lock: SchemaLock) -> None:
-    """Let the files of a table be merged again that somebody left paused; under the schema lock."""
-    if _given(cassandra, keyspace, table).get("enabled", "true") != "true":
-        _alter(cassandra, keyspace, table, _options(cassandra, keyspace, table), lock)
+    def paused(self) -> bool:
+        """Tell whether somebody has paused it."""
+        return self._options().get(_ENABLED, "true") != "true"
 
+    def pause(self) -> None:
+        """Forbid it, and wait for what is going on.
 
-def _given(cassandra: Cassandra, keyspace: str, table: str) -> Mapping[str, str]:
-    rows = cassandra.execute(
-        "SELECT compaction FROM system_schema.tables WHERE keyspace_name = ? AND table_name = ?",
-        (keyspace, table),
-        what=f"reading how table {table} is compacted",
-    )
-    return {} if not rows else dict(rows[0][0])
+        Raises:
+            StoreUnavailable: Files are still being merged after 30 s; it is allowed again.
+        """
+        options = self._options()
+        try:
+            self._alter({**options, _ENABLED: "false"})
+            self._awaitQuiet()
+        except BaseException:
+            self._alter(options)
+            raise
 
+    def resume(self) -> None:
+        """Allow it."""
+        self._alter({name: value for name, value in self._options().items() if name != _ENABLED})
 
-def _options(cassandra: Cassandra, keyspace: str, table: str) -> dict[str, str]:
-    given = _given(cassandra, keyspace, table)
-    return {name: value for name, value in given.items() if name != "enabled"}
+    def _options(self) -> dict[str, str]:
+        rows = self._cassandra.execute(
+            "SELECT compaction FROM system_schema.tables "
+            "WHERE keyspace_name = ? AND table_name = ?",
+            (self._keyspace, self._table),
+            what=f"reading how table {self._table} is compacted",
+        )
+        if not rows:
+            raise TopicNotFound(f"table {self._keyspace}.{self._table} was removed meanwhile")
+        return dict(rows[0][0])
 
+    def _alter(self, options: Mapping[str, str]) -> None:
+        pairs = ", ".join(f"{quoteText(k)}: {quoteText(v)}" for k, v in options.items())
+        self._lock.renew()
+        self._cassandra.schemaChange(
+            f"ALTER TABLE {quoteName(self._keyspace)}.{quoteName(self._table)} "
+            f"WITH compaction = {{{pairs}}}",
+            what=f"changing how table {self._table} is compacted",
+        )
 
-def _alter(
-    cassandra: Cassandra, keyspace: str, table: str, options: Mapping[str, str], lock: SchemaLock
-) -> None:
-    pairs = ", ".join(f"{quoteText(name)}: {quoteText(value)}" for name, value in options.items())
-    lock.renew()
-    cassandra.schemaChange(
-        f"ALTER TABLE {quoteName(keyspace)}.{quoteName(table)} WITH compaction = {{{pairs}}}",
-        what=f"changing how table {table} is compacted",
-    )
+    def _awaitQuiet(self) -> None:
+        """Wait until no node in reach is rewriting files of the table, nor about to."""
+        deadline = time.monotonic() + QUIET_SEC
+        quiet = 0
+        # One that was chosen just before it was forbidden may not be listed at once.
+        while quiet < 2:
+            every = tasks(self._cassandra, self._keyspace, self._table)
+            busy = [task for found in every.values() for task in found]
+            quiet = 0 if busy else quiet + 1
+            if busy and time.monotonic() > deadline:
+                kind, ratio = busy[0]
+                raise StoreUnavailable(
+                    f"table {self._table} is being rewritten ({kind}, {100 * ratio:.0f} % done), "
+                    "and an index made meanwhile could miss rows; ask for it again when that has "
+                    "ended (nodetool compactionstats)"
+                )
+            self._lock.renew()
+            time.sleep(PAUSE_SEC)
 
 
 def tasks(cassandra: Cassandra, keyspace: str, table: str) -> dict[str, list[tuple[str, float]]]:
@@ -81,22 +108,3 @@ def tasks(cassandra: Cassandra, keyspace: str, table: str) -> dict[str, list[tup
         (keyspace, table),
         what=f"asking whether table {table} is compacted",
     )
-
-
-def _awaitQuiet(cassandra: Cassandra, keyspace: str, table: str, lock: SchemaLock) -> None:
-    """Wait until no node in reach is rewriting files of a table, nor about to."""
-    deadline = time.monotonic() + QUIET_SEC
-    quiet = 0
-    # One that was chosen just before it was forbidden may not be listed at once.
-    while quiet < 2:
-        busy = [task for rows in tasks(cassandra, keyspace, table).values() for task in rows]
-        quiet = 0 if busy else quiet + 1
-        if busy and time.monotonic() > deadline:
-            kind, ratio = busy[0]
-            raise StoreUnavailable(
-                f"table {table} is being rewritten ({kind}, {100 * ratio:.0f} % done), and an "
-                "index made meanwhile could miss rows; ask for it again when that has ended "
-                "(nodetool compactionstats)"
-            )
-        lock.renew()
-        time.sleep(PAUSE_SEC)

@@ -9,22 +9,22 @@ that has a bucket open goes on filling it, and would lose its messages.
 
 from __future__ import annotations
 
-import time
+import logging
 from typing import Callable
 
-from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound
+from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.metadata import SHADOW, TopicMetadata, shadowColumn
-from cassandra_ros.store.compaction import PAUSE_SEC, paused, resume, tasks
+from cassandra_ros.store.compaction import Compaction
 from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.index_builds import awaitBuilds
 from cassandra_ros.store.lock import SchemaLock
 from cassandra_ros.store.names import quoteName
 from cassandra_ros.store.schema import Schema
 
+_log = logging.getLogger(__name__)
+
 TypeOf = Callable[[TopicMetadata], "str | None"]
 """CQL type of the shadow column of a field in a table; None where its type lacks the field."""
-
-BUILD_SEC = 30.0
-"""How long Cassandra may take to begin to build an index."""
 
 
 class IndexChanges:
@@ -43,10 +43,12 @@ class IndexChanges:
         with SchemaLock(self._cassandra, self._schema.keyspace) as lock:
             for table, metadata in self._tables(topic).items():
                 cql_type = type_of(metadata)
-                if field not in metadata.indexes and cql_type is not None:
-                    self._addTo(table, metadata, field, cql_type, lock)
-                elif field in metadata.indexes:
+                if field in metadata.indexes:
                     self._complete(table, metadata.indexes[field], lock)
+                elif cql_type is not None:
+                    self._addTo(table, metadata, field, cql_type, lock)
+                else:
+                    self._resume(table, lock)
         self._schema.tables(fresh=True)
 
     def _addTo(
@@ -63,48 +65,54 @@ class IndexChanges:
                 f"ALTER TABLE {self._schema.qualified(table)} ADD {quoteName(shadow)} {cql_type}",
                 what=f"adding a column to table {table}",
             )
-        self._complete(table, shadow, lock)
+        self._make(table, shadow, lock)
         lock.renew()
         self._schema.setComment(table, metadata.withIndex(field, number))
 
     def _complete(self, table: str, shadow: str, lock: SchemaLock) -> None:
-        keyspace = self._schema.keyspace
+        """Do what somebody left who died while he changed the indexes of a table."""
         if table + shadow in self._names(table):
-            resume(self._cassandra, keyspace, table, lock)
-            return
-        with paused(self._cassandra, keyspace, table, lock):
+            self._resume(table, lock)
+        else:
+            self._make(table, shadow, lock)
+
+    def _make(self, table: str, shadow: str, lock: SchemaLock) -> None:
+        """Make an index, or go on with one whose maker died before it was listed."""
+        index, compaction = table + shadow, self._compaction(table, lock)
+        there = index in self._names(table)
+        begun = there and compaction.paused()
+        if not begun:
+            compaction.pause()
+        try:
+            if there and not begun:
+                # Files were merged meanwhile: it may miss rows.
+                self._awaitBuilds(table, lock)
+                self._drop(table, index, lock)
             lock.renew()
             self._schema.createIndex(table, shadow)
-            try:
-                self._awaitBuild(table, shadow, lock)
-            except CassandraRosError:
-                self._drop(table, table + shadow, lock)
-                raise
-
-    def _awaitBuild(self, table: str, shadow: str, lock: SchemaLock) -> None:
-        """Wait until every node in reach has built an index, or is at it.
-
-        It knows then which files the index covers, and they may be merged again.
-        """
-        keyspace = self._schema.keyspace
-        deadline = time.monotonic() + BUILD_SEC
-        while time.monotonic() < deadline:
-            built = self._cassandra.executeOnEach(
-                "SELECT is_queryable FROM system_views.sai_column_indexes "
-                "WHERE keyspace_name = ? AND index_name = ?",
-                (keyspace, table + shadow),
-                what=f"waiting for an index of table {table}",
+            self._resume(table, lock)
+        except BaseException:
+            # When the nodes make and build what was sent to them, if at all, is not known.
+            _log.warning(
+                "the files of table %s are not merged until createIndex or removeIndex is called "
+                "for its topic again",
+                table,
             )
-            building = tasks(self._cassandra, keyspace, table)
-            if all((True,) in rows or building.get(node) for node, rows in built.items()):
-                return
-            lock.renew()
-            time.sleep(PAUSE_SEC)
-        raise StoreUnavailable(
-            f"Cassandra has not begun to build an index of table {table} within {BUILD_SEC:.0f} s: "
-            "it builds one after the other, and is busy with those of other tables "
-            "(nodetool compactionstats); ask again when that has ended"
-        )
+            raise
+
+    def _resume(self, table: str, lock: SchemaLock) -> None:
+        """Let the files of a table be merged again that somebody has paused for an index."""
+        compaction = self._compaction(table, lock)
+        if compaction.paused():
+            self._awaitBuilds(table, lock)
+            compaction.resume()
+
+    def _awaitBuilds(self, table: str, lock: SchemaLock) -> None:
+        keyspace, names = self._schema.keyspace, self._names(table)
+        awaitBuilds(self._cassandra, keyspace, table, names, lock)
+
+    def _compaction(self, table: str, lock: SchemaLock) -> Compaction:
+        return Compaction(self._cassandra, self._schema.keyspace, table, lock)
 
     def _drop(self, table: str, index: str, lock: SchemaLock) -> None:
         lock.renew()
@@ -120,12 +128,14 @@ class IndexChanges:
             Whether there was anything to drop.
 
         Raises:
+            StoreUnavailable: Cassandra has not begun to build an index that somebody made.
             TopicNotFound: The topic is gone.
         """
         done = False
         with SchemaLock(self._cassandra, self._schema.keyspace) as lock:
             for table, metadata in self._tables(topic).items():
-                resume(self._cassandra, self._schema.keyspace, table, lock)
+                # First, for a build that waits for its turn goes on without its index.
+                self._resume(table, lock)
                 if field in metadata.indexes:
                     metadata = metadata.withoutIndex(field)
                     lock.renew()

@@ -14,7 +14,7 @@ import time
 import uuid
 from typing import Any
 
-from cassandra_ros.errors import SchemaConflict, StoreUnavailable
+from cassandra_ros.errors import CassandraRosError, SchemaConflict, StoreUnavailable
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.names import quoteName
 
@@ -55,8 +55,16 @@ class SchemaLock:
             pause = min(pause * 1.5, 0.5)
         return self
 
-    def __exit__(self, *exc_info: object) -> None:
-        self._lwt(f"DELETE FROM {self._table} WHERE name = ? IF owner = ?", (_NAME, self._owner))
+    def __exit__(self, failure: object, *exc_info: object) -> None:
+        try:
+            self._lwt(
+                f"DELETE FROM {self._table} WHERE name = ? IF owner = ?", (_NAME, self._owner)
+            )
+        except CassandraRosError as exc:
+            if failure is None:
+                raise
+            # What went wrong under the lock says more.
+            _log.warning("the schema lock runs out by itself within %d s: %s", LOCK_TTL_SEC, exc)
 
     def _take(self) -> bool:
         applied, owner = self._lwt(

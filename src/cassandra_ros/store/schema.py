@@ -9,16 +9,26 @@ import threading
 import time
 from typing import Callable, Collection, Mapping, Sequence, Tuple
 
-from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
+from cassandra_ros.errors import (
+    CassandraRosError,
+    SchemaConflict,
+    StoreUnavailable,
+    TopicNotFound,
+)
 from cassandra_ros.metadata import SHADOW, TopicMetadata, fromComment
 from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.index_builds import awaitBuilds
 from cassandra_ros.store.lock import SchemaLock
 from cassandra_ros.store.names import chunkTableName, quoteName, quoteText, tableName
-from cassandra_ros.store.table_storage import KEY_TYPES, ownColumns, storage
+from cassandra_ros.store.table_storage import (
+    createChunkTable,
+    createTable,
+    finishTable,
+    ownColumns,
+)
 
 _log = logging.getLogger(__name__)
 
-CHUNK_TTL_MARGIN_SEC = 86_400
 CACHE_SEC = 2.0
 """How old the list of tables may be: other clients add definitions and drop topics."""
 
@@ -72,14 +82,18 @@ class Schema:
             _log.warning("topic %s keeps the indexes it had: %s", known.topic, exc)
             return known
 
-    def _read(self) -> dict[str, TopicMetadata]:
-        rows = self._cassandra.execute(
-            "SELECT table_name, comment FROM system_schema.tables WHERE keyspace_name = ?",
-            (self.keyspace,),
+    def _comments(self, table: str = "") -> list[tuple[str, str]]:
+        """Read (name, comment) of one table, where it is there, or of all."""
+        query = "SELECT table_name, comment FROM system_schema.tables WHERE keyspace_name = ?"
+        return self._cassandra.execute(
+            query + " AND table_name = ?" if table else query,
+            (self.keyspace, table) if table else (self.keyspace,),
             what=f"listing the topics of keyspace {self.keyspace}",
         )
+
+    def _read(self, table: str = "") -> dict[str, TopicMetadata]:
         found = {}
-        for name, comment in rows:
+        for name, comment in self._comments(table):
             metadata = fromComment(comment or "", f"{self.keyspace}.{name}")
             if metadata is not None:
                 found[name] = metadata
@@ -132,25 +146,35 @@ class Schema:
         shadows: Collection[str],
         lock: SchemaLock,
     ) -> None:
-        # Its comment makes it a topic's table. Nobody writes into it while its indexes are built.
-        self._create(name, wanted, columns, "" if shadows else wanted.toComment())
+        self._cassandra.schemaChange(
+            createTable(self.qualified(name), wanted, columns, finished=not shadows),
+            what=f"making the table of topic {wanted.topic}",
+        )
         for shadow in shadows:
             lock.renew()
             self.createIndex(name, shadow)
         if shadows:
-            lock.renew()
-            self.setComment(name, wanted)
+            self._finish(name, wanted, {name + shadow for shadow in shadows}, lock)
 
-    def _create(
-        self, name: str, wanted: TopicMetadata, columns: Mapping[str, str], comment: str
+    def _finish(
+        self, name: str, wanted: TopicMetadata, indexes: Collection[str], lock: SchemaLock
     ) -> None:
-        listing = ", ".join(f"{quoteName(c)} {cql}" for c, cql in columns.items())
+        """Let a table be found, by its comment, and its files be merged, with its indexes built."""
+        merged = True
+        try:
+            awaitBuilds(self._cassandra, self.keyspace, name, set(indexes), lock)
+        except StoreUnavailable as exc:
+            # No reason to lose the messages that are waiting for it.
+            merged = False
+            _log.warning(
+                "the files of table %s are not merged until createIndex or removeIndex is called "
+                "for topic %s: %s",
+                *(name, wanted.topic, exc),
+            )
+        lock.renew()
         self._cassandra.schemaChange(
-            f"CREATE TABLE {self.qualified(name)} ({listing}, "
-            f'PRIMARY KEY (("_node", "{wanted.partition}"), "_t", "_seq")) '
-            f"WITH comment = {quoteText(comment)} AND {storage(wanted.ttl, 0)} "
-            f"AND compression = {{'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}}",
-            what=f"making the table of topic {wanted.topic}",
+            finishTable(self.qualified(name), wanted, merged=merged),
+            what=f"finishing the table of topic {wanted.topic}",
         )
 
     def createIndex(self, table: str, shadow: str) -> None:
@@ -162,8 +186,10 @@ class Schema:
         )
 
     def _check(self, name: str, wanted: TopicMetadata, columns: Mapping[str, str]) -> None:
-        comment = self.tables(fresh=True).get(name)
-        if self.columns(name) != dict(columns) or comment != wanted:
+        made = self._read(name)
+        with self._mutex:
+            self._tables = {**(self._tables or {}), **made}
+        if self.columns(name) != dict(columns) or made.get(name) != wanted:
             raise SchemaConflict(
                 f"table {self.keyspace}.{name} of topic {wanted.topic} is not what was asked "
                 "for (columns or comment differ): another client changed it at the same time; "
@@ -182,40 +208,22 @@ class Schema:
 
     def ensureChunkTable(self, table: str, metadata: TopicMetadata) -> str:
         """Make the table for a topic's large messages where it is missing; return its name."""
-        partition = metadata.partition
         name = chunkTableName(table)
-        if self._exists(name):
+        if self._comments(name):
             return name
         with SchemaLock(self._cassandra, self.keyspace) as lock:
-            if not self._exists(table):
+            if not self._comments(table):
                 raise TopicNotFound(
                     f"table {table} was removed by another client; messages of its topic need "
                     "a new one: connect again"
                 )
-            if not self._exists(name):
+            if not self._comments(name):
                 lock.renew()
                 self._cassandra.schemaChange(
-                    f'CREATE TABLE {self.qualified(name)} ("_node" text, '
-                    f'"{partition}" {KEY_TYPES[partition]}, '
-                    '"_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
-                    f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
-                    f"WITH comment = {quoteText(f'cassandra_ros chunks of {table}')} "
-                    f"AND {storage(metadata.ttl, CHUNK_TTL_MARGIN_SEC)} "
-                    "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
-                    "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'",
+                    createChunkTable(self.qualified(name), table, metadata),
                     what=f"making the table for large messages {name}",
                 )
         return name
-
-    def _exists(self, name: str) -> bool:
-        return bool(
-            self._cassandra.execute(
-                "SELECT table_name FROM system_schema.tables "
-                "WHERE keyspace_name = ? AND table_name = ?",
-                (self.keyspace, name),
-                what=f"looking for table {name}",
-            )
-        )
 
     def changeTopic(
         self,
