@@ -43,15 +43,25 @@ def stored_rows(rosCas):
 
 def counts_agree(rosCas, cql):
     """Compare the counts of info with SELECT count(*); return them by topic."""
-    counted, told = {}, {}
-    for topic in rosCas.getAllTopics():
-        for table in topic.tables:
-            rows = cql.execute(f'SELECT count(*) FROM {rosCas.keyspace}."{table.name}"')
-            counted[topic.name] = counted.get(topic.name, 0) + rows.one()[0]
-    for info in rosCas.info():
-        told[info.topic] = told.get(info.topic, 0) + info.count
-    assert told == counted
-    return counted
+
+    def count():
+        counted = Counter()
+        for topic in rosCas.getAllTopics():
+            for table in topic.tables:
+                rows = cql.execute(f'SELECT count(*) FROM {rosCas.keyspace}."{table.name}"')
+                counted[topic.name] += rows.one()[0]
+        return counted
+
+    before, told, after = None, None, count()
+    # What a killed client had sent may still be written, and only then: rows only become more.
+    while before != after:
+        assert before is None or sum(before.values()) < sum(after.values())
+        before, told = after, Counter()
+        for info in rosCas.info():
+            told[info.topic] += info.count
+        after = count()
+    assert dict(told) == dict(after)
+    return dict(after)
 
 
 def beginning(path, target):
@@ -68,7 +78,7 @@ def beginning(path, target):
 @pytest.mark.parametrize("name", READABLE)
 def test_every_bag_comes_back_as_it_was(rosCas, bags, tmp_path, name, form):
     path = bags / f"{name}.bag"
-    if form != "ros" and name == "backpack_multiecho_bz2":
+    if form == "yaml" and name == "backpack_multiecho_bz2":
         path = beginning(path, tmp_path / "in.bag")  # slow, and more of the same
     report = importBag(rosCas, path, format=form)
     expected = read_with_rosbag(path)

@@ -92,7 +92,7 @@ def stored(rosCas):
 
 def test_memory_does_not_grow_with_the_bag(cassandra, keyspace, cql, rosCas, tmp_path):
     peaks = []
-    for name, megabytes in (("small", 50), ("large", 300)):
+    for name, megabytes in (("small", 50), ("large", 500)):
         count = megabytes * 1_000_000 // 1000
         path = write_bag(tmp_path / f"{name}.bag", count, 1000)
         assert path.stat().st_size > megabytes * 1_000_000
