@@ -58,7 +58,7 @@ def test_every_installed_type_comes_back_equal(fresh, name, record_property):
     for first in range(0, len(types), TABLES):
         with fresh() as rosCas:
             batch = [installedDefinition(t) for t in types[first : first + TABLES]]
-            checkStored(rosCas, name, batch, examples=2)
+            checkStored(rosCas, name, batch, examples=3)
 
 
 @every_format
@@ -66,4 +66,4 @@ def test_random_types_come_back_equal(fresh, name):
     makers = [DefinitionMaker(seed, depth=seed % 5) for seed in range(40)]
     definitions = [parseDefinition(*maker.make()) for maker in makers]
     with fresh() as rosCas:
-        checkStored(rosCas, name, definitions, examples=2)
+        checkStored(rosCas, name, definitions, examples=4)

@@ -331,8 +331,7 @@ class Stored:
             topic = store.getTopic(self.topic(format))
             if number == 0:
                 self._remove(topic, *self._removed[0])
-                # The columns that carry them are the same in every format.
-                for field in self.kind.indexes[: None if format == "ros" else 2]:
+                for field in self.kind.indexes:
                     topic.createIndex(field)
         for low, high in self._removed:
             self._remove(topic, low, high)

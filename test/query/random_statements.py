@@ -207,7 +207,7 @@ class Asker:
         """Strategy of statements with a condition."""
         # Strategies that are made anew for each statement take a quarter of the time.
         return st.sampled_from(sorted(self._chains, key=str)).flatmap(
-            functools.cache(self._inChain)
+            functools.lru_cache(maxsize=None)(self._inChain)
         )
 
     def _inChain(self, chain):

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -36,8 +35,12 @@ class Child:
 
 
 @contextmanager
-def children(count, cassandra, keyspace):
-    """Start clients that are connected; they end with their stdin."""
+def children(count, cassandra, keyspace, ended_by=0):
+    """Start clients that are connected; they end with their stdin.
+
+    Args:
+        ended_by: Their return code; -SIGKILL where the test kills them.
+    """
     arguments = [cassandra.host, str(cassandra.port), keyspace]
     processes = [
         subprocess.Popen(
@@ -50,13 +53,13 @@ def children(count, cassandra, keyspace):
         for _ in range(count)
     ]
     # A client that hangs fails the test by its silence.
-    patience = threading.Timer(120, lambda: [process.kill() for process in processes])
+    patience = threading.Timer(60, lambda: [process.kill() for process in processes])
     patience.start()
     try:
         yield [Child(process) for process in processes]
         for process in processes:
             process.stdin.close()
-            assert process.wait(30) in (0, -signal.SIGKILL)
+            assert process.wait(30) == ended_by
     finally:
         patience.cancel()
         for process in processes:

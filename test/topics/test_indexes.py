@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import time
 
 import pytest
@@ -108,7 +109,7 @@ def test_two_processes_make_the_same_index_at_once(rosCas, cassandra, keyspace):
 
 def test_killed_in_the_middle_and_repeated(rosCas, cassandra, keyspace):
     topic = store(rosCas, "/t", texts(6000), step_ns=10_000_000)
-    with children(1, cassandra, keyspace) as (child,):
+    with children(1, cassandra, keyspace, ended_by=-signal.SIGKILL) as (child,):
         child.say("index", "/t", "data")
         for _ in range(5):
             assert json.loads(child.hear())["done"] < 6000

@@ -25,8 +25,6 @@ VALUES = ("a", "b", "", "grün", "x" * 2000)
 class Writing:
     """Message after message on a thread, number by number, until it is stopped."""
 
-    PAUSE_SEC = 0.001
-
     def __init__(self, rosCas, topic):
         self.rosCas, self.topic = rosCas, topic
         self.written = []
@@ -38,7 +36,7 @@ class Writing:
 
     def _run(self):
         try:
-            while not self._stopping.wait(self.PAUSE_SEC):
+            while not self._stopping.wait(0.001):
                 self.one()
         except BaseException as exc:  # noqa: BLE001 - handed to the test, which fails by it
             self.failure = f"{type(exc).__name__}: {exc}"
@@ -103,8 +101,6 @@ class ByWriter(Writing):
 
 class ByValues(ByWriter):
     """Texts that come again and again; some an index cannot hold."""
-
-    PAUSE_SEC = 0.005  # all of them are read for each comparison
 
     def text(self, number):
         return VALUES[number % len(VALUES)]
