@@ -44,6 +44,10 @@ WITHOUT_SYNC = (
     "-Dcassandra.settings.commitlog_sync_period=10000ms"
 )
 
+MEMORY = Path("/dev/shm")  # noqa: S108 - a name in it is made by mkdtemp
+MEMORY_FREE = 4 << 30
+"""So much must be free there, bytes, for that server to keep its files in memory."""
+
 ONE_BY_ONE = {
     "nodes",
     "rostest",
@@ -52,11 +56,6 @@ ONE_BY_ONE = {
     "test_import_process.py",
     "test_examples.py",
 }
-SHARING = {
-    *("test_paging.py", "test_pushdown.py", "test_run.py", "test_scan.py", "test_statements.py"),
-    *("test_statement_fuzz.py", "test_transforms.py"),
-}
-"""Modules whose tests share what is stored for them."""
 
 
 @dataclass(frozen=True)
@@ -106,12 +105,18 @@ def pytest_xdist_make_scheduler(config, log):
         # What starts programs and waits for them shares a worker: two at a time are too many for
         # a small machine, and two servers that start at once may choose the same port.
         def _split_scope(self, nodeid):
-            parts = nodeid.split("::")[0].split("/")
-            if ONE_BY_ONE.intersection(parts):
+            module = nodeid.split("::")[0]
+            if ONE_BY_ONE.intersection(module.split("/")):
                 return "programs"
-            return parts[-1] if parts[-1] in SHARING else nodeid
+            return module if _shares(module) else nodeid
 
     return Scheduling(config, log)
+
+
+@functools.lru_cache(maxsize=None)
+def _shares(module):
+    """Tell whether the tests of a module share what is stored for them."""
+    return 'scope="module"' in (ROOT / module).read_text(encoding="utf-8")
 
 
 def pytest_terminal_summary(terminalreporter):
@@ -178,7 +183,8 @@ def _local_server():
     from cassandra_ros.errors import ServerError
     from cassandra_ros.local_server import LocalCluster, free_port
 
-    folder = tempfile.mkdtemp(prefix="cassandra_ros_server_")
+    in_memory = MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > MEMORY_FREE
+    folder = tempfile.mkdtemp(prefix="cassandra_ros_server_", dir=MEMORY if in_memory else None)
     cluster = LocalCluster(folder, port=free_port(), heap="1G")
     try:
         with pytest.MonkeyPatch.context() as environment:
