@@ -38,7 +38,8 @@ ONE_COMPILER = "-XX:TieredStopAtLevel=1"
 
 # Nothing is synced to the disk of the server that all share: it is never killed, those that are
 # have their own. A table is made in a third of the time.
-WITHOUT_SYNC = (
+SHARED = (
+    "-XX:+UseTransparentHugePages "
     "-Dcassandra.unsafesystem=true -Dcassandra.config.allow_system_properties=true "
     "-Dcassandra.settings.commitlog_sync=periodic "
     "-Dcassandra.settings.commitlog_sync_period=10000ms"
@@ -188,7 +189,7 @@ def _local_server():
     cluster = LocalCluster(folder, port=free_port(), heap="1G")
     try:
         with pytest.MonkeyPatch.context() as environment:
-            environment.setenv("JAVA_TOOL_OPTIONS", WITHOUT_SYNC)
+            environment.setenv("JAVA_TOOL_OPTIONS", SHARED)
             cluster.start(die_with_us=True)
         yield CassandraServer(cluster.settings.host, cluster.settings.port)
     finally:

@@ -237,6 +237,18 @@ def test_three_nodes(tmp_path):
                 topic.addData(String(str(number % 5)), key=number)
             assert topic.createIndex("data") == 20
             assert topic.countTopicData(where="data = '3'") == 4
+            built = rosCas.cassandra.executeOnEach(
+                "SELECT is_queryable FROM system_views.sai_column_indexes WHERE keyspace_name = ?",
+                ("robot",),
+                what="asking for indexes",
+            )
+            assert list(built.values()) == [[(True,)]] * 3
+            ((options,),) = rosCas.cassandra.execute(
+                "SELECT compaction FROM system_schema.tables "
+                "WHERE keyspace_name = ? AND table_name = ?",
+                ("robot", topic.tables[0].name),
+            )
+            assert options.get("enabled", "true") == "true"
         # One that died is started alone.
         kill(cluster)
         assert [bool(s.pid) for s in cluster.status()] == [False, True, True]

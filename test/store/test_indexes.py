@@ -12,16 +12,18 @@ import pytest
 from std_msgs.msg import Float64, String
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.errors import InvalidOption, StoreUnavailable, TopicNotFound
+from cassandra_ros.errors import InvalidOption, SchemaConflict, StoreUnavailable, TopicNotFound
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
 from cassandra_ros.metadata import TopicMetadata, fromComment
 from cassandra_ros.store import compaction as merging
-from cassandra_ros.store import index_builds
+from cassandra_ros.store import index_builds, index_changes
+from cassandra_ros.store import schema as schema_module
 from cassandra_ros.store.backfill import Backfill, Update
 from cassandra_ros.store.buckets import MAX_TTL_SEC, checkTtl
 from cassandra_ros.store.directory import Totals
+from cassandra_ros.store.lock import SchemaLock
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -261,6 +263,23 @@ def test_no_index_is_made_while_files_are_merged(rosCas, cql, monkeypatch):
     assert topic.createIndex("data") == 5
 
 
+@pytest.mark.parametrize("step", ["_alter", "_awaitQuiet"])
+def test_a_pause_that_fails_is_told(rosCas, cql, monkeypatch, caplog, step):
+    table = store(rosCas, "/t", 5)
+    topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
+
+    def gone(*args):
+        raise StoreUnavailable("the server is gone")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(merging.Compaction, step, gone)
+        with pytest.raises(StoreUnavailable, match="is gone"):
+            topic.createIndex("data")
+    assert len(warnings(caplog)) == 1 and index_names(cql, rosCas, table) == set()
+    assert topic.createIndex("data") == 5
+    assert compaction(cql, rosCas, table) == before
+
+
 @pytest.fixture
 def busy(monkeypatch):
     """As if each node were building another index for ever; context manager."""
@@ -268,8 +287,9 @@ def busy(monkeypatch):
     @contextmanager
     def nobody_begins():
         with monkeypatch.context() as patched:
-            patched.setattr(index_builds, "BUILD_SEC", 0)
-            patched.setattr(index_builds, "begun", lambda names, listed, **state: not names)
+            for module in (index_changes, schema_module):
+                patched.setattr(module, "BUILD_SEC", 0)
+            patched.setattr(index_builds, "begun", lambda names, *state: not names)
             yield
 
     return nobody_begins
@@ -279,7 +299,7 @@ def warnings(caplog):
     return [record.getMessage() for record in caplog.records if "not merged" in record.getMessage()]
 
 
-def test_an_index_that_is_not_built_yet_is_gone_on_with(rosCas, cql, busy, caplog):
+def test_an_index_that_is_not_built_yet_is_not_taken_back(rosCas, cql, busy, caplog):
     table = store(rosCas, "/t", 5)
     topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
     for _ in range(2):
@@ -288,11 +308,26 @@ def test_an_index_that_is_not_built_yet_is_gone_on_with(rosCas, cql, busy, caplo
         # To drop it would not end its build: nothing is merged before that has begun.
         assert index_names(cql, rosCas, table) == {"_ix0"} and topic.getMeta["indexes"] == []
         assert compaction(cql, rosCas, table) == {**before, "enabled": "false"}
-    assert len(warnings(caplog)) == 2
-    assert "createIndex or removeIndex is called for its topic again" in warnings(caplog)[0]
+    assert len(warnings(caplog)) == 1
+    assert "createIndex or removeIndex is called for its topic" in warnings(caplog)[0]
     assert topic.createIndex("data") == 5
     assert dict(topic.tables[0].metadata.indexes) == {"data": "_ix0"}
     assert compaction(cql, rosCas, table) == before
+
+
+def test_an_index_that_is_refused_leaves_nothing(rosCas, cql, monkeypatch, caplog):
+    table = store(rosCas, "/t", 5)
+    topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
+
+    def refuse(*args):
+        raise SchemaConflict("the server refuses the statement: too many indexes")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(rosCas.parts.schema, "createIndex", refuse)
+        with pytest.raises(SchemaConflict, match="too many"):
+            topic.createIndex("data")
+    assert compaction(cql, rosCas, table) == before and not warnings(caplog)
+    assert topic.createIndex("data") == 5
 
 
 def test_the_first_error_is_told(rosCas, cql, monkeypatch, caplog):
@@ -318,7 +353,7 @@ def test_the_first_error_is_told(rosCas, cql, monkeypatch, caplog):
     assert compaction(cql, rosCas, table) == before
 
 
-def test_an_interrupted_index_is_gone_on_with(rosCas, cql, monkeypatch, caplog):
+def test_an_interrupted_index_is_made_anew(rosCas, cql, monkeypatch, caplog):
     table = store(rosCas, "/t", 5)
     topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
     make = rosCas.parts.schema.createIndex
@@ -376,32 +411,54 @@ def test_an_index_that_was_made_while_files_were_merged_is_made_anew(rosCas, cql
     monkeypatch.setattr(cassandra, "schemaChange", look)
     assert topic.createIndex("data") == 5
     steps = [" ".join(statement.split()[:2]) for statement in sent]
-    assert steps == ["ALTER TABLE", "DROP INDEX", "CREATE INDEX", "ALTER TABLE", "ALTER TABLE"]
+    assert steps == ["DROP INDEX", "ALTER TABLE", "CREATE INDEX", "ALTER TABLE", "ALTER TABLE"]
 
 
-BUILT, WAITING = True, False
+BUILT, WAITING = False, True
 
 
 @pytest.mark.parametrize(
-    "listed, building, idle, expected",
+    "listed, at_work, expected",
     [
-        ({"a": BUILT, "b": BUILT}, False, False, True),
-        ({"a": BUILT, "b": BUILT}, False, True, True),
-        ({"a": BUILT, "b": WAITING}, True, False, True),
-        ({"a": BUILT, "b": WAITING}, False, False, False),
+        ({"a": BUILT, "b": BUILT}, False, True),
+        ({"a": BUILT, "b": WAITING}, True, True),
+        ({"a": BUILT, "b": WAITING}, False, False),
         # It is building the one or the other.
-        ({"a": WAITING, "b": WAITING}, True, False, False),
-        ({"a": BUILT, "b": BUILT, "of somebody else": WAITING}, False, False, False),
-        # A build that has failed comes no more.
-        ({"a": BUILT, "b": WAITING}, False, True, True),
+        ({"a": WAITING, "b": WAITING}, True, False),
+        ({"a": BUILT, "b": BUILT, "of somebody else": WAITING}, False, False),
         # The node has not heard of it.
-        ({"a": BUILT}, False, True, False),
-        ({"a": BUILT}, False, False, False),
-        ({}, True, True, False),
+        ({"a": BUILT}, False, False),
+        ({"a": WAITING}, True, False),
+        ({}, True, False),
     ],
 )
-def test_when_a_node_has_begun(listed, building, idle, expected):
-    assert index_builds.begun({"a", "b"}, listed, building=building, idle=idle) is expected
+def test_when_a_node_has_begun(listed, at_work, expected):
+    assert index_builds.begun({"a", "b"}, listed, at_work) is expected
+
+
+def test_a_build_is_known_by_its_name(rosCas, monkeypatch):
+    """What a real server lists while it builds an index of many rows."""
+    table, seen = store(rosCas, "/t", 60_000), []
+    begun = index_builds.begun
+
+    def look(names, listed, at_work):
+        seen.append((dict(listed), at_work))
+        return all(not unbuilt for unbuilt in listed.values())  # to the end of the build
+
+    cassandra, keyspace, names = rosCas.cassandra, rosCas.keyspace, set()
+    monkeypatch.setattr(index_builds, "begun", look)
+    monkeypatch.setattr(index_builds, "PAUSE_SEC", 0)
+    with SchemaLock(cassandra, keyspace) as lock:
+        # The first writes the rows to a file, the second is built from it.
+        for column in ("_conn", "_size"):
+            seen.clear()
+            names.add(table.name + column)
+            index = f'{table.name}{column} ON {table.qualified} ("{column}")'
+            cassandra.schemaChange(f"CREATE INDEX {index} USING 'sai'", what="making an index")
+            index_builds.awaitBuilds(cassandra, keyspace, table.name, names, lock, 60)
+    waiting = [(listed, at_work) for listed, at_work in seen if any(listed.values())]
+    assert any(at_work and begun(names, listed, at_work) for listed, at_work in waiting), seen
+    assert seen[-1][0] == dict.fromkeys(names, False)
 
 
 def test_nobody_finds_a_table_before_its_indexes_are_made(rosCas, cql, monkeypatch):

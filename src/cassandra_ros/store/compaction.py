@@ -8,13 +8,17 @@ and drops it from all indexes of the table: their rows are not found any more, w
 
 from __future__ import annotations
 
+import logging
 import time
-from typing import Mapping
+from contextlib import contextmanager
+from typing import Iterator, Mapping
 
 from cassandra_ros.errors import StoreUnavailable, TopicNotFound
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.lock import SchemaLock
 from cassandra_ros.store.names import quoteName, quoteText
+
+_log = logging.getLogger(__name__)
 
 QUIET_SEC = 30.0
 """How long merging that is going on is waited for."""
@@ -45,16 +49,37 @@ class Compaction:
             StoreUnavailable: Files are still being merged after 30 s; it is allowed again.
         """
         options = self._options()
-        try:
+        with self.told():
             self._alter({**options, _ENABLED: "false"})
-            self._awaitQuiet()
-        except BaseException:
-            self._alter(options)
-            raise
+            busy = self._awaitQuiet()
+            if busy:
+                self._alter(options)
+        if busy:
+            raise StoreUnavailable(
+                f"table {self._table} is being rewritten ({busy}), and an index made meanwhile "
+                "could miss rows; ask for it again when that has ended (nodetool compactionstats)"
+            )
 
     def resume(self) -> None:
         """Allow it."""
         self._alter({name: value for name, value in self._options().items() if name != _ENABLED})
+
+    @contextmanager
+    def told(self) -> Iterator[None]:
+        """Log that it stays paused where the block fails."""
+        try:
+            yield
+        except BaseException:
+            self.tell()
+            raise
+
+    def tell(self) -> None:
+        """Log that it stays paused, and what ends that."""
+        _log.warning(
+            "the files of table %s are not merged until createIndex or removeIndex is called for "
+            "its topic, for any field",
+            self._table,
+        )
 
     def _options(self) -> dict[str, str]:
         rows = self._cassandra.execute(
@@ -76,8 +101,12 @@ class Compaction:
             what=f"changing how table {self._table} is compacted",
         )
 
-    def _awaitQuiet(self) -> None:
-        """Wait until no node in reach is rewriting files of the table, nor about to."""
+    def _awaitQuiet(self) -> str:
+        """Wait until no node in reach is rewriting files of the table, nor about to.
+
+        Returns:
+            What is still being done after 30 s, or ''.
+        """
         deadline = time.monotonic() + QUIET_SEC
         quiet = 0
         # One that was chosen just before it was forbidden may not be listed at once.
@@ -87,13 +116,10 @@ class Compaction:
             quiet = 0 if busy else quiet + 1
             if busy and time.monotonic() > deadline:
                 kind, ratio = busy[0]
-                raise StoreUnavailable(
-                    f"table {self._table} is being rewritten ({kind}, {100 * ratio:.0f} % done), "
-                    "and an index made meanwhile could miss rows; ask for it again when that has "
-                    "ended (nodetool compactionstats)"
-                )
+                return f"{kind}, {100 * ratio:.0f} % done"
             self._lock.renew()
             time.sleep(PAUSE_SEC)
+        return ""
 
 
 def tasks(cassandra: Cassandra, keyspace: str, table: str) -> dict[str, list[tuple[str, float]]]:

@@ -9,10 +9,9 @@ that has a bucket open goes on filling it, and would lose its messages.
 
 from __future__ import annotations
 
-import logging
 from typing import Callable
 
-from cassandra_ros.errors import TopicNotFound
+from cassandra_ros.errors import SchemaConflict, TopicNotFound
 from cassandra_ros.metadata import SHADOW, TopicMetadata, shadowColumn
 from cassandra_ros.store.compaction import Compaction
 from cassandra_ros.store.connection import Cassandra
@@ -21,10 +20,11 @@ from cassandra_ros.store.lock import SchemaLock
 from cassandra_ros.store.names import quoteName
 from cassandra_ros.store.schema import Schema
 
-_log = logging.getLogger(__name__)
-
 TypeOf = Callable[[TopicMetadata], "str | None"]
 """CQL type of the shadow column of a field in a table; None where its type lacks the field."""
+
+BUILD_SEC = 30.0
+"""How long Cassandra may take to begin to build an index."""
 
 
 class IndexChanges:
@@ -77,28 +77,24 @@ class IndexChanges:
             self._make(table, shadow, lock)
 
     def _make(self, table: str, shadow: str, lock: SchemaLock) -> None:
-        """Make an index, or go on with one whose maker died before it was listed."""
+        """Make an index, anew where somebody made it who died before it was listed."""
         index, compaction = table + shadow, self._compaction(table, lock)
-        there = index in self._names(table)
-        begun = there and compaction.paused()
-        if not begun:
-            compaction.pause()
-        try:
-            if there and not begun:
-                # Files were merged meanwhile: it may miss rows.
-                self._awaitBuilds(table, lock)
-                self._drop(table, index, lock)
+        if index in self._names(table):
+            # It may miss rows. Its build, if it waits for its turn, would go on without it.
+            self._awaitBuilds(table, lock)
+            self._drop(table, index, lock)
+        compaction.pause()
+        refused = None
+        # When the nodes make and build what was sent to them, if at all, is not known on an error.
+        with compaction.told():
             lock.renew()
-            self._schema.createIndex(table, shadow)
+            try:
+                self._schema.createIndex(table, shadow)
+            except SchemaConflict as exc:
+                refused = exc
             self._resume(table, lock)
-        except BaseException:
-            # When the nodes make and build what was sent to them, if at all, is not known.
-            _log.warning(
-                "the files of table %s are not merged until createIndex or removeIndex is called "
-                "for its topic again",
-                table,
-            )
-            raise
+        if refused:
+            raise refused
 
     def _resume(self, table: str, lock: SchemaLock) -> None:
         """Let the files of a table be merged again that somebody has paused for an index."""
@@ -109,7 +105,7 @@ class IndexChanges:
 
     def _awaitBuilds(self, table: str, lock: SchemaLock) -> None:
         keyspace, names = self._schema.keyspace, self._names(table)
-        awaitBuilds(self._cassandra, keyspace, table, names, lock)
+        awaitBuilds(self._cassandra, keyspace, table, names, lock, BUILD_SEC)
 
     def _compaction(self, table: str, lock: SchemaLock) -> Compaction:
         return Compaction(self._cassandra, self._schema.keyspace, table, lock)

@@ -9,13 +9,9 @@ import threading
 import time
 from typing import Callable, Collection, Mapping, Sequence, Tuple
 
-from cassandra_ros.errors import (
-    CassandraRosError,
-    SchemaConflict,
-    StoreUnavailable,
-    TopicNotFound,
-)
+from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
 from cassandra_ros.metadata import SHADOW, TopicMetadata, fromComment
+from cassandra_ros.store.compaction import Compaction
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.index_builds import awaitBuilds
 from cassandra_ros.store.lock import SchemaLock
@@ -31,6 +27,8 @@ _log = logging.getLogger(__name__)
 
 CACHE_SEC = 2.0
 """How old the list of tables may be: other clients add definitions and drop topics."""
+BUILD_SEC = 2.0
+"""How long messages wait until Cassandra begins to build the indexes of their new table."""
 
 
 Planned = Tuple[TopicMetadata, Mapping[str, str], Mapping[str, str]]
@@ -162,15 +160,12 @@ class Schema:
         """Let a table be found, by its comment, and its files be merged, with its indexes built."""
         merged = True
         try:
-            awaitBuilds(self._cassandra, self.keyspace, name, set(indexes), lock)
-        except StoreUnavailable as exc:
+            awaitBuilds(self._cassandra, self.keyspace, name, set(indexes), lock, BUILD_SEC)
+        except CassandraRosError as exc:
             # No reason to lose the messages that are waiting for it.
             merged = False
-            _log.warning(
-                "the files of table %s are not merged until createIndex or removeIndex is called "
-                "for topic %s: %s",
-                *(name, wanted.topic, exc),
-            )
+            _log.warning("topic %s: %s", wanted.topic, exc)
+            Compaction(self._cassandra, self.keyspace, name, lock).tell()
         lock.renew()
         self._cassandra.schemaChange(
             finishTable(self.qualified(name), wanted, merged=merged),
