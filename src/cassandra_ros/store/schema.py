@@ -86,7 +86,9 @@ class Schema:
         return self._cassandra.execute(
             query + " AND table_name = ?" if table else query,
             (self.keyspace, table) if table else (self.keyspace,),
-            what=f"listing the topics of keyspace {self.keyspace}",
+            what=f"looking for table {table}"
+            if table
+            else f"listing the topics of keyspace {self.keyspace}",
         )
 
     def _read(self, table: str = "") -> dict[str, TopicMetadata]:
@@ -152,15 +154,15 @@ class Schema:
             lock.renew()
             self.createIndex(name, shadow)
         if shadows:
-            self._finish(name, wanted, {name + shadow for shadow in shadows}, lock)
+            self._finish(name, wanted, shadows, lock)
 
     def _finish(
-        self, name: str, wanted: TopicMetadata, indexes: Collection[str], lock: SchemaLock
+        self, name: str, wanted: TopicMetadata, shadows: Collection[str], lock: SchemaLock
     ) -> None:
         """Let a table be found, by its comment, and its files be merged, with its indexes built."""
-        merged = True
+        merged, indexes = True, {name + shadow for shadow in shadows}
         try:
-            awaitBuilds(self._cassandra, self.keyspace, name, set(indexes), lock, BUILD_SEC)
+            awaitBuilds(self._cassandra, self.keyspace, name, indexes, lock, BUILD_SEC)
         except CassandraRosError as exc:
             # No reason to lose the messages that are waiting for it.
             merged = False

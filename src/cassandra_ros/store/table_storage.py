@@ -27,7 +27,7 @@ _UNFINISHED = (
 )
 
 
-def storage(ttl: int, margin: int, *, merged: bool = True) -> str:
+def _storage(ttl: int, margin: int, *, merged: bool = True) -> str:
     """Return the options of a table for CQL.
 
     Args:
@@ -75,7 +75,7 @@ def createTable(
     return (
         f"CREATE TABLE {qualified} ({listing}, "
         f'PRIMARY KEY (("_node", "{metadata.partition}"), "_t", "_seq")) '
-        f"WITH comment = {quoteText(comment)} AND {storage(metadata.ttl, 0, merged=finished)} "
+        f"WITH comment = {quoteText(comment)} AND {_storage(metadata.ttl, 0, merged=finished)} "
         "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}"
     )
 
@@ -84,7 +84,7 @@ def finishTable(qualified: str, metadata: TopicMetadata, *, merged: bool) -> str
     """Return the CQL that lets a table be found that was not finished when it was made."""
     return (
         f"ALTER TABLE {qualified} WITH comment = {quoteText(metadata.toComment())} "
-        f"AND {storage(metadata.ttl, 0, merged=merged)}"
+        f"AND {_storage(metadata.ttl, 0, merged=merged)}"
     )
 
 
@@ -96,7 +96,7 @@ def createChunkTable(qualified: str, table: str, metadata: TopicMetadata) -> str
         '"_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
         f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
         f"WITH comment = {quoteText(f'cassandra_ros chunks of {table}')} "
-        f"AND {storage(metadata.ttl, _CHUNK_TTL_MARGIN_SEC)} "
+        f"AND {_storage(metadata.ttl, _CHUNK_TTL_MARGIN_SEC)} "
         "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
         "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'"
     )
