@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from cassandra_ros.errors import ServerError
@@ -74,6 +76,24 @@ def test_a_foreign_directory_is_refused(tmp_path):
     (tmp_path / "commitlog").mkdir()
     with pytest.raises(ServerError, match=r"commitlog, data.*another Cassandra.*--dir"):
         LocalCluster(tmp_path)
+
+
+def test_what_a_start_leaves_that_was_killed_is_not_foreign(tmp_path):
+    (tmp_path / "lock").touch()
+    (tmp_path / "cluster.draft").write_text("{")
+    assert load_settings(tmp_path) is None
+
+
+def test_what_another_start_makes_meanwhile_is_not_foreign(tmp_path, monkeypatch):
+    def too_early(path, **_):
+        save_settings(tmp_path, new_settings())
+        (tmp_path / "node1").mkdir()
+        raise FileNotFoundError(path)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "read_text", too_early)
+        assert load_settings(tmp_path) is None
+    assert load_settings(tmp_path)
 
 
 def test_a_file_is_no_directory(tmp_path):

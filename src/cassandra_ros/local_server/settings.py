@@ -17,6 +17,7 @@ from cassandra_ros.errors import ServerError
 MAX_NODES = 3
 MIN_HEAP_MB = 256
 SETTINGS_FILE = "cluster.json"
+_DRAFT = "cluster.draft"
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,8 @@ def load_settings(directory: Path) -> Settings | None:
     """
     path = directory / SETTINGS_FILE
     try:
+        # Before the settings are read: what another start makes meanwhile is nothing foreign.
+        foreign = _foreign(directory)
         values = json.loads(path.read_text(encoding="utf-8"))
         known = {field.name: field.type for field in fields(Settings)}
         settings = Settings(**{name: values[name] for name in known if name in values})
@@ -60,7 +63,11 @@ def load_settings(directory: Path) -> Settings | None:
             if type(getattr(settings, name)).__name__ != kind:
                 raise TypeError(f"{name} is no {kind}")
     except FileNotFoundError:
-        _refuse_foreign(directory)
+        if foreign:
+            raise ServerError(
+                f"{directory} holds other files ({', '.join(foreign[:4])}) and no {SETTINGS_FILE}: "
+                "it may be the data of another Cassandra; choose an empty directory with --dir"
+            ) from None
         return None
     except (OSError, ValueError, TypeError, AttributeError) as exc:
         raise ServerError(
@@ -73,7 +80,7 @@ def load_settings(directory: Path) -> Settings | None:
 def save_settings(directory: Path, settings: Settings) -> None:
     """Write the settings so that a crash leaves either the old or the new ones."""
     path = directory / SETTINGS_FILE
-    draft = path.with_suffix(".draft")
+    draft = directory / _DRAFT
     draft.write_text(json.dumps(asdict(settings), indent=2) + "\n", encoding="utf-8")
     os.replace(draft, path)
 
@@ -139,16 +146,14 @@ def check_settings(settings: Settings) -> Settings:
     return settings
 
 
-def _refuse_foreign(directory: Path) -> None:
-    if not directory.exists():
-        return
-    if not directory.is_dir():
-        raise ServerError(f"{directory} is a file; choose a directory with --dir")
+def _foreign(directory: Path) -> list[str]:
+    """Return the names of what did not come with a start that has not ended."""
+    try:
+        names = {path.name for path in directory.iterdir()}
+    except FileNotFoundError:
+        return []
+    except NotADirectoryError:
+        raise ServerError(f"{directory} is a file; choose a directory with --dir") from None
     # The jars of the default directory may have been installed before the first start, and a
-    # start that was killed early leaves only its lock.
-    others = sorted({p.name for p in directory.iterdir()} - {"jars", "lock"})
-    if others:
-        raise ServerError(
-            f"{directory} holds other files ({', '.join(others[:4])}) and no {SETTINGS_FILE}: "
-            "it may be the data of another Cassandra; choose an empty directory with --dir"
-        )
+    # start that was killed early leaves its lock, and a draft of its settings.
+    return sorted(names - {"jars", "lock", SETTINGS_FILE, _DRAFT})
