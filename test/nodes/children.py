@@ -43,7 +43,7 @@ class Child:
     def output(self):
         return "\n".join(self.lines)
 
-    def await_line(self, text, timeout_sec=30):
+    def await_line(self, text, timeout_sec=120):
         """Wait for a line that contains a text; return it."""
         deadline = time.monotonic() + timeout_sec
         while time.monotonic() < deadline:
@@ -55,13 +55,13 @@ class Child:
             time.sleep(0.02)
         raise AssertionError(f"{text!r} never came:\n{self.output}")
 
-    def end(self, number=signal.SIGINT, timeout_sec=60):
+    def end(self, number=signal.SIGINT, timeout_sec=180):
         """Send a signal and return the exit status."""
         if self.process.poll() is None:
             self.process.send_signal(number)
         return self.wait(timeout_sec)
 
-    def wait(self, timeout_sec=60):
+    def wait(self, timeout_sec=180):
         """Return the exit status when it ends by itself."""
         status = self.process.wait(timeout_sec)
         self._reader.join(5)
@@ -79,7 +79,7 @@ class Child:
 class Client(Child):
     """Calls services from a process of its own, for pytest's must not be a node."""
 
-    def call(self, service, timeout_sec=60, **request):
+    def call(self, service, timeout_sec=180, **request):
         """Return the response as a dictionary."""
         number = len(self.lines)
         print(json.dumps([service, request]), file=self.process.stdin, flush=True)
@@ -90,6 +90,14 @@ class Client(Child):
                 return json.loads(answers[0])
             time.sleep(0.005)
         raise AssertionError(f"no answer from {service}:\n{self.output}")
+
+
+def await_true(condition, timeout_sec=180):
+    """Wait until a condition holds."""
+    deadline = time.monotonic() + timeout_sec
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
 
 
 def start_node(roscore, name, *arguments, env=()):

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import base64
+import functools
 import json
 import sys
 
@@ -25,9 +26,19 @@ def plain(value):
     return value
 
 
+@functools.lru_cache(maxsize=None)
+def service_class(name):
+    for _ in range(5):
+        try:
+            return rosservice.get_service_class_by_name(name)
+        except rosservice.ROSServiceIOException:  # it waits 5 s for an answer
+            pass
+    return rosservice.get_service_class_by_name(name)
+
+
 def answer(line):
     name, fields = json.loads(line)
-    service = rosservice.get_service_class_by_name(name)
+    service = service_class(name)
     request = service._request_class()
     for field, value in fields.items():
         if isinstance(getattr(request, field), genpy.Time):

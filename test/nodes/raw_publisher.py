@@ -83,7 +83,7 @@ class RawPublisher:
         sock.sendall(struct.pack("<I", len(fields)) + fields)
         self._sockets.append(sock)
 
-    def await_subscribers(self, count=1, timeout_sec=20):
+    def await_subscribers(self, count=1, timeout_sec=120):
         """Wait until so many connections stand."""
         deadline = time.monotonic() + timeout_sec
         while len(self._sockets) < count:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import signal
+import struct
 import subprocess
 import time
 import xmlrpc.client
@@ -14,7 +15,7 @@ from pathlib import Path
 import genpy
 import pytest
 import rosbag
-from nodes.children import Child, start_node, start_recorder
+from nodes.children import Child, await_true, start_node, start_recorder
 from nodes.raw_publisher import RawPublisher, header_of, message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Int32, String
@@ -150,6 +151,7 @@ def test_a_publisher_that_comes_again_under_its_uri(roscore, recorder, rosCas):
         one._master.registerPublisher(one.name, one.topic, "std_msgs/String", one.uri)
         one.await_subscribers()
     one.close()
+    await_true(lambda: sum(info.count for info in rosCas.info()) >= 100_000)
     assert child.end() == 0, child.output
     found = wires(rosCas, "/again")
     assert len(found) == 100_000
@@ -263,10 +265,14 @@ def test_warnings_reach_rosout(roscore, recorder, rosCas):
     child = recorder("/rosout", "/broken")
     with publisher(roscore, "/broken", message_definition="no definition") as one:
         one.await_subscribers().publish(text(1))
-        time.sleep(2)
+
+        def isStored():
+            rows = rosCas.getTopic("/rosout").rows() if rosCas.getAllTopics("/rosout") else ()
+            said = [row.message().msg for row in rows]
+            return any("/broken" in line and "kept as binary" in line for line in said)
+
+        await_true(isStored)
     assert child.end() == 0, child.output
-    said = [row.message().msg for row in rosCas.getTopic("/rosout").rows()]
-    assert any("/broken" in line and "kept as binary" in line for line in said)
 
 
 # -------------------------------------------------------------------- the end
@@ -283,12 +289,25 @@ def test_signals_drain(roscore, recorder, rosCas, number):
     assert "5000" in child.lines[-1]
 
 
+def test_a_message_that_never_comes_to_its_end_is_told(roscore, recorder, rosCas):
+    child = recorder("/whole", "/torn")
+    with publisher(roscore, "/whole", name="/w") as whole, publisher(
+        roscore, "/torn", name="/t"
+    ) as torn:
+        whole.await_subscribers().publish(text(1))
+        torn.await_subscribers()
+        torn._sockets[0].sendall(struct.pack("<I", 100) + b"and no more")
+        assert child.end() == 0, child.output
+    assert wires(rosCas, "/whole") == [text(1)]
+    assert "what the publishers of /torn had sent last is not recorded" in child.output
+
+
 def test_rosnode_kill_drains(roscore, recorder, rosCas):
     child = recorder("/killed", "__name:=to_be_killed")
     assert child.lines[0] == "services under /to_be_killed"
     with publisher(roscore, "/killed") as one:
         one.await_subscribers().publish(*[text(n) for n in range(100)])
-        time.sleep(0.5)
+        await_true(lambda: sum(info.count for info in rosCas.info()) == 100)
         killed = subprocess.run(
             ["rosnode", "kill", "/to_be_killed"], env=roscore.env, capture_output=True, check=False
         )
@@ -306,10 +325,10 @@ def test_simulated_time(roscore, recorder, rosCas):
             roscore, "/clock", Clock, name="/clock"
         ) as clock:
             one.await_subscribers().publish(text("too early"))
-            time.sleep(0.5)
+            child.await_line("1 messages lost so far")
             ticks = [message(Clock(genpy.Time(1234 - 500 + n))) for n in range(1, 501)]
             clock.await_subscribers().publish(*ticks)
-            time.sleep(0.5)
+            await_true(lambda: {i.topic: i.count for i in rosCas.info()}.get("/clock") == 500)
             one.publish(text("in time"))
             time.sleep(0.5)
         assert child.end() == 1, child.output
@@ -333,9 +352,7 @@ def test_limit_and_duration(roscore, recorder, rosCas):
         b.await_subscribers().publish(*[text(n) for n in range(10)])
         assert child.wait(30) == 0, child.output
     assert wires(rosCas, "/a") == wires(rosCas, "/b") == [text(n) for n in range(3)]
-    began = time.monotonic()
-    assert recorder("/a", "--duration", "1").wait(30) == 0
-    assert time.monotonic() - began < 10
+    assert recorder("/a", "--duration", "1").wait() == 0
 
 
 def test_all_and_exclude(roscore, recorder, rosCas):

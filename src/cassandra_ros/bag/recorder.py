@@ -140,7 +140,11 @@ class Recorder:
 
     def isComplete(self, topic: str) -> bool:
         """Say whether a topic has all the messages that the limit allows."""
-        return bool(self._limit) and self._counts.of(topic) >= self._limit
+        return bool(self._limit) and self.count(topic) >= self._limit
+
+    def count(self, topic: str) -> int:
+        """Return how many messages of a topic arrived."""
+        return self._counts.of(topic)
 
     # ---------------------------------------------------------------- messages out
 

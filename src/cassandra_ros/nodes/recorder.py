@@ -28,7 +28,9 @@ POLL_SEC = 0.1
 CONNECT_SEC = 5.0
 """How long publishers that exist are waited for before the recorder says that it records."""
 DRAIN_SEC = 5.0
-"""How long what lies in the sockets at the end is read."""
+"""How long the rest of what lies in the sockets at the end is waited for while nothing comes."""
+MAX_DRAIN_SEC = 60.0
+"""And while messages come: a publisher may send faster than they can be taken."""
 
 Say = Callable[[str], None]
 
@@ -198,10 +200,22 @@ class _Session:
 
     def _drainSockets(self) -> None:
         """Wait until each connection was seen empty once: until then it lags behind the end."""
-        ends = time.monotonic() + DRAIN_SEC
-        left = list(self._subscribers.values())
-        while left and time.monotonic() < ends and self._signals < 2 and not rospy.is_shutdown():
-            left = [subscriber for subscriber in left if not isDrained(subscriber)]
+        left, seen, ends = dict(self._subscribers), -1, 0.0
+        last = time.monotonic() + MAX_DRAIN_SEC
+        while self._signals < 2 and not rospy.is_shutdown():
+            left = {t: subscriber for t, subscriber in left.items() if not isDrained(subscriber)}
+            arrived, now = sum(map(self._recorder.count, left)), time.monotonic()
+            if arrived != seen:
+                seen, ends = arrived, min(now + DRAIN_SEC, last)
+            if not left:
+                return
+            if now > ends:
+                _log.warning(
+                    "what the publishers of %s had sent last is not recorded: "
+                    "it could not be read to its end",
+                    ", ".join(sorted(left)),
+                )
+                return
             time.sleep(0.01)
 
     def _signalled(self, number: int, frame: Any) -> None:

@@ -35,7 +35,8 @@ from cassandra_ros.nodes.tcpros_reading import mendReading, receivedBytes, unrea
 BUFF_SIZE = 16 * 1024 * 1024
 """Most bytes that are read at once; with rospy's 64 KiB large messages lag."""
 
-_HUNG_UP = getattr(select, "POLLRDHUP", 0) | select.POLLHUP | select.POLLERR
+# Not POLLHUP, which a socket has also before it is connected.
+_HUNG_UP = select.POLLRDHUP | select.POLLERR
 _CLOSING = "#closing"
 
 Callback = Callable[[str, Mapping[str, str], bytes], None]
@@ -147,7 +148,7 @@ def _hasHungUp(connection: Any) -> bool:
     try:
         poller = select.poll()
         poller.register(sock, _HUNG_UP)
-        return bool(poller.poll(0))
+        return any(flags & _HUNG_UP for _, flags in poller.poll(0))
     except (OSError, ValueError):
         return True
 
@@ -156,6 +157,8 @@ def _isRead(connection: Any) -> bool:
     sock = connection.socket
     if sock is None or connection.done:
         return True
+    if connection.header is None:
+        return False  # what came with it is not counted yet
     try:
         # In this order: what has left the socket was counted before it did.
         unread = unreadBytes(sock)

@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a subscription knows of the connections that it has."""
+
+from __future__ import annotations
+
+import socket
+import struct
+from types import SimpleNamespace
+
+import pytest
+
+from cassandra_ros.nodes.subscription import _hasHungUp
+
+
+@pytest.fixture
+def pair():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        ours = socket.create_connection(server.getsockname())
+        theirs, _ = server.accept()
+    with ours, theirs:
+        yield ours, theirs
+
+
+def hung_up(sock):
+    return _hasHungUp(SimpleNamespace(socket=sock))
+
+
+def test_one_that_is_being_connected_has_not_hung_up():
+    assert not hung_up(None)
+    with socket.socket() as sock:
+        assert not hung_up(sock)
+
+
+def test_one_that_stands_has_not_hung_up(pair):
+    ours, theirs = pair
+    assert not hung_up(ours)
+    theirs.sendall(b"data")
+    assert not hung_up(ours)
+
+
+@pytest.mark.parametrize("linger", [False, True])
+def test_one_whose_other_end_is_closed_has_hung_up(pair, linger):
+    ours, theirs = pair
+    if linger:  # it is reset
+        theirs.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    theirs.sendall(b"data")
+    theirs.close()
+    assert hung_up(ours)
+
+
+def test_one_that_is_refused_or_closed_has_hung_up():
+    with socket.socket() as free, socket.socket() as sock:
+        free.bind(("127.0.0.1", 0))
+        with pytest.raises(ConnectionRefusedError):
+            sock.connect(free.getsockname())
+        # The error was told; what is left looks as it did before.
+        sock.close()
+        assert hung_up(sock)
