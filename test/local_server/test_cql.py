@@ -39,7 +39,7 @@ def test_a_listener_that_says_nothing_is_given_up():
 
 
 def test_cassandra_speaks_cql(cassandra):
-    assert answers_cql(cassandra.host, cassandra.port)
+    assert answers_cql(cassandra.host, cassandra.port, timeout_sec=60)
 
 
 def test_a_node_tells_its_version_of_the_schema(cassandra, cql):
@@ -50,7 +50,8 @@ def test_a_node_tells_its_version_of_the_schema(cassandra, cql):
     # Other tests change the schema meanwhile: it counts when it is the same before and after.
     before, told, after = None, None, asked()
     while before != after:
-        before, told, after = after, schema_versions(cassandra.host, cassandra.port), asked()
+        before = after
+        told, after = schema_versions(cassandra.host, cassandra.port, timeout_sec=60), asked()
     assert told == after
 
 

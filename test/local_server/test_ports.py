@@ -9,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 
-from cassandra_ros.local_server import ports
+from cassandra_ros.local_server import ports, processes
 
 
 def listener(host="127.0.0.1"):
@@ -61,6 +61,8 @@ def test_the_port_of_one_that_was_killed_is_waited_for():
         port = int(child.stdout.readline())
         assert not ports.await_the_dead("127.0.0.1", port)
         child.kill()
+        while processes.command_line(child.pid):
+            time.sleep(0.001)
         assert ports.await_the_dead("127.0.0.1", port)
 
 

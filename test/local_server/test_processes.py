@@ -18,6 +18,8 @@ def test_a_server_is_known_by_its_command_line_only(tmp_path):
     config = tmp_path / "cassandra.yaml"
     child = subprocess.Popen([*_SLEEP, processes.config_argument(config)])
     other = subprocess.Popen(_SLEEP)
+    while not all(processes.command_line(one.pid) for one in (child, other)):
+        time.sleep(0.001)
     try:
         assert processes.is_server(child.pid, config)
         assert processes.find_server(config) == child.pid

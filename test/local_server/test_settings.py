@@ -108,3 +108,16 @@ def test_damaged_settings_say_which_file(tmp_path, text):
     (tmp_path / "cluster.json").write_text(text)
     with pytest.raises(ServerError, match="cluster.json cannot be read"):
         LocalCluster(tmp_path)
+
+
+def test_stop_and_clear_know_what_was_started_meanwhile(tmp_path):
+    early = LocalCluster(tmp_path)
+    save_settings(tmp_path, change_settings(new_settings(), nodes=3))
+    assert early.stop() is False
+    assert len(early.nodes) == 3
+    early = LocalCluster(tmp_path / "other")
+    (tmp_path / "other").mkdir()
+    assert early.clear() is False
+    save_settings(tmp_path / "other", new_settings())
+    assert early.clear() is True
+    assert not early.exists

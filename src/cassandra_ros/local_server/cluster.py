@@ -140,8 +140,8 @@ class LocalCluster:
         if not self.directory.is_dir():
             return False
         with locked(self.directory / "lock"):
-            running = [(node, self._pid(node)) for node in self.nodes]
-            running = [(node, pid) for node, pid in running if pid]
+            self._load()  # somebody else may just have started more nodes
+            running = [(node, pid) for node in self.nodes if (pid := self._pid(node))]
             for _, pid in running:
                 processes.terminate(pid)
             for node, pid in running:
@@ -158,11 +158,13 @@ class LocalCluster:
         Raises:
             ServerError: A node still runs.
         """
-        if self._stored is None:
+        if not self.directory.is_dir():
             return False
         with locked(self.directory / "lock"):
-            pids = [pid for pid in map(self._pid, self.nodes) if pid]
-            if pids:
+            self._load()
+            if self._stored is None:
+                return False
+            if pids := [pid for pid in map(self._pid, self.nodes) if pid]:
                 raise ServerError(
                     f"the Cassandra in {self.directory} runs (pid {pids[0]}); stop it first: "
                     "rosrun cassandra_ros local_cassandra stop"
