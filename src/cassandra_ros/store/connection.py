@@ -35,6 +35,7 @@ from cassandra_ros.store.driver_errors import (
     translate,
     translated,
 )
+from cassandra_ros.store.nodes_in_reach import nodesInReach
 from cassandra_ros.store.patience import RETRY_SEC, Patience
 from cassandra_ros.store.raw_rows import RawProtocolHandler
 
@@ -202,9 +203,7 @@ class Cassandra:
         while True:
             try:
                 bound = self.prepare(cql).bind(tuple(params))
-                nodes = [host for host in self._session.get_pool_state() if host.is_up]
-                if not nodes:
-                    raise NoHostAvailable("no node is in reach", {})
+                nodes = nodesInReach(self._session, CONNECT_TIMEOUT_SEC)
                 return {str(n.endpoint): list(self._session.execute(bound, host=n)) for n in nodes}
             except DRIVER_ERRORS as exc:
                 patience.wait(exc)
@@ -251,10 +250,10 @@ class Cassandra:
         """
         with translated(what):
             result = self._session.execute(SimpleStatement(cql), timeout=60.0)
-        deadline = time.monotonic() + 30.0
-        agreed = result.response_future.is_schema_agreed
-        while not agreed and time.monotonic() < deadline:
-            agreed = self._cluster.control_connection.wait_for_schema_agreement(wait_time=5.0)
+            deadline = time.monotonic() + 30.0
+            agreed = result.response_future.is_schema_agreed
+            while not agreed and time.monotonic() < deadline:
+                agreed = self._cluster.control_connection.wait_for_schema_agreement(wait_time=5.0)
         if not agreed:
             raise translate(TimeoutError("the nodes do not agree on the schema"), what)
 
