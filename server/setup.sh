@@ -162,7 +162,9 @@ make_workspace() {
   mkdir -p "$package"
   for item in "${items[@]}"; do
     # One link per item: rosrun searches the package's folder, and .ws must not be in it.
-    [ -e "$root/$item" ] && ln -sfn "../../../$item" "$package/$item"
+    if [ -e "$root/$item" ] && [ "$(readlink "$package/$item")" != "../../../$item" ]; then
+      ln -sfn "../../../$item" "$package/$item"
+    fi
   done
   wanted=$( {
     echo "$root"

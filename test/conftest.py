@@ -224,6 +224,8 @@ def cql(cassandra):
         protocol_version=5,
         execution_profiles={EXEC_PROFILE_DEFAULT: profile},
         sockopts=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
+        connect_timeout=30,
+        control_connection_timeout=30,
         schema_metadata_enabled=False,
         token_metadata_enabled=False,
     )

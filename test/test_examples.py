@@ -116,7 +116,7 @@ def test_the_storyboard_replays_the_window(cassandra, keyspace, rosCas, roscore)
         recorder = start_recorder(roscore, cassandra, rosCas.keyspace, *SENSORS)
         with recorder, Child(storyboard(cassandra, keyspace, "--replay"), roscore.env) as player:
             recorder.await_line("recording 3 topics")
-            assert player.wait(120) == 0, player.output
+            assert player.wait(300) == 0, player.output
             assert recorder.end() == 0, recorder.output
         found = re.search(r"when:     (\d+) to (\d+),", player.output)
         low, high = int(found[1]) - 5 * 10**9, int(found[2]) + 5 * 10**9

@@ -56,6 +56,11 @@ def write_bag(path, messages):
     return path
 
 
+def warnings(caplog):
+    """What was said of definitions: the driver, too, may warn of something."""
+    return [text for text in caplog.messages if "goes on with" in text]
+
+
 def by_import(rosCas, tmp_path, messages, form):
     importBag(rosCas, write_bag(tmp_path / f"{len(messages)}.bag", messages), format=form)
 
@@ -81,15 +86,15 @@ def test_a_second_definition_lies_beside_the_first(rosCas, tmp_path, caplog, for
     caplog.set_level(logging.WARNING, "cassandra_ros")
     first = [(STRING, string_wire(f"text {n}")) for n in range(4)]
     put(rosCas, tmp_path, first, form)
-    assert caplog.messages == []
+    assert warnings(caplog) == []
     both = [part for n in range(5) for part in (first[n % 4], (INT32, serialize(Int32(n))))]
     put(rosCas, tmp_path, both, form)
-    (warning,) = caplog.messages
+    (warning,) = warnings(caplog)
     for word in ("/t", "std_msgs/String", String._md5sum, "std_msgs/Int32", Int32._md5sum):
         assert word in warning
     caplog.clear()
     put(rosCas, tmp_path, both, form)
-    assert caplog.messages == []
+    assert warnings(caplog) == []
 
     topic = rosCas.getTopic("/t")
     assert len(topic.tables) == 2
@@ -113,7 +118,7 @@ def test_a_third_definition_is_one_warning_too(rosCas, tmp_path, caplog):
     by_writer(rosCas, tmp_path, messages[:2], "ros")
     caplog.clear()
     by_writer(rosCas, tmp_path, messages, "ros")
-    (warning,) = caplog.messages
+    (warning,) = warnings(caplog)
     assert OLD["md5sum"] in warning
 
 

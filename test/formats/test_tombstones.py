@@ -40,11 +40,12 @@ PLAIN = {
 
 def cells_read(cql, statement, parameters=()):
     """Run a statement with tracing; return (rows, live rows, tombstones) as the server saw them."""
-    result = cql.execute(statement, parameters, trace=True)
-    rows = len(list(result))
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 60
     while time.monotonic() < deadline:
-        trace = result.get_query_trace(max_wait_sec=10)
+        # Anew each time: of a trace the driver reads only what is there when it first looks.
+        result = cql.execute(statement, parameters, trace=True)
+        rows = len(list(result))
+        trace = result.get_query_trace(max_wait_sec=60)
         found = [_READ.search(event.description) for event in trace.events]
         found = [(int(match[1]), int(match[2])) for match in found if match]
         if found:

@@ -8,6 +8,7 @@ import logging
 
 import pytest
 from std_msgs.msg import ColorRGBA
+from topics.by_index import await_built
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.classes import serialize
@@ -30,8 +31,14 @@ def rosCas(fresh):
             for n in range(BUCKETS * ROWS):
                 wire = serialize(ColorRGBA(n, n % 10, n % 100, 0.5))
                 writer.write(handle, T0 + n * SEC // ROWS, n, wire)
-        store.getTopic("c").createIndex("b")
+        index(store, "b")
         yield store
+
+
+def index(rosCas, field):
+    """Make an index, and wait until it can be asked: createIndex waits until that has begun."""
+    rosCas.getTopic("c").createIndex(field)
+    await_built(rosCas)
 
 
 def explained(rosCas, condition, **wanted):
@@ -55,7 +62,7 @@ def test_a_filter_beside_an_index(rosCas):
 
 
 def test_of_two_indexes_that_on_what_is_equal_is_used(rosCas):
-    rosCas.getTopic("c").createIndex("r")
+    index(rosCas, "r")
     found = explained(rosCas, "r > 100 and b = 7", indexed=8, rows_read=47)
     assert found.server == ("b = 7 (index)", "r > 100 (filter)")
     rosCas.getTopic("c").removeIndex("r")

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 from std_msgs.msg import Float64, String
+from topics.by_index import await_built
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import InvalidOption, SchemaConflict, StoreUnavailable, TopicNotFound
@@ -112,14 +113,19 @@ def test_a_value_stays_as_long_as_its_row(rosCas, cql):
 
 
 def test_what_is_left_of_a_row_when_it_expires_is_no_row(rosCas, cql):
-    table = store(rosCas, "/t", 20, ttl=5)
-    topic = rosCas.getTopic("/t")
-    shadow = add(rosCas, table)
-    backfill = Backfill(rosCas.cassandra, table, shadow)
-    for page in backfill.pages("", table.bucketOf(T0), 10):
-        # As if the server had been slow: the values stay much longer.
-        backfill.write([Update(written._replace(ttl=60), b"v") for written in page])
-    deadline = time.monotonic() + 30
+    # The rows must live until the index is there, and then soon expire.
+    for ttl in (5, 20, 80):
+        topic_name = f"/t{ttl}"
+        table = store(rosCas, topic_name, 20, ttl=ttl)
+        backfill = Backfill(rosCas.cassandra, table, add(rosCas, table))
+        pages = list(backfill.pages("", table.bucketOf(T0), 10))
+        for page in pages:
+            # As if the server had been slow: the values stay much longer.
+            backfill.write([Update(written._replace(ttl=600), b"v") for written in page])
+        if sum(map(len, pages)) == 20:
+            break
+    topic = rosCas.getTopic(topic_name)
+    deadline = time.monotonic() + 120
     while any(conn is not None for (conn,) in select(cql, table, '"_conn"')):
         assert time.monotonic() < deadline
         time.sleep(0.1)
@@ -214,6 +220,7 @@ def test_a_crash_between_the_steps_is_completed(rosCas, cql, monkeypatch, step):
     # The column that was left is taken: no comment had listed it.
     assert dict(topic.tables[0].metadata.indexes) == {"data": "_ix0"}
     assert index_names(cql, rosCas, table) == {"_ix0"}
+    await_built(rosCas)
     found = cql.execute(f"SELECT count(*) FROM {table.qualified} WHERE \"_ix0\" = '3'").one()
     assert found[0] == 2
 
@@ -486,6 +493,8 @@ def test_nobody_finds_a_table_before_its_indexes_are_made(rosCas, cql, monkeypat
         make(table, shadow)
 
     monkeypatch.setattr(schema, "createIndex", look)
+    # Another test may let the server build a large one.
+    monkeypatch.setattr(schema_module, "BUILD_SEC", 120.0)
     rosCas.addTopic("/t", index=["data"]).addData(String("a"))
     assert seen == [[], "false"]
     topic = rosCas.getTopic("/t")

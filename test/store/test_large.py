@@ -132,7 +132,7 @@ def test_a_writer_that_is_killed_leaves_no_torn_message(
     child = subprocess.run(
         [sys.executable, "-c", HALF_WRITTEN, cassandra.host, str(cassandra.port), keyspace, where],
         env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
-        timeout=60,
+        timeout=300,
     )
     assert child.returncode == -signal.SIGKILL
     topic = rosCas.getTopic("/big")
@@ -233,7 +233,7 @@ def test_200_megabytes(rosCas, cassandra, keyspace, cql):
             env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
             stdout=subprocess.PIPE,
             text=True,
-            timeout=120,
+            timeout=600,
             check=True,
         )
         size, digest, more = child.stdout.split()

@@ -72,7 +72,7 @@ def test_without_a_ttl_nothing_goes(rosCas, cql):
 
 
 def test_what_has_expired_is_not_there(rosCas, cql):
-    topic = rosCas.addTopic("/a", ttl=3)
+    topic = rosCas.addTopic("/a", ttl=6)
     keys = [
         topic.addData(UInt8MultiArray(data=bytes(size)), key=T0 + n * 100 * SEC)
         for n, size in enumerate((10, 600_000, 20))

@@ -274,7 +274,7 @@ def test_an_interrupt_while_chunks_are_sent_hangs_nobody(rosCas, monkeypatch):
 
 
 def test_expired_messages_are_not_counted(rosCas):
-    topic = rosCas.addTopic("/a", ttl=3)
+    topic = rosCas.addTopic("/a", ttl=6)
     for number in range(3):
         topic.addData(String(), key=T0 + number)
     rosCas._adder.close()

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import time
+
 FIRST, LAST = -(2**63), 2**63 - 1
 
 
@@ -20,6 +22,18 @@ def filled(rosCas, topic, field):
         every += len(rows)
         done += sum(index is not None and index.shadow in row.filled for row in rows)
     return done, every
+
+
+def await_built(rosCas):
+    """Wait until every node has built the indexes of the keyspace."""
+    deadline = time.monotonic() + 120
+    query = "SELECT is_queryable FROM system_views.sai_column_indexes WHERE keyspace_name = ?"
+    while True:
+        nodes = rosCas.cassandra.executeOnEach(query, (rosCas.keyspace,), what="asking for them")
+        if all(built for rows in nodes.values() for (built,) in rows):
+            return nodes
+        assert time.monotonic() < deadline, nodes
+        time.sleep(0.1)
 
 
 def _keys(rows, of, values):

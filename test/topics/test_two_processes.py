@@ -40,7 +40,11 @@ def test_two_processes_make_a_topic_at_once(rosCas, cassandra, keyspace, cql):
 
 
 def drop_and_make(rosCas, times):
-    """Drop the topic and make it again, each time with buckets of another length."""
+    """Drop the topic and make it again, each time with buckets of another length.
+
+    Returns:
+        When that had ended, as time.time_ns().
+    """
     for number in range(times):
         time.sleep(0.3)
         rosCas.removeTopic("/t")
@@ -51,6 +55,7 @@ def drop_and_make(rosCas, times):
                 apiConnection("/t", definitionOf(String), "/d"), bucket_ns=(number % 3 + 1) * SEC
             )
             writer.write(handle, 5 * SEC, number, b"\5\0\0\0other")
+    return time.time_ns()
 
 
 def rows_of_the_last_table(cql, keyspace):
@@ -77,7 +82,7 @@ def test_a_writer_goes_on_while_its_topic_is_dropped_and_made_anew(
     with children(1, cassandra, keyspace) as (child,):
         child.say("write", how, "/t")
         child.answer()
-        drop_and_make(rosCas, 4)
+        ended = drop_and_make(rosCas, 4)
         time.sleep(0.3)
         child.say("end")
         told = child.answer()
@@ -91,7 +96,7 @@ def test_a_writer_goes_on_while_its_topic_is_dropped_and_made_anew(
     made = comment["generation"]  # time.time_ns() of its making
     # What was taken before the table was made has gone with an older one.
     assert stored <= {number for number, _, taken, _, _ in told["written"] if taken > made}
-    after = {number for number, begun, _, _, _ in told["written"] if begun > made}
+    after = {number for number, begun, _, _, _ in told["written"] if begun > ended}
     assert len(after) >= 50
     if how == "addData":
         acknowledged = {n for n, _, _, table, error in told["written"] if table == name}

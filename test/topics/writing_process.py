@@ -106,9 +106,16 @@ class ByValues(ByWriter):
         return VALUES[number % len(VALUES)]
 
 
-def index(rosCas, topic, field, verb="createIndex"):
+def index(rosCas, topic, field, verb="createIndex", stop_at=0):
+    """Make or remove an index; stand still when it has told so often how far it is."""
+    told = 0
+
     def progress(done, total):
+        nonlocal told
+        told += 1
         print(json.dumps({"done": done, "total": total}), flush=True)
+        if told == stop_at:
+            sys.stdin.readline()
 
     try:
         if verb == "removeIndex":

@@ -26,6 +26,8 @@ _log = logging.getLogger(__name__)
 Progress = Callable[[int, int], None]
 """Called with rows that are done and rows in all."""
 MAX_ROUNDS = 8
+MAX_TRIES = 3
+"""Of a transaction that gets no answer."""
 UNKNOWN_ROW_BYTES = 32 * 1024
 """Assumed of the rows of writers that have a bucket open."""
 
@@ -130,9 +132,17 @@ class IndexFilling:
 
     def _mark(self, table: TopicTable, row: BucketRow, shadow: str, totals: Totals) -> bool:
         wanted = row._replace(filled=row.filled | {shadow})
-        try:
-            return self._directory.putRecount(table.name, wanted, totals, table.metadata.ttl)
-        except StoreUnavailable as exc:
-            # Another transaction was in the way; whether this one was done the next round tells.
-            _log.debug("a bucket of topic %s is not marked: %s", table.metadata.topic, exc)
-            return False
+        uncertain = False
+        for _ in range(MAX_TRIES):
+            try:
+                done = self._directory.putRecount(table.name, wanted, totals, table.metadata.ttl)
+                return done or (uncertain and self._isMarked(table, row, shadow))
+            except StoreUnavailable as exc:
+                # Another transaction was in the way; this one may be done or not.
+                _log.debug("a bucket of topic %s is not marked: %s", table.metadata.topic, exc)
+                uncertain = True
+        return False
+
+    def _isMarked(self, table: TopicTable, row: BucketRow, shadow: str) -> bool:
+        found = self._directory.find(table.name, row.node, row.bucket)
+        return any(one.writer == row.writer and shadow in one.filled for one in found)
