@@ -4,13 +4,17 @@
 
 from __future__ import annotations
 
+import io
 import socket
 import struct
+import time
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import pytest
 
-from cassandra_ros.nodes.subscription import _hasHungUp
+from cassandra_ros.nodes.subscription import _hasHungUp, _isRead
+from cassandra_ros.nodes.tcpros_reading import readHeader, receivedBytes
 
 
 @pytest.fixture
@@ -57,3 +61,25 @@ def test_one_that_is_refused_or_closed_has_hung_up():
         # The error was told; what is left looks as it did before.
         sock.close()
         assert hung_up(sock)
+
+
+def test_messages_that_come_with_the_header_are_not_handed_on_yet(pair):
+    """A recording that ends just then must wait for them."""
+    ours, theirs = pair
+    connection = SimpleNamespace(socket=ours, done=False, handled=0)
+    assert _isRead(connection)
+    field = b"callerid=/x"
+    header = struct.pack("<II", len(field) + 4, len(field)) + field
+    with ThreadPoolExecutor(1) as other:
+        behind = io.BytesIO()
+        reading = other.submit(readHeader, ours, behind, 4096)
+        theirs.sendall(header[:9])
+        while receivedBytes(ours) == 0:
+            time.sleep(0.001)
+        assert not _isRead(connection)
+        theirs.sendall(header[9:] + b"12345")
+        assert reading.result() == {"callerid": "/x"}
+    assert behind.getvalue() == b"12345"
+    assert not _isRead(connection)
+    connection.handled = 5
+    assert _isRead(connection)

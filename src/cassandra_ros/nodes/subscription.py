@@ -157,8 +157,6 @@ def _isRead(connection: Any) -> bool:
     sock = connection.socket
     if sock is None or connection.done:
         return True
-    if connection.header is None:
-        return False  # what came with it is not counted yet
     try:
         # In this order: what has left the socket was counted before it did.
         unread = unreadBytes(sock)

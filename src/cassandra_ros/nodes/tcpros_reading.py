@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import fcntl
 import select
+import socket
 import struct
 import termios
 from typing import Any
@@ -31,7 +32,7 @@ def mendReading() -> None:
 
 
 def receivedBytes(sock: Any) -> int:
-    """Return how many bytes have left a socket, those of the header not counted."""
+    """Return how many bytes have left a socket behind the header; -1 while that is read."""
     return _received.get(sock, 0)
 
 
@@ -78,6 +79,8 @@ def readHeader(sock: Any, b: Any, buff_size: int) -> dict[str, str]:
         buff_size: Bytes to read at once.
     """
     while b.tell() < 4 or b.tell() - 4 < _length(b.getvalue())[0]:
+        if sock.recv(1, socket.MSG_PEEK):
+            _received[sock] = -1  # before it leaves the socket: messages may come with it
         data = sock.recv(buff_size)
         if not data:
             raise rospy.exceptions.TransportInitError("the publisher closed before its header")

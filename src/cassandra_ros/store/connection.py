@@ -81,6 +81,7 @@ class Cassandra:
         auth = PlainTextAuthProvider(username, password) if username else None
         self._cluster = self._makeCluster(auth, ssl_context)
         self._session, self._raw_session = self._connect()
+        self._connecting_until = time.monotonic() + CONNECT_TIMEOUT_SEC
 
     def _makeCluster(self, auth: Any, ssl_context: Any) -> Cluster:
         profile = ExecutionProfile(
@@ -203,7 +204,7 @@ class Cassandra:
         while True:
             try:
                 bound = self.prepare(cql).bind(tuple(params))
-                nodes = nodesInReach(self._session, CONNECT_TIMEOUT_SEC)
+                nodes = nodesInReach(self._session, self._connecting_until)
                 return {str(n.endpoint): list(self._session.execute(bound, host=n)) for n in nodes}
             except DRIVER_ERRORS as exc:
                 patience.wait(exc)

@@ -12,18 +12,17 @@ from cassandra.cluster import NoHostAvailable
 PAUSE_SEC = 0.05
 
 
-def nodesInReach(session: Any, seconds: float) -> list[Any]:
+def nodesInReach(session: Any, deadline: float) -> list[Any]:
     """Return the nodes of our data centre that the driver can ask.
 
     Args:
         session: Of the driver. It is connected as soon as one node answers, and goes on with the
             others, which are waited for.
-        seconds: How long at most.
+        deadline: How long at most, by time.monotonic().
 
     Raises:
         NoHostAvailable: There is none; the driver's own, to be translated.
     """
-    deadline = time.monotonic() + seconds
     while True:
         connected = session.get_pool_state()
         centres = {host.datacenter for host in connected}
