@@ -122,7 +122,7 @@ def replay(rosCas, topics, t1, t2):
         due = began + (row.key - rows[0].key).to_sec()
         time.sleep(max(0.0, due - time.monotonic()))
         publishers[row.topic].publish(row.message())
-    time.sleep(2.0)  # rospy sends from a thread of its own
+    time.sleep(1.0)  # rospy sends from a thread of its own
     print(f"replayed: {len(rows)} messages in {time.monotonic() - began:.1f} s")
 
 

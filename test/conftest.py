@@ -96,12 +96,9 @@ def pytest_sessionstart(session):
     )
 
 
-# All tests together stay below ten minutes on two cores; what needs more examples says so. Each run
-# has the same examples, for a rare old bug must not refuse a change that has nothing to do with it;
-# HYPOTHESIS_PROFILE=explore looks for such.
-settings.register_profile("explore", max_examples=50, deadline=None)
-settings.register_profile("suite", settings.get_profile("explore"), derandomize=True)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "suite"))
+# All tests together stay below ten minutes on two cores; what needs more examples says so.
+settings.register_profile("suite", max_examples=50, deadline=None)
+settings.load_profile("suite")
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -164,6 +164,7 @@ def test_run_in_the_foreground_takes_the_server_along(env, tmp_path, number):
         assert "answers at" in process.stdout.readline()
         cluster = LocalCluster(cluster_folder)
         [status] = cluster.status()
+        assert answers_cql("127.0.0.1", cluster.settings.port, timeout_sec=60)
         process.send_signal(number)
         assert process.wait(120) == (0 if number != signal.SIGKILL else -signal.SIGKILL)
         deadline = time.monotonic() + 120

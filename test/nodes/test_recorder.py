@@ -151,7 +151,6 @@ def test_a_publisher_that_comes_again_under_its_uri(roscore, recorder, rosCas):
         one._master.registerPublisher(one.name, one.topic, "std_msgs/String", one.uri)
         one.await_subscribers()
     one.close()
-    await_true(lambda: sum(info.count for info in rosCas.info()) >= 100_000)
     assert child.end() == 0, child.output
     found = wires(rosCas, "/again")
     assert len(found) == 100_000
@@ -307,7 +306,7 @@ def test_rosnode_kill_drains(roscore, recorder, rosCas):
     assert child.lines[0] == "services under /to_be_killed"
     with publisher(roscore, "/killed") as one:
         one.await_subscribers().publish(*[text(n) for n in range(100)])
-        await_true(lambda: sum(info.count for info in rosCas.info()) == 100)
+        time.sleep(0.5)
         killed = subprocess.run(
             ["rosnode", "kill", "/to_be_killed"], env=roscore.env, capture_output=True, check=False
         )
