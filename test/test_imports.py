@@ -162,7 +162,7 @@ def lengths(tree):
 @pytest.mark.parametrize("path", modules(), ids=name_of)
 def test_modules_and_functions_are_short(path):
     text = path.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 300, f"{name_of(path)} is longer than 300 lines"
+    assert len(text.splitlines()) <= 500, f"{name_of(path)} is longer than 500 lines"
     long = [name for name, lines in lengths(ast.parse(text)) if lines > 40]
     assert not long, f"{name_of(path)}: longer than 40 lines: {long}"
 
