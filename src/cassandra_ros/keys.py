@@ -19,7 +19,7 @@ MAX_NS = (2**32 - 1) * 10**9 + 999_999_999
 """The largest key: ROS 1 counts seconds in 32 bits (February 2106)."""
 
 _KINDS = [int, str, int, str]
-WRITER_BITS = 31
+MAX_WRITER = 2**31 - 1
 COUNTER_BITS = 32
 
 
@@ -64,7 +64,7 @@ def newWriterId() -> int:
     Returns:
         An int in [1, 2**31 - 1].
     """
-    return secrets.randbelow(2**WRITER_BITS - 1) + 1
+    return secrets.randbelow(MAX_WRITER) + 1
 
 
 def joinSeq(writer_id: int, counter: int) -> int:
@@ -77,7 +77,7 @@ def joinSeq(writer_id: int, counter: int) -> int:
     Raises:
         InvalidKey: Either is out of its range.
     """
-    if not 0 < writer_id < 2**WRITER_BITS:
+    if not 0 < writer_id <= MAX_WRITER:
         raise InvalidKey(f"writer id {writer_id} is not in [1, 2**31 - 1]")
     if not 0 <= counter < 2**COUNTER_BITS:
         raise InvalidKey(f"counter {counter} is not in [0, 2**32 - 1]; use a new writer id")

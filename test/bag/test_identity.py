@@ -9,7 +9,8 @@ import shutil
 import pytest
 from bag.truth import string_connection, string_wire
 
-from cassandra_ros.bag.identity import SAMPLE, bagWriterId
+from cassandra_ros.bag.identity import EARLIER_SAMPLE as SAMPLE
+from cassandra_ros.bag.identity import earlierWriterId, readContent
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.writer import BagWriter
 
@@ -25,10 +26,13 @@ def write(path, messages, connections=None, **options):
 
 def identify(path, nodeID=""):
     with BagReader(path) as reader:
-        return bagWriterId(reader, nodeID)
+        return readContent(reader).writerId(nodeID)
 
 
 MESSAGES = [(i % 2, i, f"text {i}") for i in range(3 * SAMPLE)]
+
+
+EARLIER = [850160836, 1275724590]
 
 
 @pytest.fixture
@@ -63,6 +67,9 @@ def changed(place, **values):
     [
         changed(0, text="other"),
         changed(SAMPLE - 1, text="other"),
+        changed(SAMPLE + 1, text=f"text {SAMPLE + 2}"),
+        changed(SAMPLE + 1, t_ns=SAMPLE + 2),
+        changed(SAMPLE + 1, number=0),
         changed(3, t_ns=4),
         changed(3, number=0),
         changed(2 * SAMPLE, text="other"),
@@ -95,9 +102,35 @@ def test_every_test_bag_has_its_own(bags):
     assert len(set(found)) == len(found)
 
 
-def test_large_messages_are_not_collected(tmp_path):
-    seen = []
-    path = write(tmp_path / "a.bag", [(0, i, "x" * 1000) for i in range(SAMPLE)])
+def test_the_pass_tells_how_far_it_is_and_what_it_read(tmp_path):
+    told = []
+    path = write(
+        tmp_path / "a.bag", [(i % 2, i, "x" * 996) for i in range(500)], chunk_bytes=10_000
+    )
     with BagReader(path) as reader:
-        bagWriterId(reader, "", lambda message: seen.append(message.position))
-    assert seen == [*range(SAMPLE), *range(SAMPLE)]
+        content = readContent(reader, lambda *counts: told.append(counts))
+        assert len(told) == reader.chunk_count > 40
+    assert tuple(map(sum, zip(*told))) == (500, 500_000)
+    assert content.sizes == {0: 250_000, 1: 250_000}
+
+
+def test_what_stands_behind_damage_counts(original, tmp_path):
+    """An import of some topics never comes to a damaged chunk that holds none of them."""
+    found = set()
+    for name, text in (("a", "text 2999"), ("b", "text 2998"), ("c", "text 2997")):
+        path = write(tmp_path / name, changed(2999, text=text), chunk_bytes=10_000)
+        with BagReader(path) as reader:
+            place = reader.chunkInfo(3).position
+        with path.open("r+b") as file:
+            file.seek(place)
+            file.write(bytes(100))
+        found.add(identify(path))
+    assert len(found | {identify(original)}) == 4
+
+
+def test_the_id_of_earlier_releases_is_still_known(original, tmp_path):
+    """Both ids as the tree gave them that knew no others."""
+    for path in (original, write(tmp_path / "b.bag", changed(SAMPLE + 1, text="other"))):
+        with BagReader(path) as reader:
+            found = [earlierWriterId(reader, node) for node in ("", "husky ü")]
+        assert found == EARLIER

@@ -15,7 +15,7 @@ from bag.test_reader import READABLE
 from bag.truth import STRING_MD5, read_with_rosbag, string_connection, string_wire
 
 from cassandra_ros.bag.exporter import exportBag
-from cassandra_ros.bag.identity import bagWriterId
+from cassandra_ros.bag.identity import earlierWriterId, readContent
 from cassandra_ros.bag.importer import importBag
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.verify import verifyBag
@@ -31,6 +31,7 @@ from cassandra_ros.errors import (
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.keys import splitSeq
 from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.store.registry import Run
 
 
 def stored_rows(rosCas):
@@ -265,8 +266,91 @@ def test_a_part_and_then_the_whole_is_the_whole(rosCas, cql, bags):
     assert stored_rows(rosCas) == rows
     with BagReader(path) as reader:
         expected = {(m.t_ns, m.position) for m in reader.messages()}
-        assert {splitSeq(row[2])[0] for row in rows} == {bagWriterId(reader)}
+        assert {splitSeq(row[2])[0] for row in rows} == {readContent(reader).writerId()}
     assert {(row[0], splitSeq(row[2])[1]) for row in rows} == expected
+
+
+def long_bag(path, changed=-1, count=2500):
+    """Write a bag; one byte of the message with the number changed is another."""
+    with BagWriter(path) as writer:
+        numbers = [writer.connection(string_connection(topic)) for topic in ("/a", "/b")]
+        for i in range(count):
+            writer.write(
+                numbers[i % 2], i // 3, string_wire(f"text {i}{'!' if i == changed else '.'}")
+            )
+    return path
+
+
+def import_as_before(rosCas, path, numbers=(0, 1), most=2500, nodeID=""):
+    """Store a bag as a release did that noted no content; of an interrupted import the run too."""
+    with BagReader(path) as reader:
+        writer_id = earlierWriterId(reader, nodeID)
+        run = Run(nodeID, writer_id, "import", path.name, str(path), "binary")
+        with rosCas.messageWriter(writer_id=writer_id, run=run, nodeID=nodeID) as writer:
+            handles = {n: writer.connect(c) for n, c in reader.connections.items() if n in numbers}
+            for message in islice(reader.messages(handles.keys()), most):
+                writer.write(handles[message.number], message.t_ns, message.position, message.data)
+    return writer_id
+
+
+def test_bags_that_differ_in_the_middle_lie_side_by_side(rosCas, cql, tmp_path):
+    paths = [long_bag(tmp_path / "a.bag"), long_bag(tmp_path / "b.bag", changed=1250)]
+    first = importBag(rosCas, paths[0])
+    rows = stored_rows(rosCas)
+    second = importBag(rosCas, paths[1])
+    assert first.writer_id != second.writer_id
+    both = stored_rows(rosCas)
+    assert [row for row in both if splitSeq(row[2])[0] == first.writer_id] == rows
+    assert counts_agree(rosCas, cql) == {"/a": 2500, "/b": 2500}
+    for path in (*paths, paths[0]):
+        importBag(rosCas, path)
+        importBag(rosCas, path, topics=["/a"])
+        assert stored_rows(rosCas) == both
+        assert verifyBag(rosCas, path).equal
+    assert len(rosCas.runs()) == 2
+
+
+@pytest.mark.parametrize("part", [{}, {"numbers": {0}}, {"most": 700}])
+def test_what_an_earlier_release_imported_keeps_its_id(rosCas, tmp_path, part):
+    path = long_bag(tmp_path / "a.bag")
+    writer_id = import_as_before(rosCas, path, **part)
+    rows = stored_rows(rosCas)
+    assert verifyBag(rosCas, path).equal == (not part)
+    path = path.rename(tmp_path / "b.bag")
+    assert importBag(rosCas, path, topics=["/a"]).writer_id == writer_id
+    assert part or stored_rows(rosCas) == rows
+    for _ in range(2):
+        assert importBag(rosCas, path).writer_id == writer_id
+        assert len(stored_rows(rosCas)) == 2500
+        assert verifyBag(rosCas, path).equal
+    assert len(rosCas.runs()) == 1
+
+
+@pytest.mark.parametrize("part", [{}, {"numbers": {0}}, {"most": 1300}])
+def test_no_other_bag_takes_the_id_of_an_earlier_import(rosCas, tmp_path, part):
+    """Bags that differ in the middle had one id; whose rows lie under it only they tell."""
+    paths = [long_bag(tmp_path / "a.bag"), long_bag(tmp_path / "b.bag", changed=1250)]
+    writer_id = import_as_before(rosCas, paths[0], **part)
+    rows = stored_rows(rosCas)
+    assert verifyBag(rosCas, paths[1]).differences > 0
+    assert importBag(rosCas, paths[1]).writer_id != writer_id
+    assert [row for row in stored_rows(rosCas) if splitSeq(row[2])[0] == writer_id] == rows
+    assert importBag(rosCas, paths[0]).writer_id == writer_id
+    assert len(stored_rows(rosCas)) == 5000
+    for path in paths:
+        assert verifyBag(rosCas, path).equal
+
+
+def test_an_id_that_is_another_bags_by_chance_is_not_taken(rosCas, tmp_path):
+    path = long_bag(tmp_path / "a.bag", count=20)
+    with BagReader(path) as reader:
+        writer_id = readContent(reader).writerId()
+    other = Run("", writer_id, "import", labels={"content": "of another bag"})
+    rosCas.parts.registry.putRun(other, started=True)
+    for _ in range(2):
+        assert importBag(rosCas, path).writer_id == writer_id + 1
+    assert verifyBag(rosCas, path).equal
+    assert len(stored_rows(rosCas)) == 20
 
 
 def test_a_second_format_of_the_same_bag_is_refused(rosCas, bags):

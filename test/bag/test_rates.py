@@ -7,7 +7,8 @@ from __future__ import annotations
 import pytest
 from bag.truth import string_connection, string_wire
 
-from cassandra_ros.bag.rates import SizeSample, bucketLengths
+from cassandra_ros.bag.identity import readContent
+from cassandra_ros.bag.rates import bucketLengths
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.writer import BagWriter
 
@@ -21,11 +22,8 @@ def lengths(path, messages, connections=1):
             writer.connection(string_connection("/a", callerid=f"/node{i}"))
         for number, t_ns, size in messages:
             writer.write(number, t_ns, string_wire(b"x" * size))
-    sample = SizeSample()
     with BagReader(path) as reader:
-        for message in reader.messages():
-            sample.add(message)
-        return bucketLengths(reader, sample.means())
+        return bucketLengths(reader, readContent(reader).sizes)
 
 
 def steady(rate_hz, seconds, size=100, start=10**18, number=0):

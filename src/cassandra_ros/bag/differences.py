@@ -31,6 +31,8 @@ class VerifyReport:
     equal_messages: int = 0
     differences: int = 0
     """Messages that are missing, superfluous or different."""
+    missing: int = 0
+    """Those of them that the store lacks; the others are rows that are not of this bag."""
     first: List[str] = field(default_factory=list)
     """The first differences, a line each."""
 

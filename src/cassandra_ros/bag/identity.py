@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Who wrote the rows of an imported bag: a writer id that follows from the bag's content.
+"""Who wrote the rows of an imported bag: a writer id that follows from the bag's whole content.
 
 A repeated import gets the same id and so overwrites its own rows; another bag, or the same bag
 for another node, gets another id. Name, place, compression and chunking of the file do not count.
@@ -11,55 +11,113 @@ from __future__ import annotations
 import hashlib
 from itertools import chain, takewhile
 from struct import Struct
-from typing import Callable
+from typing import Callable, Dict, NamedTuple
 
-from cassandra_ros.bag.reader import BagReader, RawMessage
-from cassandra_ros.keys import WRITER_BITS
+from cassandra_ros.bag.reader import BagReader
+from cassandra_ros.errors import BagError
+from cassandra_ros.keys import MAX_WRITER
+from cassandra_ros.store.registry import Run
 
-SAMPLE = 1000
-"""Messages that count at each end of the bag."""
+EARLIER_SAMPLE = 1000
+"""Messages at each end of the bag that counted for an id of an earlier release."""
+
+Reading = Callable[[int, int], None]
+"""Called with the messages and bytes that were read since the last call."""
+
+CONTENT = "content"
+"""Label of an import's run: the digest of its bag. Runs of earlier releases have none."""
 
 _SUMMARY = Struct("<QQQ")
 _MESSAGE = Struct("<IQQ")
+_DAMAGED_CHUNK = _MESSAGE.pack(2**32 - 1, 2**64 - 1, 2**64 - 1)
+"""No message has this time."""
 
 
-def bagWriterId(
-    reader: BagReader, nodeID: str = "", on_sample: Callable[[RawMessage], None] | None = None
-) -> int:
-    """Compute the writer id of a bag's import.
+class BagContent(NamedTuple):
+    """What one pass over all messages of a bag tells."""
 
-    Reads at most the chunks that hold the first and the last 1,000 messages.
+    digest: str
+    """64 hex digits that differ when a connection, time or byte of any message differs."""
+    sizes: Dict[int, int]
+    """Serialised bytes by number of the connection."""
+
+    def writerId(self, nodeID: str = "") -> int:
+        """Return the writer id of an import for a node: an int in [1, 2**31 - 1]."""
+        node = nodeID.encode("utf-8", "surrogateescape")
+        return _number(hashlib.sha256(self.digest.encode("ascii") + node))
+
+    def isOf(self, run: Run) -> bool:
+        """Say whether a run is an import of this content."""
+        return run.labels.get(CONTENT) == self.digest
+
+
+def readContent(reader: BagReader, reading: Reading | None = None) -> BagContent:
+    """Read all messages of a bag and hash them in the order of the file.
+
+    A chunk that is damaged counts as such. Nothing of it can be stored: the import that reaches it
+    fails, and says where.
 
     Args:
         reader: The bag.
-        nodeID: The node for which it is imported.
-        on_sample: Called with each message that is read for it.
+        reading: Told how far it is, after each chunk.
+    """
+    digest, rank = _begin(b"cassandra_ros bag 2", reader)
+    sizes = dict.fromkeys(rank, 0)
+    add, pack = digest.update, _MESSAGE.pack
+    for chunk in range(reader.chunk_count):
+        count = total = 0
+        try:
+            for _, number, t_ns, data in reader.chunkMessages(chunk):
+                size = len(data)
+                add(pack(rank[number], t_ns, size))
+                add(data)
+                sizes[number] += size
+                count += 1
+                total += size
+        except BagError:
+            add(_DAMAGED_CHUNK)
+        if reading is not None:
+            reading(count, total)
+    return BagContent(digest.hexdigest(), sizes)
 
-    Returns:
-        An int in [1, 2**31 - 1].
+
+def isEarlier(run: Run) -> bool:
+    """Say whether a run is an import by an earlier release, which did not note the content."""
+    return run.kind == "import" and CONTENT not in run.labels
+
+
+def earlierWriterId(reader: BagReader, nodeID: str) -> int:
+    """Compute the writer id that an earlier release gave to a bag's import.
+
+    Only the first and the last 1,000 messages counted: bags that differ in between share it.
 
     Raises:
         BagError: A chunk is damaged.
     """
-    digest = hashlib.sha256(b"cassandra_ros bag 1")
-    _addText(digest, nodeID.encode("utf-8", "surrogateescape"))
-    rank = {}
-    for place, (number, connection) in enumerate(reader.connections.items()):
-        rank[number] = place
-        _addText(digest, connection.topic.encode("utf-8"))
-        _addText(digest, connection.header)
-    digest.update(_SUMMARY.pack(reader.message_count, reader.start_ns, reader.end_ns))
-    first = takewhile(lambda message: message.position < SAMPLE, reader.messages())
-    last = reader.messages(start=max(0, reader.message_count - SAMPLE))
+    node = nodeID.encode("utf-8", "surrogateescape")
+    digest, rank = _begin(b"cassandra_ros bag 1" + _withLength(node), reader)
+    first = takewhile(lambda message: message.position < EARLIER_SAMPLE, reader.messages())
+    last = reader.messages(start=max(0, reader.message_count - EARLIER_SAMPLE))
     for message in chain(first, last):
         digest.update(_MESSAGE.pack(rank[message.number], message.t_ns, len(message.data)))
         digest.update(message.data)
-        if on_sample is not None:
-            on_sample(message)
-    largest: int = 2**WRITER_BITS - 1
-    return int.from_bytes(digest.digest(), "little") % largest + 1
+    return _number(digest)
 
 
-def _addText(digest: hashlib._Hash, text: bytes) -> None:
-    digest.update(len(text).to_bytes(8, "little"))
-    digest.update(text)
+def _begin(head: bytes, reader: BagReader) -> tuple[hashlib._Hash, Dict[int, int]]:
+    """Hash what the index says of a bag; return the hash and each connection's place in it."""
+    digest = hashlib.sha256(head)
+    connections = reader.connections
+    for connection in connections.values():
+        digest.update(_withLength(connection.topic.encode("utf-8")))
+        digest.update(_withLength(connection.header))
+    digest.update(_SUMMARY.pack(reader.message_count, reader.start_ns, reader.end_ns))
+    return digest, {number: place for place, number in enumerate(connections)}
+
+
+def _withLength(text: bytes) -> bytes:
+    return len(text).to_bytes(8, "little") + text
+
+
+def _number(digest: hashlib._Hash) -> int:
+    return int.from_bytes(digest.digest(), "little") % MAX_WRITER + 1

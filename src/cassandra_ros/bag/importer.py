@@ -4,20 +4,32 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from dataclasses import dataclass, field
-from typing import Callable, Dict, Iterable, List, Set
+from typing import AbstractSet, Callable, Dict, Iterable, List, Set
 
-from cassandra_ros.bag.identity import bagWriterId
-from cassandra_ros.bag.rates import SizeSample, bucketLengths
+from cassandra_ros.bag.identity import (
+    CONTENT,
+    BagContent,
+    Reading,
+    earlierWriterId,
+    isEarlier,
+    readContent,
+)
+from cassandra_ros.bag.rates import bucketLengths
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.topics import chosenConnections
+from cassandra_ros.bag.verify import Import, holdsNothingElse
 from cassandra_ros.errors import BagError, TopicExists
 from cassandra_ros.formats.table import DEFAULT_FORMAT
+from cassandra_ros.keys import MAX_WRITER
 from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.usable import FALLBACK_FORMAT, usableDefinition
+
+_log = logging.getLogger(__name__)
 
 Progress = Callable[[int, int], None]
 """Called with the messages and bytes that were handled since the last call."""
@@ -66,12 +78,13 @@ def importBag(
     topics: Iterable[str] | None = None,
     nodeID: str = "",
     progress: Progress | None = None,
+    reading: Reading | None = None,
 ) -> ImportReport:
     """Store the messages of a bag.
 
-    Each row's key follows from the bag's content, so an import that is repeated, or was
-    interrupted and is started again, ends in the same rows. Memory does not depend on the size
-    of the bag (see BagReader for its share).
+    The bag is read twice, for each row's key follows from the content of the whole bag: an import
+    that is repeated, or was interrupted and is started again, ends in the same rows. Memory does
+    not depend on the size of the bag (see BagReader for its share).
 
     Args:
         rosCas: Connected to a keyspace.
@@ -79,7 +92,8 @@ def importBag(
         format: Format of topics that are not stored yet.
         topics: Only these, with or without leading slash; None = all.
         nodeID: The robot that recorded the bag; '' = nobody says.
-        progress: Told how far it is.
+        progress: Told how far the storing is.
+        reading: Told how far the first pass over the bag is.
 
     Returns:
         What was stored. A topic whose definition is empty, broken or hostile is kept as binary,
@@ -94,8 +108,8 @@ def importBag(
     """
     with BagReader(path) as reader:
         numbers = chosenConnections(reader, topics)
-        sample = SizeSample()
-        writer_id = bagWriterId(reader, nodeID, sample.add)
+        content = readContent(reader, reading)
+        writer_id = _writerId(rosCas, reader, nodeID, content)
         report = ImportReport(reader.path, writer_id, nodeID)
         run = Run(
             node=nodeID,
@@ -104,9 +118,10 @@ def importBag(
             name=os.path.basename(reader.path),
             source=os.path.abspath(reader.path),
             format=format,
+            labels={CONTENT: content.digest},
         )
         _refuseSecondCopy(rosCas, reader, numbers, run)
-        lengths = bucketLengths(reader, sample.means())
+        lengths = bucketLengths(reader, content.sizes)
         with rosCas.messageWriter(
             writer_id=writer_id, format=format, nodeID=nodeID, run=run
         ) as writer:
@@ -118,6 +133,39 @@ def importBag(
             _noteTopics(report, handles)
             _writeMessages(reader, writer, handles, report, progress)
     return report
+
+
+def _writerId(rosCas: RosCassandra, reader: BagReader, nodeID: str, content: BagContent) -> int:
+    """Return the writer id of this bag's import: that of an earlier one where there is one."""
+    runs = {run.writer: run for run in rosCas.runs() if run.node == nodeID}
+    for run in filter(content.isOf, runs.values()):
+        return run.writer
+    names = {connection.topic for connection in reader.connections.values()}
+    earlier = {n for n, run in runs.items() if isEarlier(run) and run.stored.keys() <= names}
+    writer_id = _earlierId(rosCas, reader, nodeID, earlier) if earlier else None
+    if writer_id is None:
+        writer_id = content.writerId(nodeID)
+        while writer_id in runs:  # of another bag: 31 bits may agree by chance
+            writer_id = writer_id % MAX_WRITER + 1
+    return writer_id
+
+
+def _earlierId(
+    rosCas: RosCassandra, reader: BagReader, nodeID: str, writers: AbstractSet[int]
+) -> int | None:
+    """Return which of these imports, whose content nobody noted, is of this bag, if one is.
+
+    The id that an earlier release gave it does not tell, for bags that differ in the middle share
+    it: we would replace the rows of another bag. So the rows themselves are compared.
+    """
+    try:
+        writer_id = earlierWriterId(reader, nodeID)
+        found = Import(nodeID, writer_id)
+        if writer_id in writers and holdsNothingElse(rosCas, reader, found):
+            return writer_id
+    except BagError as exc:
+        _log.debug("%s; its import goes as far", exc)  # and says so
+    return None
 
 
 def _refuseSecondCopy(rosCas: RosCassandra, reader: BagReader, numbers: Set[int], run: Run) -> None:

@@ -7,31 +7,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Dict, Mapping, Tuple
 
-from cassandra_ros.bag.reader import BagReader, RawMessage
+from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.store.buckets import SECOND_NS, bucketFor
 
 _WINDOW_NS = 10 * SECOND_NS
-_UNSEEN_BYTES = 64 * 1024
-"""Size that is assumed for messages of connections without a sample."""
 
 TableKey = Tuple[str, str]
 """Topic and md5sum: what shares one table."""
-
-
-class SizeSample:
-    """Mean size of the messages that were shown to it, by connection."""
-
-    def __init__(self) -> None:
-        self._sums: Dict[int, Tuple[int, int]] = {}
-
-    def add(self, message: RawMessage) -> None:
-        """Count a message."""
-        count, size = self._sums.get(message.number, (0, 0))
-        self._sums[message.number] = (count + 1, size + len(message.data))
-
-    def means(self) -> Dict[int, float]:
-        """Return bytes a message, by number of the connection."""
-        return {number: size / count for number, (count, size) in self._sums.items()}
 
 
 @dataclass
@@ -52,7 +34,7 @@ class _Rate:
         self.start_ns, self.count, self.bytes = start_ns, 0, 0.0
 
 
-def bucketLengths(reader: BagReader, means: Mapping[int, float]) -> Dict[int, int]:
+def bucketLengths(reader: BagReader, sizes: Mapping[int, int]) -> Dict[int, int]:
     """Choose the bucket length of each connection's table.
 
     The highest rate over stretches of at least 10 s decides, as the counts of the chunks show
@@ -60,12 +42,13 @@ def bucketLengths(reader: BagReader, means: Mapping[int, float]) -> Dict[int, in
 
     Args:
         reader: The bag.
-        means: Bytes a message by number of the connection, where known.
+        sizes: Serialised bytes by number of the connection.
 
     Returns:
         Nanoseconds by number of the connection, equal for those that share a table.
     """
     rates: Dict[TableKey, _Rate] = {}
+    means = {number: sizes[number] / total.count for number, total in reader.totals.items()}
     keys = {number: (c.topic, c.md5sum) for number, c in reader.connections.items()}
     for chunk in range(reader.chunk_count):
         info = reader.chunkInfo(chunk)
@@ -77,7 +60,7 @@ def bucketLengths(reader: BagReader, means: Mapping[int, float]) -> Dict[int, in
             seen.add(keys[number])
             rate.end_ns = max(rate.start_ns, info.end_ns)
             rate.count += count
-            rate.bytes += count * means.get(number, _UNSEEN_BYTES)
+            rate.bytes += count * means[number]
     for rate in rates.values():
         rate.finish(rate.end_ns, last=True)
     return {n: bucketFor(rates[key].peak_hz, rates[key].peak_bytes) for n, key in keys.items()}

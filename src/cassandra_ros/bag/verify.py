@@ -15,7 +15,7 @@ from cassandra_ros.bag.differences import (
     fingerprint,
     rowFingerprint,
 )
-from cassandra_ros.bag.identity import bagWriterId
+from cassandra_ros.bag.identity import Reading, earlierWriterId, isEarlier, readContent
 from cassandra_ros.bag.order import Ordered, readInOrder
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.topics import chosenConnections
@@ -36,7 +36,8 @@ class _Seen(NamedTuple):
     t_ns: int
     rank: int
     """Place of its connection in the bag, or _FOREIGN."""
-    seq: int
+    order: int
+    """Decides between equal ones: its position in the bag, or its seq where that is not known."""
     value: bytes
     topic: str
     type: str
@@ -56,6 +57,7 @@ def verifyBag(
     topics: Iterable[str] | None = None,
     nodeID: str | None = None,
     progress: Progress | None = None,
+    reading: Reading | None = None,
 ) -> VerifyReport:
     """Compare a bag with the store, message by message, in the order in which rosbag reads.
 
@@ -70,6 +72,7 @@ def verifyBag(
         topics: Only these; None = all of the bag.
         nodeID: Compare what is stored for this node; None = whichever node it is.
         progress: Told how far it is.
+        reading: Told how far the pass over the bag is that finds its import.
 
     Raises:
         BagError: The bag cannot be read to its end.
@@ -81,22 +84,38 @@ def verifyBag(
         chosen = {n: c for n, c in reader.connections.items() if n in numbers}
         names = {c.topic for c in chosen.values()}
         stored = names & {topic.name for topic in rosCas.getAllTopics()}
-        scope = _findImport(rosCas, reader, stored, nodeID)
+        scope = _findImport(rosCas, reader, stored, nodeID, reading)
         report = VerifyReport(reader.path, _describe(scope, nodeID))
         for topic in sorted(names - stored):
             gone = [n for n, c in chosen.items() if c.topic == topic]
             count = sum(reader.totals[n].count for n in gone)
             report.add(f"{topic} is not stored: its {count} messages are missing", count)
             numbers.difference_update(gone)
-        connections = list(reader.connections.values())
-        bag = readInOrder(reader, lambda message: fingerprint(message.data), numbers)
         rows = _storedRows(rosCas, reader, stored, scope, nodeID)
-        _compare(_reporting(bag, progress), _inOrder(rows, connections), connections, report)
+        _compare(reader, numbers, rows, scope, report, progress)
     return report
 
 
+def holdsNothingElse(rosCas: RosCassandra, reader: BagReader, found: Import) -> bool:
+    """Say whether an import has rows, and each of them is a message of this bag.
+
+    Raises:
+        BagError: The bag cannot be read to its end.
+    """
+    names = {c.topic for c in reader.connections.values()}
+    stored = names & {topic.name for topic in rosCas.getAllTopics()}
+    report = VerifyReport(reader.path, "")
+    rows = _storedRows(rosCas, reader, stored, found, None)
+    _compare(reader, set(reader.connections), rows, found, report, None)
+    return report.equal_messages > 0 and report.differences == report.missing
+
+
 def _findImport(
-    rosCas: RosCassandra, reader: BagReader, topics: Set[str], nodeID: str | None
+    rosCas: RosCassandra,
+    reader: BagReader,
+    topics: Set[str],
+    nodeID: str | None,
+    reading: Reading | None,
 ) -> Import | None:
     """Find the rows of an import of this bag, by the writer ids in the directory."""
     parts = rosCas.parts
@@ -109,14 +128,21 @@ def _findImport(
             None if nodeID is None else (nodeID,),
         )
     }
-    ids = {node: bagWriterId(reader, node) for node in {writer.node for writer in writers}}
-    found = sorted(writer for writer in writers if writer.writer_id == ids[writer.node])
+    runs = [run for run in rosCas.runs() if Import(run.node, run.writer) in writers]
+    runs = [run for run in runs if run.kind == "import"]
+    if not runs:
+        return None
+    content = readContent(reader, reading)
+    found = {run.node: run.writer for run in runs if content.isOf(run)}
+    for run in filter(isEarlier, runs):
+        if run.node not in found and run.writer == earlierWriterId(reader, run.node):
+            found[run.node] = run.writer
     if len(found) > 1:
-        nodes = ", ".join(repr(one.node) for one in found)
+        nodes = ", ".join(map(repr, sorted(found)))
         raise InvalidKey(
             f"{reader.path} was imported for the nodes {nodes}; choose one with --node-id"
         )
-    return found[0] if found else None
+    return next((Import(node, writer) for node, writer in found.items()), None)
 
 
 def _bucketsOf(table: TopicTable, reader: BagReader) -> Tuple[int, int]:
@@ -148,9 +174,11 @@ def _storedRows(
             yield row
 
 
-def _inOrder(rows: Iterator[StoredRow], connections: List[Connection]) -> Iterator[_Seen]:
+def _inOrder(
+    rows: Iterator[StoredRow], connections: List[Connection], scope: Import | None
+) -> Iterator[_Seen]:
     """Put rows of equal time in the order of their connections."""
-    ranks = _Ranks(connections)
+    ranks = _Ranks(connections, scope is not None)
     for _, group in groupby(rows, lambda row: row.received):
         yield from sorted(map(ranks.see, group))
 
@@ -158,7 +186,8 @@ def _inOrder(rows: Iterator[StoredRow], connections: List[Connection]) -> Iterat
 class _Ranks:
     """Finds the connections of rows among those of the bag."""
 
-    def __init__(self, connections: List[Connection]) -> None:
+    def __init__(self, connections: List[Connection], positions: bool) -> None:
+        self._positions = positions
         self._exact = {(c.topic, c.header, c.number): i for i, c in enumerate(connections)}
         # The number is lost where the messages did not come from this very bag.
         self._alike: Dict[Tuple[str, bytes], int] = {}
@@ -175,9 +204,9 @@ class _Ranks:
             rank = self._exact.get((c.topic, c.header, c.number), alike)
             self._known[key] = (rank, c.type)
         rank, msg_type = self._known[key]
-        return _Seen(
-            row.received, rank, row.seq, rowFingerprint(row), row.topic, msg_type, row.md5sum
-        )
+        order = splitSeq(row.seq)[1] if self._positions else row.seq
+        value = rowFingerprint(row)
+        return _Seen(row.received, rank, order, value, row.topic, msg_type, row.md5sum)
 
 
 def _reporting(bag: Iterator[Ordered], progress: Progress | None) -> Iterator[Ordered]:
@@ -188,17 +217,24 @@ def _reporting(bag: Iterator[Ordered], progress: Progress | None) -> Iterator[Or
 
 
 def _compare(
-    bag: Iterator[Ordered],
-    store: Iterator[_Seen],
-    connections: List[Connection],
+    reader: BagReader,
+    numbers: Set[int],
+    rows: Iterator[StoredRow],
+    scope: Import | None,
     report: VerifyReport,
+    progress: Progress | None,
 ) -> None:
+    connections = list(reader.connections.values())
+    read = readInOrder(reader, lambda message: fingerprint(message.data), numbers)
+    bag, store = _reporting(read, progress), _inOrder(rows, connections, scope)
+    # The rows of an import know their positions, so that one which is missing shifts no others.
+    width = 2 if scope is None else 3
     wanted, seen = next(bag, None), next(store, None)
     while wanted is not None and seen is not None:
-        if wanted[:2] < seen[:2]:
+        if wanted[:width] < seen[:width]:
             _missing(wanted, connections, report)
             wanted = next(bag, None)
-        elif seen[:2] < wanted[:2]:
+        elif seen[:width] < wanted[:width]:
             _superfluous(seen, report)
             seen = next(store, None)
         else:
@@ -215,6 +251,7 @@ def _compare(
 def _missing(wanted: Ordered, connections: List[Connection], report: VerifyReport) -> None:
     place = describePlace(connections[wanted.rank].topic, wanted.t_ns)
     report.add(f"{place}: message {wanted.position} of the bag is not in the store")
+    report.missing += 1
 
 
 def _superfluous(seen: _Seen, report: VerifyReport) -> None:

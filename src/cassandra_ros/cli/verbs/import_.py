@@ -70,11 +70,17 @@ def _import(rosCas: RosCassandra, path: str, options: argparse.Namespace) -> Non
     with BagReader(path) as reader:
         chosen = chosenConnections(reader, options.topics)
         count = sum(reader.totals[number].count for number in chosen)
-    begun = time.monotonic()
-    with MessageBar(f"importing {os.path.basename(path)}", count) as bar, SafeInterrupt() as stop:
+        total = reader.message_count
+    begun, name = time.monotonic(), os.path.basename(path)
+    first, second = MessageBar(f"reading {name}", total), MessageBar(f"importing {name}", count)
+    with first, second, SafeInterrupt() as stop:
+
+        def reading(messages: int, size: int) -> None:
+            first.add(messages, size)
+            stop.check()
 
         def progress(messages: int, size: int) -> None:
-            bar.add(messages, size)
+            second.add(messages, size)
             stop.check()
 
         report = importBag(
@@ -84,6 +90,7 @@ def _import(rosCas: RosCassandra, path: str, options: argparse.Namespace) -> Non
             topics=options.topics,
             nodeID=options.node_id,
             progress=progress,
+            reading=reading,
         )
     if not options.quiet:
         _print_report(report, options.keyspace, time.monotonic() - begun)

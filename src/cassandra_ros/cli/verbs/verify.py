@@ -78,9 +78,13 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
 
     with BagReader(options.bag) as reader:
         count = reader.message_count
-    with open_store(options) as rosCas, MessageBar(f"verifying {options.bag}", count) as bar:
+    first = MessageBar(f"reading {options.bag}", count)
+    bar = MessageBar(f"verifying {options.bag}", count)
+    with open_store(options) as rosCas, first, bar:
         if not options.content:
-            return verifyBag(rosCas, options.bag, options.topics, options.node_id, bar.add)
+            return verifyBag(
+                rosCas, options.bag, options.topics, options.node_id, bar.add, first.add
+            )
         return verifyContent(
             rosCas,
             options.bag,
