@@ -13,6 +13,7 @@ import pytest
 import rosbag
 from bag.test_reader import READABLE
 from bag.truth import STRING_MD5, read_with_rosbag, string_connection, string_wire
+from std_msgs.msg import String
 
 from cassandra_ros.bag.exporter import exportBag
 from cassandra_ros.bag.identity import earlierWriterId, readContent
@@ -198,6 +199,28 @@ def test_one_topic_of_two_types_and_two_names_of_one_type(rosCas, tmp_path, form
     assert verifyBag(rosCas, path).equal
     exportBag(rosCas, tmp_path / "out.bag")
     assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)
+
+
+def test_connection_numbers_of_32_bits(rosCas, connect, tmp_path):
+    path = tmp_path / "a.bag"
+    numbers = [0, 2**31 - 1, 2**31, 2**32 - 2, 2**32 - 1]
+    with BagWriter(path) as writer:
+        for number in numbers:
+            writer.connection(string_connection(f"/topic{number % 2}"), number)
+            # Equal times: the numbers decide the order.
+            writer.write(number, 1000, string_wire(f"over {number}"))
+    importBag(rosCas, path)
+    rosCas.addTopic("/live", msg_type="std_msgs/String").addData(String("x"), key=2000)
+    with connect(keyspace=rosCas.keyspace) as another:  # it has read no connection yet
+        assert verifyBag(another, path).equal
+        found = {row.connection.number for row in another.readMessages()}
+        assert found == {-1, *numbers}
+        exportBag(another, tmp_path / "part.bag", topics=["/topic0", "/topic1"])
+        assert read_with_rosbag(tmp_path / "part.bag") == read_with_rosbag(path)
+        exportBag(another, tmp_path / "all.bag")
+    connections, messages = read_with_rosbag(tmp_path / "all.bag")
+    assert {number for number, *_ in connections} == {*numbers, 1}
+    assert messages[:-1] == read_with_rosbag(path)[1]
 
 
 def test_an_empty_bag_is_an_import_of_nothing(rosCas, tmp_path):

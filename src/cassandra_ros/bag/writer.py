@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import tempfile
 from array import array
@@ -72,8 +73,9 @@ class BagWriter:
 
         Args:
             connection: Topic and header are written as they are.
-            number: Its number in this bag, unique, in [0, 2**32 - 1]; None = the next free one.
-                Between equal times the lower number is read first.
+            number: Its number in this bag, unique, in [0, 2**32 - 1]; None = the next free one,
+                behind all others while there is one. Between equal times the lower number is read
+                first.
 
         Returns:
             The number, for write().
@@ -83,6 +85,8 @@ class BagWriter:
         """
         if number is None:
             number = max(self._connections, default=-1) + 1
+            if number == 2**32:
+                number = next(n for n in itertools.count() if n not in self._connections)
         if number in self._connections or not 0 <= number < 2**32:
             raise BagError(f"{self.path}: connection number {number} is taken or out of range")
         self._connections[number] = connection

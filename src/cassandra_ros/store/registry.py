@@ -19,6 +19,7 @@ class ConnectionRow(NamedTuple):
 
     topic: str
     number: int
+    """-1, or of a bag: 0 to 2**32 - 1."""
     header: bytes
     def_offset: int
     """Where the definition was cut out; -1 = the header has none."""
@@ -64,7 +65,7 @@ class Registry:
             f"INSERT INTO {self._space}.cr_connection (tbl, conn, topic, number, header, "
             "def_offset, md5sum, def_hash) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
             (
-                *(table, conn, row.topic, row.number, row.header),
+                *(table, conn, row.topic, _signed(row.number), row.header),
                 *(row.def_offset, row.md5sum, def_hash),
             ),
             what=f"storing the connection header of topic {row.topic}",
@@ -88,7 +89,7 @@ class Registry:
         )
         if not texts:
             return None
-        return ConnectionRow(topic, number, header, offset, md5sum, texts[0][0])
+        return ConnectionRow(topic, _unsigned(number), header, offset, md5sum, texts[0][0])
 
     def forget(self, table: str) -> None:
         """Remove the connections of a table that was dropped (a scan: connections are few)."""
@@ -128,6 +129,22 @@ class Registry:
             what="listing the runs",
         )
         return [_run(row) for row in rows]
+
+
+# The column is an int of CQL, the numbers of bags go to 2**32 - 1: those from 2**31 on are kept as
+# the negative int of the same 32 bits. The last one would be -1, which is live; it is null.
+
+
+def _signed(number: int) -> int | None:
+    if number < 2**31:
+        return number
+    return number - 2**32 if number < 2**32 - 1 else None
+
+
+def _unsigned(column: int | None) -> int:
+    if column is None:
+        return 2**32 - 1
+    return column if column >= -1 else column + 2**32
 
 
 def _run(row: tuple[Any, ...]) -> Run:
