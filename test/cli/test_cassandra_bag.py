@@ -235,6 +235,32 @@ def test_warnings_of_the_import_are_shown_once(type_in, bags):
     assert out.splitlines()[1].split() == ["/led_array_status", "14", "0", "B", "binary"]
 
 
+def test_a_topic_that_cannot_be_stored_is_counted_beside_the_others(call, rosCas, tmp_path):
+    path, bad = tmp_path / "a.bag", "/b\0ad"
+    with BagWriter(path) as writer:
+        for topic, count in (("/good", 5), (bad, 3), ("/fine", 2)):
+            number = writer.connection(string_connection(topic))
+            for i in range(count):
+                writer.write(number, i, string_wire(f"{topic} {i}"))
+    for _ in range(2):
+        status, out, err = call("import", path, path)
+        assert status == 1
+        assert out.count("7 messages of 2 topics are in") == 2
+        lines = err.splitlines()
+        assert len(lines) == 2
+        assert lines[0].startswith(f"cassandra_bag: {path}: 3 messages are not stored, all others")
+        assert repr(bad) in lines[0]
+        assert "import a copy of the bag in which their topic has another name" in lines[0]
+        assert [row.topic for row in rosCas.readMessages()].count("/good") == 5
+    assert [dict(run.lost) for run in rosCas.runs()] == [{bad: 3}]
+    status, out, _ = call("verify", path)
+    assert status == 1
+    assert "/b\\x00ad is not stored: its 3 messages are missing" in out
+    good = ("--topics", "/good", "/fine")
+    assert call("import", path, *good)[::2] == (0, "")
+    assert call("verify", path, *good)[0] == 0
+
+
 def test_names_with_odd_characters_are_printed_safely(call, tmp_path):
     path = tmp_path / "a.bag"
     with BagWriter(path) as writer:

@@ -21,9 +21,10 @@ from cassandra_ros.bag.rates import bucketLengths
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.topics import chosenConnections
 from cassandra_ros.bag.verify import Import, holdsNothingElse
-from cassandra_ros.errors import BagError, TopicExists
+from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import DEFAULT_FORMAT
 from cassandra_ros.keys import MAX_WRITER
+from cassandra_ros.metadata import checkTopicName
 from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.ros_cassandra import RosCassandra
@@ -59,6 +60,8 @@ class ImportReport:
     nodeID: str
     topics: Dict[str, ImportedTopic] = field(default_factory=dict)
     warnings: List[str] = field(default_factory=list)
+    lost: Dict[str, int] = field(default_factory=dict)
+    """Messages that are not stored, by topic: its name cannot be kept. A warning says why."""
 
     @property
     def messages(self) -> int:
@@ -97,7 +100,8 @@ def importBag(
 
     Returns:
         What was stored. A topic whose definition is empty, broken or hostile is kept as binary,
-        with a warning; the others go on.
+        with a warning; the others go on. So they do beside a topic whose name cannot be kept: it
+        is left out, with a warning, and its messages are counted as lost.
 
     Raises:
         BagError: The bag cannot be read to its end. What stands before the damage is stored then;
@@ -111,6 +115,7 @@ def importBag(
         content = readContent(reader, reading)
         writer_id = _writerId(rosCas, reader, nodeID, content)
         report = ImportReport(reader.path, writer_id, nodeID)
+        numbers = _refuseNames(reader, numbers, report)
         run = Run(
             node=nodeID,
             writer=writer_id,
@@ -132,7 +137,27 @@ def importBag(
             }
             _noteTopics(report, handles)
             _writeMessages(reader, writer, handles, report, progress)
+            writer.close(lost=report.lost)
     return report
+
+
+def _refuseNames(reader: BagReader, numbers: AbstractSet[int], report: ImportReport) -> Set[int]:
+    """Note the topics whose names cannot be kept; return the other connections."""
+    kept: Set[int] = set()
+    for number in sorted(numbers):
+        topic = reader.connections[number].topic
+        try:
+            checkTopicName(topic)
+            kept.add(number)
+        except InvalidName as exc:
+            count = reader.totals[number].count
+            report.lost[topic] = report.lost.get(topic, 0) + count
+            report.warnings.append(
+                f"{reader.path}: {count} messages are not stored, all others are: {exc}; to store "
+                "them too, import a copy of the bag in which their topic has another name"
+            )
+            _log.warning("%s", report.warnings[-1])
+    return kept
 
 
 def _writerId(rosCas: RosCassandra, reader: BagReader, nodeID: str, content: BagContent) -> int:

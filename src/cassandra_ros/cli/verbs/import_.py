@@ -4,7 +4,9 @@
 
 Every message keeps its topic, type, time, bytes and connection. Importing the same bag again, or
 first a part of it and then all, or once more after an interruption, ends in the same messages. A
-topic whose definition is empty or broken is kept as binary, with a warning.
+topic whose definition is empty or broken is kept as binary, with a warning. One whose name cannot
+be kept (it holds a NUL) is left out: a warning says how many messages that are, and the exit status
+is 1.
 """
 
 from __future__ import annotations
@@ -51,18 +53,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Import one bag after the other; the first that fails ends it."""
+    status = 0
     with open_store(options, make=True) as rosCas:
         for path in options.bags:
             try:
-                _import(rosCas, path, options)
+                if _import(rosCas, path, options).lost:
+                    status = 1
             except (KeyboardInterrupt, SystemExit):
                 hint = "cassandra_bag: interrupted; the same command again completes the import"
                 print(hint, file=sys.stderr)
                 raise
-    return 0
+    return status
 
 
-def _import(rosCas: RosCassandra, path: str, options: argparse.Namespace) -> None:
+def _import(rosCas: RosCassandra, path: str, options: argparse.Namespace) -> ImportReport:
     from cassandra_ros.bag.importer import importBag
     from cassandra_ros.bag.reader import BagReader
     from cassandra_ros.bag.topics import chosenConnections
@@ -94,6 +98,7 @@ def _import(rosCas: RosCassandra, path: str, options: argparse.Namespace) -> Non
         )
     if not options.quiet:
         _print_report(report, options.keyspace, time.monotonic() - begun)
+    return report
 
 
 def _print_report(report: ImportReport, keyspace: str, seconds: float) -> None:
