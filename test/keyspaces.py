@@ -59,7 +59,8 @@ class Keyspaces:
             f"CREATE KEYSPACE {name} WITH durable_writes = false AND replication = "
             "{'class': 'NetworkTopologyStrategy', 'datacenter1': 1}"
         )
-        self._connect(keyspace=name).close()
+        with self._connect(keyspace=name) as store:
+            store.parts.side_tables.make()
         self._made[name] = self._schema(name)
         return name
 

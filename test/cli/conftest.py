@@ -49,7 +49,7 @@ def type_in(env):
 def call(cassandra, keyspace, capsys):
     """Run cassandra_bag in this process; return its exit status, output and errors."""
 
-    def run(*arguments):
+    def run(*arguments, keyspace=keyspace):
         store = ("--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", keyspace)
         try:
             status = cassandra_bag.main([*map(str, arguments), *store])

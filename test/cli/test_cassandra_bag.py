@@ -196,6 +196,30 @@ def test_reading_makes_no_keyspace(type_in, cql, new_keyspace, tmp_path):
     assert new_keyspace not in {row[0] for row in rows}
 
 
+def test_reading_makes_no_table(call, cql, bags, new_keyspace, tmp_path):
+    cql.execute(
+        f"CREATE KEYSPACE {new_keyspace} WITH replication = "
+        "{'class': 'SimpleStrategy', 'replication_factor': 1}"
+    )
+    bag = bags / "primitive_arrays.bag"
+    for words in (
+        ("list",),
+        ("info",),
+        ("query", "SELECT * FROM /a"),
+        ("export", tmp_path / "out.bag"),
+        ("verify", bag),
+        ("index", "--list"),
+        ("import", tmp_path / "missing.bag"),
+    ):
+        call(*words, keyspace=new_keyspace)
+        rows = cql.execute(
+            "SELECT table_name FROM system_schema.tables WHERE keyspace_name = %s", (new_keyspace,)
+        )
+        assert not rows.all(), words
+    assert call("import", bag, keyspace=new_keyspace)[0] == 0
+    assert call("verify", bag, keyspace=new_keyspace)[0] == 0
+
+
 def test_no_server(type_in, bags):
     from cassandra_ros.local_server import free_port
 

@@ -20,6 +20,7 @@ from std_msgs.msg import Int64, String, UInt8MultiArray
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
+from cassandra_ros.errors import KeyspaceNotFound
 from cassandra_ros.messages.connection import liveConnection
 
 SEC = 10**9
@@ -411,6 +412,21 @@ def test_topics_made_later_are_seen(store, ask, get):
     store.addTopic("/later").addData(UInt8MultiArray(data=b"\1\2"), key=T0)
     assert rows(ask("select data from later")) == [['"AQI="']]
     assert get(topic="/later", key=T0)["success"]
+
+
+def test_a_keyspace_that_a_recorder_makes_later(roscore, cassandra, connect, new_keyspace, client):
+    where = ("--port", cassandra.port, "--keyspace", new_keyspace, "__name:=early")
+    with start_node(roscore, "query_server", *where) as child, connect() as store:
+        child.await_line("serving keyspace")
+        assert f"there is no keyspace '{new_keyspace}'" in child.output
+        refused = client.call("/early/getData", topic="/a", key=T0)
+        assert f"there is no keyspace '{new_keyspace}'" in refused["message"]
+        with pytest.raises(KeyspaceNotFound):
+            store.connectToKeyspace(new_keyspace, make=False)
+        store.connectToKeyspace(new_keyspace)
+        store.addTopic("/a").addData(String(data="a"), key=T0)
+        assert client.call("/early/getData", topic="/a", key=T0)["success"]
+        assert child.end() == 0
 
 
 def test_no_server(roscore):

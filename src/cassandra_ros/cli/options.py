@@ -9,8 +9,6 @@ import os
 import re
 from typing import TYPE_CHECKING, Sequence
 
-from cassandra_ros.errors import KeyspaceNotFound
-
 if TYPE_CHECKING:
     from cassandra_ros.topics.ros_cassandra import RosCassandra
 
@@ -59,26 +57,21 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
 
     Args:
         options: Parsed with add_store_options.
-        make: Make the keyspace where it is missing.
+        make: The keyspace may be missing; what first writes makes it.
 
     Raises:
         ConnectionFailed: Nobody answers there.
         KeyspaceNotFound: There is no such keyspace, and make is false.
     """
-    from cassandra_ros.store.side_tables import keyspaceExists
     from cassandra_ros.topics.ros_cassandra import RosCassandra
 
-    rosCas = RosCassandra(options.host, options.port)
-    try:
-        if not make and not keyspaceExists(rosCas.cassandra, options.keyspace):
-            raise KeyspaceNotFound(
-                f"there is no keyspace {options.keyspace!r} at {options.host}:{options.port}; "
-                "--keyspace chooses another, a recording or an import makes it"
-            )
-        rosCas.connectToKeyspace(options.keyspace)
-    except BaseException:
-        rosCas.close()
-        raise
+    rosCas = RosCassandra(options.host, options.port, keyspace=options.keyspace)
+    if not make:
+        try:
+            rosCas.parts.side_tables.require_keyspace()
+        except BaseException:
+            rosCas.close()
+            raise
     return rosCas
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any, Callable, Sequence
 
 import rospy
@@ -16,6 +17,8 @@ from cassandra_ros.srv import ExecuteCQL, GetData, LookupTransform, Range
 
 NAME = "cassandra_ros"
 PARAMETERS = ("host", "port", "keyspace", "allow_writes")
+
+_log = logging.getLogger(__name__)
 
 Say = Callable[[str], None]
 
@@ -54,6 +57,9 @@ def serve(rosCas: Any, say: Say, allow_writes: bool = False) -> None:
     rospy.Service("~range", Range, services.range)
     rospy.Service("~executeCQL", ExecuteCQL, services.executeCQL)
     rospy.Service("~lookupTransform", LookupTransform, services.lookupTransform)
+    absence = rosCas.parts.side_tables.absence()
+    if absence:
+        _log.warning("%s; until then no topic is found", absence)
     say(f"services under {rospy.get_name()}")
     how = "writes are allowed" if allow_writes else "read-only"
     say(f"serving keyspace {rosCas.keyspace}, {how}")

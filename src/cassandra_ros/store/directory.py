@@ -9,6 +9,7 @@ they are estimates. Heartbeats are the server's time: robots' clocks are wrong.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Any, Iterable, NamedTuple, Sequence
 
@@ -16,6 +17,7 @@ from cassandra_ros.store.buckets import slotOf
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.names import quoteName
 from cassandra_ros.store.patience import RETRY_SEC
+from cassandra_ros.store.side_tables import SideTables
 
 STALE_SEC = 60.0
 """An open bucket whose heartbeat is older than this has no living writer."""
@@ -80,11 +82,11 @@ class Totals:
 class Directory:
     """Reads and writes cr_node and cr_bucket of one keyspace."""
 
-    def __init__(self, cassandra: Cassandra, keyspace: str, retry_sec: float = RETRY_SEC) -> None:
+    def __init__(self, cassandra: Cassandra, side_tables: SideTables) -> None:
         self._cassandra = cassandra
-        self._keyspace = keyspace
-        self._retry_sec = retry_sec
-        space = quoteName(keyspace)
+        self._side_tables = side_tables
+        self._retry_sec = RETRY_SEC
+        space = quoteName(side_tables.keyspace)
         self._nodes = (
             f"SELECT slot, node FROM {space}.cr_node WHERE tbl = ? AND slot >= ? AND slot <= ?"
         )
@@ -121,13 +123,17 @@ class Directory:
 
     def patient(self, retry_sec: float) -> Directory:
         """Return the same directory for a writer that tries for so many seconds."""
-        return Directory(self._cassandra, self._keyspace, retry_sec)
+        directory = copy(self)
+        directory._retry_sec = retry_sec
+        return directory
 
     def _run(self, cql: str, params: Sequence[Any], what: str) -> list[tuple[Any, ...]]:
         return self._cassandra.execute(cql, params, what=what, retry_sec=self._retry_sec)
 
     def nodes(self, table: str, first_slot: int, last_slot: int) -> list[tuple[int, str]]:
         """List the (slot, node) of a table in [first_slot, last_slot]."""
+        if not self._side_tables.has("cr_node"):
+            return []
         rows = self._run(
             self._nodes, (table, first_slot, last_slot), what="reading the directory of nodes"
         )
@@ -147,6 +153,8 @@ class Directory:
             nodes: Only these nodeIDs; None = all.
             ttl: Of the table's rows, seconds: buckets in which all have expired are left out.
         """
+        if not self._side_tables.has("cr_bucket"):
+            return []
         found = [
             (slot, node)
             for slot, node in self.nodes(table, slotOf(first), slotOf(last))
@@ -162,6 +170,8 @@ class Directory:
 
     def find(self, table: str, node: str, bucket: int) -> list[BucketRow]:
         """List the writers of one bucket."""
+        if not self._side_tables.has("cr_bucket"):
+            return []
         rows = self._run(
             self._buckets,
             (table, node, slotOf(bucket), bucket, bucket),

@@ -40,7 +40,7 @@ class IndexChanges:
         Raises:
             TopicNotFound: The topic is gone.
         """
-        with SchemaLock(self._cassandra, self._schema.keyspace) as lock:
+        with self._schema.lock() as lock:
             for table, metadata in self._tables(topic).items():
                 cql_type = type_of(metadata)
                 if field in metadata.indexes:
@@ -128,7 +128,7 @@ class IndexChanges:
             TopicNotFound: The topic is gone.
         """
         done = False
-        with SchemaLock(self._cassandra, self._schema.keyspace) as lock:
+        with self._schema.lock() as lock:
             for table, metadata in self._tables(topic).items():
                 # First, for a build that waits for its turn goes on without its index.
                 self._resume(table, lock)

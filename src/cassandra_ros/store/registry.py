@@ -12,6 +12,7 @@ from typing import Any, Mapping, NamedTuple
 
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.names import quoteName
+from cassandra_ros.store.side_tables import SideTables
 
 
 class ConnectionRow(NamedTuple):
@@ -49,9 +50,10 @@ class Run:
 class Registry:
     """Reads and writes connections, definitions and runs of one keyspace."""
 
-    def __init__(self, cassandra: Cassandra, keyspace: str) -> None:
+    def __init__(self, cassandra: Cassandra, side_tables: SideTables) -> None:
         self._cassandra = cassandra
-        self._space = quoteName(keyspace)
+        self._side_tables = side_tables
+        self._space = quoteName(side_tables.keyspace)
 
     def putConnection(self, table: str, conn: int, row: ConnectionRow) -> None:
         """Store a connection header and its definition; the same values at each repeat."""
@@ -73,6 +75,8 @@ class Registry:
 
     def getConnection(self, table: str, conn: int) -> ConnectionRow | None:
         """Read a connection header back; None when there is none with this number."""
+        if not self._side_tables.has("cr_connection", "cr_definition"):
+            return None
         rows = self._cassandra.execute(
             f"SELECT topic, number, header, def_offset, md5sum, def_hash "
             f"FROM {self._space}.cr_connection WHERE tbl = ? AND conn = ?",
@@ -123,6 +127,8 @@ class Registry:
 
     def runs(self) -> list[Run]:
         """List all runs of the keyspace (a scan: runs are few)."""
+        if not self._side_tables.has("cr_run"):
+            return []
         rows = self._cassandra.execute(
             "SELECT node, writer, kind, name, source, format, host, started, ended, labels, "
             f"stored, lost FROM {self._space}.cr_run",

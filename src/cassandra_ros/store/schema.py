@@ -16,6 +16,7 @@ from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.index_builds import awaitBuilds
 from cassandra_ros.store.lock import SchemaLock
 from cassandra_ros.store.names import chunkTableName, quoteName, quoteText, tableName
+from cassandra_ros.store.side_tables import SideTables
 from cassandra_ros.store.table_storage import (
     createChunkTable,
     createTable,
@@ -42,17 +43,23 @@ class Schema:
 
     Args:
         cassandra: An open connection.
-        keyspace: A keyspace that has its side tables.
+        side_tables: Those of the keyspace.
     """
 
-    def __init__(self, cassandra: Cassandra, keyspace: str) -> None:
+    def __init__(self, cassandra: Cassandra, side_tables: SideTables) -> None:
         self._cassandra = cassandra
-        self.keyspace = keyspace
+        self.keyspace = side_tables.keyspace
+        self._side_tables = side_tables
         self._tables: dict[str, TopicMetadata] | None = None
         self._read_at = 0.0
         self.seen: set[tuple[str, str]] = set()
         """(topic, format) of every table that was ever listed here."""
         self._mutex = threading.Lock()
+
+    def lock(self) -> SchemaLock:
+        """Return the lock under which the schema is changed; side tables are made before."""
+        self._side_tables.make()
+        return SchemaLock(self._cassandra, self.keyspace)
 
     def qualified(self, table: str) -> str:
         """Return the quoted name of a table with its keyspace."""
@@ -124,7 +131,7 @@ class Schema:
         name = self.find(*key)
         if name is not None:
             return name
-        with SchemaLock(self._cassandra, self.keyspace) as lock:
+        with self.lock() as lock:
             self.tables(fresh=True)
             name = self.find(*key)
             if name is not None:
@@ -208,7 +215,7 @@ class Schema:
         name = chunkTableName(table)
         if self._comments(name):
             return name
-        with SchemaLock(self._cassandra, self.keyspace) as lock:
+        with self.lock() as lock:
             if not self._comments(table):
                 raise TopicNotFound(
                     f"table {table} was removed by another client; messages of its topic need "
@@ -238,7 +245,7 @@ class Schema:
         Raises:
             TopicNotFound: The topic is gone.
         """
-        with SchemaLock(self._cassandra, self.keyspace) as lock:
+        with self.lock() as lock:
             tables = self._read()
             check(tables)
             mine = {name: m for name, m in tables.items() if m.topic == topic}
@@ -263,7 +270,7 @@ class Schema:
             topic: Its name.
             renew: Make empty tables in their place first.
         """
-        with SchemaLock(self._cassandra, self.keyspace) as lock:
+        with self.lock() as lock:
             tables = {name: m for name, m in self._read().items() if m.topic == topic}
             if renew:
                 # Made anew under other names: a writer that has not heard of it must not go on.

@@ -4,8 +4,11 @@
 
 from __future__ import annotations
 
+import difflib
 import logging
+import threading
 import uuid
+from typing import Mapping
 
 from cassandra_ros.errors import KeyspaceNotFound
 from cassandra_ros.store.connection import Cassandra
@@ -44,76 +47,129 @@ SIDE_TABLES = {
 _COMMENT = "cassandra_ros side table, schema version 1"
 
 
-def keyspaceExists(cassandra: Cassandra, keyspace: str) -> bool:
-    """Say whether the cluster has this keyspace."""
-    return bool(
-        cassandra.execute(
-            "SELECT keyspace_name FROM system_schema.keyspaces WHERE keyspace_name = ?",
-            (checkKeyspace(keyspace),),
-            what=f"looking for keyspace {keyspace}",
-        )
-    )
+class SideTables:
+    """The side tables of one keyspace, and the keyspace itself.
 
+    Who writes makes them before; to who only reads a missing table is an empty one. Thread-safe.
 
-def makeKeyspace(cassandra: Cassandra, keyspace: str) -> None:
-    """Make a keyspace and its side tables where they are missing (design: factor min(3, nodes)).
+    Args:
+        cassandra: An open connection.
+        keyspace: Its name; it need not exist.
 
-    Warns when the replication factor of an existing one is below min(3, nodes).
+    Raises:
+        InvalidName: The name is not 1 to 48 letters, digits and underscores.
     """
-    wanted = min(3, cassandra.liveNodes())
-    if not keyspaceExists(cassandra, keyspace):
-        replication = (
-            f"{{'class': 'NetworkTopologyStrategy', "
-            f"{quoteText(cassandra.localDatacenter())}: {wanted}}}"
+
+    def __init__(self, cassandra: Cassandra, keyspace: str) -> None:
+        self._cassandra = cassandra
+        self.keyspace = checkKeyspace(keyspace)
+        self._there: frozenset[str] = frozenset()
+        self._keyspace_made = self._made = False
+        self._mutex = threading.Lock()
+
+    # ---------------------------------------------------------------- for readers
+
+    def has(self, *names: str) -> bool:
+        """Say whether these tables exist; the server is asked until they do."""
+        if not self._there.issuperset(names):
+            self._there = self._list()
+        return self._there.issuperset(names)
+
+    def absence(self) -> str:
+        """Return a sentence where the keyspace is missing, with the nearest names; else ''."""
+        rows = self._cassandra.execute(
+            "SELECT keyspace_name FROM system_schema.keyspaces", what="listing the keyspaces"
         )
-        cassandra.schemaChange(
-            f"CREATE KEYSPACE IF NOT EXISTS {quoteName(keyspace)} WITH replication = {replication}",
-            what=f"making keyspace {keyspace}",
+        names = sorted(name for (name,) in rows if not name.startswith("system"))
+        if self.keyspace in names:
+            return ""
+        near = difflib.get_close_matches(self.keyspace, names, n=3, cutoff=0.5)
+        hint = f"did you mean {', '.join(near)}?" if near else "give the name of another,"
+        where = f"{','.join(self._cassandra.hosts)}:{self._cassandra.port}"
+        return (
+            f"there is no keyspace {self.keyspace!r} at {where}; {hint} or make it: by a "
+            f"recording, an import, or connectToKeyspace({self.keyspace!r})"
         )
-    _warnOfFactor(cassandra, keyspace, wanted)
-    missing = ({_LOCK, *SIDE_TABLES}) - _tables(cassandra, keyspace)
-    if _LOCK in missing:
-        _makeLockTable(cassandra, keyspace)
-    if missing - {_LOCK}:
-        with SchemaLock(cassandra, keyspace) as lock:
-            for name in sorted(set(SIDE_TABLES) - _tables(cassandra, keyspace)):
-                lock.renew()
-                cassandra.schemaChange(
-                    f"CREATE TABLE IF NOT EXISTS {quoteName(keyspace)}.{name} "
-                    f"({SIDE_TABLES[name]}) WITH comment = {quoteText(_COMMENT)}",
-                    what=f"making table {name}",
-                )
+
+    def require_keyspace(self) -> None:
+        """Check that the keyspace exists.
+
+        Raises:
+            KeyspaceNotFound: It does not; the text gives the nearest names.
+        """
+        absence = self.absence()
+        if absence:
+            raise KeyspaceNotFound(absence)
+
+    # ---------------------------------------------------------------- for writers
+
+    def make_keyspace(self) -> None:
+        """Make the keyspace where it is missing, with a replication factor of min(3, nodes).
+
+        Warns where an existing one has a lower factor.
+        """
+        if self._keyspace_made:
+            return
+        wanted = min(3, self._cassandra.liveNodes())
+        rows = self._cassandra.execute(
+            "SELECT replication FROM system_schema.keyspaces WHERE keyspace_name = ?",
+            (self.keyspace,),
+            what=f"reading the replication of keyspace {self.keyspace}",
+        )
+        if rows:
+            _warn_of_factor(self.keyspace, rows[0][0], wanted)
+        else:
+            datacenter = quoteText(self._cassandra.localDatacenter())
+            self._cassandra.schemaChange(
+                f"CREATE KEYSPACE IF NOT EXISTS {quoteName(self.keyspace)} WITH replication = "
+                f"{{'class': 'NetworkTopologyStrategy', {datacenter}: {wanted}}}",
+                what=f"making keyspace {self.keyspace}",
+            )
+        self._keyspace_made = True
+
+    def make(self) -> None:
+        """Make the keyspace and the tables where they are missing; before the first write."""
+        with self._mutex:
+            if self._made:
+                return
+            self.make_keyspace()
+            there = self._list()
+            if _LOCK not in there:
+                self._make_lock_table()
+            if not there.issuperset(SIDE_TABLES):
+                with SchemaLock(self._cassandra, self.keyspace) as lock:
+                    for name in sorted(set(SIDE_TABLES) - self._list()):
+                        lock.renew()
+                        self._cassandra.schemaChange(
+                            f"CREATE TABLE IF NOT EXISTS {quoteName(self.keyspace)}.{name} "
+                            f"({SIDE_TABLES[name]}) WITH comment = {quoteText(_COMMENT)}",
+                            what=f"making table {name}",
+                        )
+            self._made = True
+
+    def _make_lock_table(self) -> None:
+        # The lock cannot guard its own making. A fixed id lets racing clients make the same table,
+        # and its columns never change; it is never dropped while the keyspace stands.
+        table_id = uuid.uuid5(uuid.NAMESPACE_URL, f"cassandra_ros/{self.keyspace}/{_LOCK}")
+        self._cassandra.schemaChange(
+            f"CREATE TABLE IF NOT EXISTS {quoteName(self.keyspace)}.{_LOCK} ({_LOCK_COLUMNS}) "
+            f"WITH id = {table_id} AND gc_grace_seconds = 3600",
+            what=f"making table {_LOCK}",
+        )
+
+    def _list(self) -> frozenset[str]:
+        # Whoever asks for a table is about to use the keyspace.
+        self._cassandra.useKeyspace(self.keyspace)
+        rows = self._cassandra.execute(
+            "SELECT table_name FROM system_schema.tables WHERE keyspace_name = ?",
+            (self.keyspace,),
+            what=f"listing the tables of keyspace {self.keyspace}",
+        )
+        return frozenset(name for (name,) in rows)
 
 
-def _makeLockTable(cassandra: Cassandra, keyspace: str) -> None:
-    # The lock cannot guard its own making. A fixed id lets racing clients make the same table,
-    # and its columns never change; it is never dropped while the keyspace stands.
-    table_id = uuid.uuid5(uuid.NAMESPACE_URL, f"cassandra_ros/{keyspace}/{_LOCK}")
-    cassandra.schemaChange(
-        f"CREATE TABLE IF NOT EXISTS {quoteName(keyspace)}.{_LOCK} ({_LOCK_COLUMNS}) "
-        f"WITH id = {table_id} AND gc_grace_seconds = 3600",
-        what=f"making table {_LOCK}",
-    )
-
-
-def _tables(cassandra: Cassandra, keyspace: str) -> set[str]:
-    rows = cassandra.execute(
-        "SELECT table_name FROM system_schema.tables WHERE keyspace_name = ?",
-        (keyspace,),
-        what=f"listing the tables of keyspace {keyspace}",
-    )
-    return {row[0] for row in rows}
-
-
-def _warnOfFactor(cassandra: Cassandra, keyspace: str, wanted: int) -> None:
-    rows = cassandra.execute(
-        "SELECT replication FROM system_schema.keyspaces WHERE keyspace_name = ?",
-        (keyspace,),
-        what=f"reading the replication of keyspace {keyspace}",
-    )
-    if not rows:
-        raise KeyspaceNotFound(f"keyspace {keyspace} is gone; connectToKeyspace makes it anew")
-    factors = [int(v) for k, v in rows[0][0].items() if k != "class" and str(v).isdigit()]
+def _warn_of_factor(keyspace: str, replication: Mapping[str, str], wanted: int) -> None:
+    factors = [int(v) for k, v in replication.items() if k != "class" and str(v).isdigit()]
     if factors and min(factors) < wanted:
         _log.warning(
             "keyspace %s keeps %d copies of each row where this cluster could keep %d; "

@@ -101,6 +101,8 @@ class Catalog:
         names = self.names()
         near = difflib.get_close_matches(str(topic), names, n=3, cutoff=0.5)
         hint = f"did you mean {', '.join(near)}?" if near else f"it holds {len(names)} topics"
+        if not names:
+            hint = self._keyspace.side_tables.absence() or hint
         raise TopicNotFound(
             f"topic {topic!r} is not stored in keyspace {self._keyspace.name}; {hint}"
         )

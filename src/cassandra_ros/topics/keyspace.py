@@ -18,10 +18,9 @@ from cassandra_ros.store.buckets import SECOND_NS, limitForTtl
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import Directory
 from cassandra_ros.store.index_changes import IndexChanges
-from cassandra_ros.store.names import checkKeyspace
 from cassandra_ros.store.registry import Registry
 from cassandra_ros.store.schema import Planned, Schema
-from cassandra_ros.store.side_tables import makeKeyspace
+from cassandra_ros.store.side_tables import SideTables
 from cassandra_ros.topics.connections import Connections
 from cassandra_ros.topics.index_names import IndexNames
 from cassandra_ros.topics.reading import Rows
@@ -33,11 +32,12 @@ _log = logging.getLogger(__name__)
 
 
 class Keyspace:
-    """One keyspace of a cluster, made with its side tables when missing.
+    """One keyspace of a cluster; it and its side tables are made by what first writes.
 
     Attributes:
         cassandra: The connection.
         name: The keyspace's name.
+        side_tables: Makes it and the tables beside those of topics.
         schema: Its topic tables, from their comments.
         indexes: Adds and drops their indexes.
         directory: Which buckets they have.
@@ -54,14 +54,13 @@ class Keyspace:
     """
 
     def __init__(self, cassandra: Cassandra, name: str) -> None:
-        makeKeyspace(cassandra, checkKeyspace(name))
-        cassandra.useKeyspace(name)
         self.cassandra = cassandra
         self.name = name
-        self.schema = Schema(cassandra, name)
+        self.side_tables = SideTables(cassandra, name)
+        self.schema = Schema(cassandra, self.side_tables)
         self.indexes = IndexChanges(cassandra, self.schema)
-        self.directory = Directory(cassandra, name)
-        self.registry = Registry(cassandra, name)
+        self.directory = Directory(cassandra, self.side_tables)
+        self.registry = Registry(cassandra, self.side_tables)
         self.connections = Connections(self.registry)
         self.tables = TopicTables(cassandra, self.schema)
         self.rows = Rows(cassandra, self.directory, self.connections)

@@ -40,25 +40,35 @@ class KeyspaceConnection:
         self._catalog: Optional[Catalog] = None
         if keyspace is not None:
             try:
-                self.connectToKeyspace(keyspace)
+                self._work_in(Keyspace(self.cassandra, keyspace))
             except BaseException:
                 self.cassandra.close()
                 raise
 
     # ---------------------------------------------------------------- keyspace
 
-    def connectToKeyspace(self, keyspace: str) -> None:
-        """Work in this keyspace from now on; it is made when missing.
+    def connectToKeyspace(self, keyspace: str, make: bool = True) -> None:
+        """Work in this keyspace from now on.
 
-        Topics that were got before stay in theirs until the next call or close.
+        Tables are made in it by what first writes, never by reading. Topics that were got before
+        stay in theirs until the next call or close.
 
         Args:
             keyspace: 1 to 48 letters, digits and underscores; case matters.
+            make: Make it where it is missing, with a replication factor of min(3, nodes).
 
         Raises:
             InvalidName: It is not a keyspace name.
+            KeyspaceNotFound: It is missing and make is false; the text gives the nearest names.
         """
         parts = Keyspace(self.cassandra, keyspace)
+        if make:
+            parts.side_tables.make_keyspace()
+        else:
+            parts.side_tables.require_keyspace()
+        self._work_in(parts)
+
+    def _work_in(self, parts: Keyspace) -> None:
         if self._adder is not None:
             self._adder.close()
         self._parts = parts

@@ -83,6 +83,7 @@ class MessageWriter:
         on_loss: Optional[LossCallback] = None,
     ) -> None:
         formatClass(format)
+        keyspace.side_tables.make()
         self.writer_id = writer_id
         self._keyspace = keyspace
         self._rows = rows

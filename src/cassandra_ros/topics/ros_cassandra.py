@@ -27,7 +27,7 @@ class RosCassandra(AcrossTopics):
     Args:
         host: One address, or several divided by commas.
         port: CQL port.
-        keyspace: Connected at once when given.
+        keyspace: Connected at once when given; one that is missing is made by what first writes.
         clock: Returns the time for messages without a key; default rospy's where a node runs
             in this process, else wall clock.
         consistency: Name of a Cassandra consistency level.
