@@ -3,7 +3,7 @@
 """The one tree of errors of the package.
 
 * CassandraRosError
-  - ConnectionFailed     no server answers, or it refuses us
+  - ConnectionFailed     no server answers, or it refuses us, or the connection is closed
   - StoreUnavailable     a connected server stopped answering
   - WriteFailed          rows could not be stored (names the topic and how many)
   - KeyspaceNotFound
@@ -46,7 +46,7 @@ class CassandraRosError(Exception):
 
 
 class ConnectionFailed(CassandraRosError):
-    """No Cassandra answers at the given address, or it refuses the connection."""
+    """No Cassandra answers at the given address, it refuses the connection, or that is closed."""
 
 
 class StoreUnavailable(CassandraRosError):

@@ -133,8 +133,21 @@ class Cassandra:
 
     # ---------------------------------------------------------------- statements
 
+    def require_open(self) -> None:
+        """Check that nobody has closed the connection; the driver takes that for a passing failure.
+
+        Raises:
+            ConnectionFailed: Somebody has.
+        """
+        if self._closed:
+            raise ConnectionFailed(
+                f"the connection to Cassandra at {','.join(self.hosts)} port {self.port} is "
+                "closed; make another RosCassandra"
+            )
+
     def prepare(self, cql: str) -> PreparedStatement:
         """Prepare a statement, once for each text."""
+        self.require_open()
         statement = self._prepared.get(cql)
         if statement is None:
             with self._prepare_lock:
@@ -249,6 +262,7 @@ class Cassandra:
         Raises:
             StoreUnavailable: The nodes do not agree within 30 s.
         """
+        self.require_open()
         with translated(what):
             result = self._session.execute(SimpleStatement(cql), timeout=60.0)
             deadline = time.monotonic() + 30.0
@@ -260,6 +274,7 @@ class Cassandra:
 
     def useKeyspace(self, keyspace: str) -> None:
         """Learn how a keyspace is replicated: rows then go straight to a node that has them."""
+        self.require_open()
         with translated(f"reading the replication of keyspace {keyspace}"):
             self._cluster.refresh_keyspace_metadata(keyspace)
 
@@ -267,6 +282,7 @@ class Cassandra:
 
     def sendRaw(self, statement: Any, timeout_sec: float = REQUEST_TIMEOUT_SEC) -> ResponseFuture:
         """Send a bound or batch statement; the rows of its answer are undecoded bytes."""
+        self.require_open()
         return self._raw_session.execute_async(statement, timeout=timeout_sec)
 
     def liveNodes(self) -> int:

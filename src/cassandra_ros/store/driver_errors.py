@@ -101,9 +101,11 @@ def translate(exc: BaseException, what: str) -> CassandraRosError:
     """Make one of our errors out of one of the driver's.
 
     Args:
-        exc: What the driver raised.
+        exc: What the driver raised; one of ours stays as it is.
         what: What was being done, for the start of the sentence.
     """
+    if isinstance(exc, CassandraRosError):
+        return exc
     if isinstance(exc, (Unauthorized, AuthenticationFailed)):
         return ConnectionFailed(f"{what}: the server refuses this user: {exc}")
     if isinstance(exc, NoHostAvailable):

@@ -10,6 +10,7 @@ import threading
 import time
 from typing import Any, Callable
 
+from cassandra_ros.errors import ConnectionFailed
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isBusy, isPassing
 from cassandra_ros.store.patience import BUSY_PAUSE_SEC, FIRST_PAUSE_SEC, LAST_PAUSE_SEC
 
@@ -98,7 +99,7 @@ class Flight:
     def _launch(self, request: _Request) -> None:
         try:
             future = self._send(request.statement)
-        except DRIVER_ERRORS as exc:
+        except (*DRIVER_ERRORS, ConnectionFailed) as exc:
             self._failed(exc, request)
             return
         future.add_callbacks(

@@ -71,6 +71,7 @@ class Schema:
         Args:
             fresh: Ask the server even where the answer was read within the last 2 s.
         """
+        self._cassandra.require_open()
         with self._mutex:
             now = time.monotonic()
             if self._tables is None or fresh or now - self._read_at > CACHE_SEC:

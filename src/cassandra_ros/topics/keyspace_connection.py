@@ -83,11 +83,17 @@ class KeyspaceConnection:
     @property
     def parts(self) -> Keyspace:
         """The connected keyspace: schema, directory, registry, rows."""
-        return _connected(self._parts)
+        return self._connected(self._parts)
 
     @property
     def _topics(self) -> Catalog:
-        return _connected(self._catalog)
+        return self._connected(self._catalog)
+
+    def _connected(self, part: Optional[_Part]) -> _Part:
+        self.cassandra.require_open()
+        if part is None:
+            raise KeyspaceNotFound("no keyspace is connected: call connectToKeyspace('ros') first")
+        return part
 
     def close(self) -> None:
         """Store what is on its way and close the connection. Twice is harmless."""
@@ -102,9 +108,3 @@ class KeyspaceConnection:
 
     def __exit__(self, *exc_info: object) -> None:
         self.close()
-
-
-def _connected(part: Optional[_Part]) -> _Part:
-    if part is None:
-        raise KeyspaceNotFound("no keyspace is connected: call connectToKeyspace('ros') first")
-    return part

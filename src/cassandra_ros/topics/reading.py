@@ -182,6 +182,7 @@ class Rows:
         return self._stored(row, next(table for table in tables if table.name == row.table))
 
     def _stored(self, row: TableRow, table: TopicTable) -> StoredRow:
+        self._cassandra.require_open()  # also an iterator says at once that it cannot go on
         return StoredRow(row, table, self.wire, self._connections.get)
 
     def wire(self, table: TopicTable, row: TableRow) -> bytes:

@@ -1,0 +1,89 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The connection to the cluster: addresses that are none, and its end."""
+
+from __future__ import annotations
+
+import pytest
+from std_msgs.msg import String
+
+from cassandra_ros.errors import ConnectionFailed, WriteFailed
+from cassandra_ros.messages.connection import apiConnection
+from cassandra_ros.messages.definition import definitionOf
+
+SEC = 10**9
+
+
+@pytest.fixture
+def stored(connect, keyspace):
+    """A RosCassandra with a topic of ten messages; closed by the test."""
+    store = connect(keyspace=keyspace)
+    topic = store.addTopic("/a")
+    for n in range(10):
+        topic.addData(String(str(n)), key=n * SEC)
+    return store, topic
+
+
+def test_a_closed_connection_says_so_at_once(stored, caplog):
+    store, topic = stored
+    begun = [
+        iter(topic.items()),
+        topic.rows(),
+        store.readMessages(),
+        store.iterCQL("select * from a"),
+    ]
+    for one in begun:
+        next(one)
+    row = next(topic.rows())
+    writer = store.messageWriter()
+    store.close()
+    uses = [
+        lambda: store.getAllTopics(),
+        lambda: store.getTopic("/a"),
+        lambda: store.existTopic("/a"),
+        lambda: store.addTopic("/b"),
+        lambda: store.info(),
+        lambda: store.runs(),
+        lambda: store.executeCQL("select data from a"),
+        lambda: store.connectToKeyspace(store.keyspace),
+        lambda: store.connectToKeyspace(store.keyspace, make=False),
+        lambda: store.messageWriter(),
+        lambda: writer.connect(apiConnection("/a", definitionOf(String), "")),
+        lambda: topic.getMeta["type"],
+        lambda: topic.getData(0),
+        lambda: topic.getData(0, nearest="before"),
+        lambda: topic.addData(String("x")),
+        lambda: topic.countTopicData(),
+        lambda: topic.removeData(0),
+        lambda: topic.createIndex("data"),
+        lambda: topic.setMeta(site="lab"),
+        lambda: list(topic.items()),
+        lambda: store.cassandra.execute("SELECT * FROM system.local"),
+        lambda: store.cassandra.schemaChange("DROP TABLE none.none", what="a test"),
+        *(lambda one=one: next(one) for one in begun),
+    ]
+    for use in uses:
+        with pytest.raises(ConnectionFailed, match="is closed; make another RosCassandra"):
+            use()
+    assert row.message().data == "0"  # it is here
+    writer.close()
+    store.close()
+    assert not [r for r in caplog.records if "trying again" in r.getMessage()]
+
+
+def test_what_a_writer_has_not_sent_when_the_connection_is_closed_is_lost(connect, keyspace):
+    lost = []
+    store = connect(keyspace=keyspace)
+    connection = apiConnection("/a", definitionOf(String), "")
+    loud = store.messageWriter(linger_sec=3600)
+    quiet = store.messageWriter(linger_sec=3600, on_loss=lambda *what: lost.append(what[:2]))
+    for writer in (loud, quiet):
+        handle = writer.connect(connection)
+        for n in range(3):
+            writer.write(handle, n, n, b"\1\0\0\0a")
+    store.close()
+    with pytest.raises(WriteFailed, match="3 messages of topic /a .* is closed"):
+        loud.close()
+    quiet.close()
+    assert lost == [("/a", 3)]
+    assert [part.lost for part in quiet.stats().values()] == [3]
