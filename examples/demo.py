@@ -89,6 +89,7 @@ class Demo:
         self.note("Cassandra ready after", f"{time.monotonic() - start:.1f} s")
         master = _portOr(11311)
         self.env.update(
+            CASSANDRA_ROS_HOST="127.0.0.1",
             CASSANDRA_ROS_PORT=str(port),
             CASSANDRA_ROS_KEYSPACE=LIVE,
             ROS_MASTER_URI=f"http://127.0.0.1:{master}",

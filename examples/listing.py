@@ -6,19 +6,27 @@
 from __future__ import annotations
 
 import argparse
+import os
 
 from cassandra_ros import RosCassandra
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--host", default="127.0.0.1")
-    parser.add_argument("--port", type=int, default=9042)
-    parser.add_argument("--keyspace", default="ros")
+    parser.add_argument("--host", help="default: CASSANDRA_ROS_HOST, or 127.0.0.1")
+    parser.add_argument("--port", type=int, help="default: CASSANDRA_ROS_PORT, or 9042")
+    parser.add_argument(
+        "--keyspace",
+        default=os.environ.get("CASSANDRA_ROS_KEYSPACE") or "ros",
+        help="what was recorded, only read (%(default)s)",
+    )
+    parser.add_argument(
+        "--notes", default="listing", help="keyspace that a note is written into (%(default)s)"
+    )
     args = parser.parse_args()
 
     rosCas = RosCassandra(args.host, args.port)
-    rosCas.connectToKeyspace(args.keyspace)
+    rosCas.connectToKeyspace(args.keyspace, make=False)
 
     # Which topics come from a GPS receiver, and which robot recorded them?
     for topic in rosCas.getAllTopics():
@@ -51,7 +59,8 @@ def main() -> None:
     travels = [encoder.travel for encoder in encoders.encoders]
     print(f"{type(encoders)._type} at {key}: travel {travels}")
 
-    # A message added by hand, found again by its exact key.
+    # A message added by hand, beside what was recorded, found again by its exact key.
+    rosCas.connectToKeyspace(args.notes)
     rosCas.addTopic("/operator/notes", format="ros")
     notes = rosCas.getTopic("/operator/notes")
     from std_msgs.msg import String

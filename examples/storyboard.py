@@ -130,9 +130,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--host", default="127.0.0.1")
-    parser.add_argument("--port", type=int, default=9042)
-    parser.add_argument("--keyspace", default="storyboard")
+    parser.add_argument("--host", help="default: CASSANDRA_ROS_HOST, or 127.0.0.1")
+    parser.add_argument("--port", type=int, help="default: CASSANDRA_ROS_PORT, or 9042")
+    parser.add_argument("--keyspace", default="storyboard", help="default: %(default)s")
     parser.add_argument("--replay", action="store_true", help="publish the messages again")
     args = parser.parse_args()
 
@@ -153,7 +153,7 @@ def main() -> None:
         if args.replay:
             replay(rosCas, topics, t1, t2)
         else:
-            store = f"--port {args.port} --keyspace {args.keyspace}"
+            store = f"--port {rosCas.cassandra.port} --keyspace {args.keyspace}"
             window = f"--start {t1 - 5} --end {t2 + 5} --topics {' '.join(topics)}"
             print("replay:   examples/storyboard.py --replay, or")
             print(f"          rosrun cassandra_ros cassandra_bag export seen.bag {store} \\")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 
 import matplotlib
 
@@ -20,13 +21,18 @@ METRES_PER_DEGREE = 111_320.0
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--host", default="127.0.0.1")
-    parser.add_argument("--port", type=int, default=9042)
-    parser.add_argument("--keyspace", default="ros")
+    parser.add_argument("--host", help="default: CASSANDRA_ROS_HOST, or 127.0.0.1")
+    parser.add_argument("--port", type=int, help="default: CASSANDRA_ROS_PORT, or 9042")
+    parser.add_argument(
+        "--keyspace",
+        default=os.environ.get("CASSANDRA_ROS_KEYSPACE") or "ros",
+        help="what was recorded, only read (%(default)s)",
+    )
     parser.add_argument("--out", default="track.png", help="the picture (%(default)s)")
     args = parser.parse_args()
 
-    with RosCassandra(args.host, args.port, keyspace=args.keyspace) as rosCas:
+    with RosCassandra(args.host, args.port) as rosCas:
+        rosCas.connectToKeyspace(args.keyspace, make=False)
         wheels = rosCas.executeCQL(
             "select KEY, pose.pose.position.x, pose.pose.position.y from /encoder"
         )

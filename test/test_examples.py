@@ -9,10 +9,14 @@ import re
 import subprocess
 import sys
 
+import pytest
 import rosbag
 from conftest import ROOT
 from nodes.children import Child, start_recorder
 
+from cassandra_ros.bag.importer import importBag
+
+HUSKY = ROOT / "examples/data/husky_gps_data.bag"
 TURTLES = ROOT / "examples/data/turtlesim_tf.bag"
 SENSORS = ["/turtle1/cmd_vel", "/turtle1/color_sensor", "/turtle1/pose"]
 
@@ -65,6 +69,44 @@ def test_results_under_names(cassandra, keyspace, ros_env):
         assert "50 points" in done.stdout
         assert done.stdout.count("('to the door', 5.0)") == run
         assert not done.stderr
+
+
+def test_the_listing_reads_what_the_environment_names(cassandra, keyspaces, connect, ros_env):
+    topics = ["/fix", "/tf", "/imu/time_reference", "/husky/data/encoders"]
+    with keyspaces.lend() as recorded, keyspaces.lend() as notes:
+        with connect(keyspace=recorded) as rosCas:
+            with rosbag.Bag(str(HUSKY)) as bag:
+                topics = [topic for topic in topics if topic in bag.get_type_and_topic_info()[1]]
+            importBag(rosCas, HUSKY, topics=topics)
+            before = {topic.name: topic.countTopicData() for topic in rosCas.getAllTopics()}
+        env = {
+            **ros_env,
+            "CASSANDRA_ROS_HOST": cassandra.host,
+            "CASSANDRA_ROS_PORT": str(cassandra.port),
+            "CASSANDRA_ROS_KEYSPACE": recorded,
+        }
+        done = subprocess.run(
+            [sys.executable, str(ROOT / "examples/listing.py"), "--notes", notes],
+            env=env, capture_output=True, text=True, timeout=120,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        assert "'left turn at the gate'" in done.stdout
+        with connect(keyspace=recorded) as rosCas:
+            after = {topic.name: topic.countTopicData() for topic in rosCas.getAllTopics()}
+            assert after == before
+            rosCas.connectToKeyspace(notes)
+            assert [topic.name for topic in rosCas.getAllTopics()] == ["/operator/notes"]
+
+
+@pytest.mark.parametrize("name", ["named_results", "storyboard"])
+def test_what_writes_does_so_into_a_keyspace_of_its_own(ros_env, name):
+    done = subprocess.run(
+        [sys.executable, str(ROOT / f"examples/{name}.py"), "--help"],
+        env={**ros_env, "CASSANDRA_ROS_KEYSPACE": "precious"},
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert f"default: {name}" in done.stdout
+    assert "precious" not in done.stdout
 
 
 def test_the_storyboard_finds_what_the_bag_holds(cassandra, keyspace, ros_env):

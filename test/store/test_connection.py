@@ -7,11 +7,49 @@ from __future__ import annotations
 import pytest
 from std_msgs.msg import String
 
-from cassandra_ros.errors import ConnectionFailed, WriteFailed
+from cassandra_ros import Cassandra, RosCassandra
+from cassandra_ros.errors import ConnectionFailed, InvalidOption, WriteFailed
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
 
 SEC = 10**9
+
+
+@pytest.fixture
+def environment(monkeypatch):
+    """Sets CASSANDRA_ROS_HOST, _PORT and _KEYSPACE."""
+
+    def set_these(host="", port="", keyspace=""):
+        for name, value in (("HOST", host), ("PORT", port), ("KEYSPACE", keyspace)):
+            monkeypatch.setenv(f"CASSANDRA_ROS_{name}", str(value))
+
+    return set_these
+
+
+def test_the_environment_says_where_the_store_is(environment, cassandra, keyspace):
+    environment(cassandra.host, cassandra.port, keyspace)
+    with RosCassandra() as store:
+        store.addTopic("/a").addData(String("x"), key=1)
+        assert store.keyspace == keyspace
+    with Cassandra() as bare:
+        assert bare.port == cassandra.port
+    environment("127.0.0.1", 1, "nothing")
+    with RosCassandra(cassandra.host, cassandra.port, keyspace=keyspace) as store:
+        assert store.getTopic("/a").getData(1).data == "x"
+    with pytest.raises(ConnectionFailed, match="127.0.0.1 port 1 "):
+        RosCassandra()
+    environment(cassandra.host, cassandra.port)
+    with RosCassandra() as store:
+        assert store.keyspace is None
+
+
+@pytest.mark.parametrize("port", ["x", "0", "65536", "1.5", "-1", "9" * 30, "٣"])
+def test_ports_that_are_none(environment, port):
+    environment(port=port)
+    with pytest.raises(InvalidOption, match=r"\(CASSANDRA_ROS_PORT\) is not a port"):
+        RosCassandra()
+    with pytest.raises(InvalidOption, match="is not a port"):
+        RosCassandra("127.0.0.1", port)
 
 
 @pytest.fixture

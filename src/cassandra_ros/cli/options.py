@@ -5,16 +5,20 @@
 from __future__ import annotations
 
 import argparse
-import os
 import re
 from typing import TYPE_CHECKING, Sequence
 
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.store.address import (
+    DEFAULT_HOST,
+    DEFAULT_KEYSPACE,
+    DEFAULT_PORT,
+    from_environment,
+    port_number,
+)
+
 if TYPE_CHECKING:
     from cassandra_ros.topics.ros_cassandra import RosCassandra
-
-DEFAULT_HOST = "127.0.0.1"
-DEFAULT_PORT = 9042
-DEFAULT_KEYSPACE = "ros"
 
 _REMAPPING = re.compile(r"[A-Za-z0-9_~/]*:=")
 
@@ -27,29 +31,30 @@ def add_store_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--host",
         metavar="HOST[,HOST]",
-        default=os.environ.get("CASSANDRA_ROS_HOST") or DEFAULT_HOST,
+        default=from_environment("HOST") or DEFAULT_HOST,
         help="one or more nodes of the cluster (default: %(default)s)",
     )
     group.add_argument(
         "--port",
-        type=port_number,
+        type=read_port,
         # A text, so that a wrong one in the environment is reported like a wrong option.
-        default=os.environ.get("CASSANDRA_ROS_PORT") or str(DEFAULT_PORT),
+        default=from_environment("PORT") or str(DEFAULT_PORT),
         help="port for CQL (default: %(default)s)",
     )
     group.add_argument(
         "--keyspace",
         metavar="NAME",
-        default=os.environ.get("CASSANDRA_ROS_KEYSPACE") or DEFAULT_KEYSPACE,
+        default=from_environment("KEYSPACE") or DEFAULT_KEYSPACE,
         help="the keyspace that holds the topics (default: %(default)s)",
     )
 
 
-def port_number(text: str) -> int:
+def read_port(text: str) -> int:
     """Read a TCP port, for argparse."""
-    if not (text.isascii() and text.isdigit() and 0 < int(text) < 65536):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a port: a number from 1 to 65535")
-    return int(text)
+    try:
+        return port_number(text)
+    except InvalidOption as exc:
+        raise argparse.ArgumentTypeError(str(exc)) from exc
 
 
 def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:

@@ -16,7 +16,7 @@ from typing import Any, Callable, Sequence
 from cassandra_ros.cli.options import (
     add_store_options,
     open_store,
-    port_number,
+    read_port,
     strip_remappings,
 )
 
@@ -48,7 +48,7 @@ def truth(text: str) -> bool:
     return known[text.lower()]
 
 
-_READERS: dict[str, Callable[[str], Any]] = {"port": port_number, "allow_writes": truth}
+_READERS: dict[str, Callable[[str], Any]] = {"port": read_port, "allow_writes": truth}
 """How the text of a parameter is read that is not meant as text."""
 
 

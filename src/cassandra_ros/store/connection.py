@@ -27,6 +27,7 @@ from cassandra.policies import (
 from cassandra.query import PreparedStatement, SimpleStatement, tuple_factory
 
 from cassandra_ros.errors import ConnectionFailed
+from cassandra_ros.store.address import host_names, port_number
 from cassandra_ros.store.driver_errors import (
     DRIVER_ERRORS,
     START_HINT,
@@ -50,8 +51,9 @@ class Cassandra:
     """A connection to a Cassandra cluster. Safe to share between threads.
 
     Args:
-        host: One address, several divided by commas, or a sequence of them.
-        port: CQL port.
+        host: One address, several divided by commas, or a sequence of them; None =
+            CASSANDRA_ROS_HOST of the environment, else 127.0.0.1.
+        port: CQL port, 1 to 65535; None = CASSANDRA_ROS_PORT, else 9042.
         consistency: Name of a consistency level, e.g. 'LOCAL_QUORUM', 'ONE'.
         username: User name where the cluster asks for a login.
         password: Its password.
@@ -59,21 +61,22 @@ class Cassandra:
 
     Raises:
         ConnectionFailed: Nobody answers there, or refuses us.
+        InvalidOption: The port cannot be one.
     """
 
     def __init__(
         self,
-        host: str | Sequence[str] = "127.0.0.1",
-        port: int = 9042,
+        host: str | Sequence[str] | None = None,
+        port: int | None = None,
         *,
         consistency: str = "LOCAL_QUORUM",
         username: str | None = None,
         password: str | None = None,
         ssl_context: Any = None,
     ) -> None:
-        hosts = host.split(",") if isinstance(host, str) else list(host)
-        self.hosts = [h.strip() for h in hosts if h.strip()]
-        self.port = int(port)
+        self.hosts = host_names(host)
+        self.port = port_number(port)
+        self._where = f"{','.join(self.hosts)} port {self.port}"
         self.consistency = _consistencyLevel(consistency)
         self._prepared: dict[str, PreparedStatement] = {}
         self._prepare_lock = threading.Lock()
@@ -112,7 +115,6 @@ class Cassandra:
         )
 
     def _connect(self) -> tuple[Any, Any]:
-        where = f"{','.join(self.hosts)} port {self.port}"
         try:
             session = self._cluster.connect()
             raw_session = self._cluster.connect()
@@ -120,11 +122,11 @@ class Cassandra:
             self._cluster.shutdown()
             causes = "; ".join(sorted({str(error) for error in exc.errors.values()}))
             raise ConnectionFailed(
-                f"no Cassandra answers at {where} ({causes or 'no address'}); {START_HINT}"
+                f"no Cassandra answers at {self._where} ({causes or 'no address'}); {START_HINT}"
             ) from exc
         except (*DRIVER_ERRORS, OSError) as exc:
             self._cluster.shutdown()
-            raise ConnectionFailed(f"cannot connect to Cassandra at {where}: {exc}") from exc
+            raise ConnectionFailed(f"cannot connect to Cassandra at {self._where}: {exc}") from exc
         for each in (session, raw_session):
             # Robots' clocks are wrong, and a fast one would hide later rows.
             each.use_client_timestamp = False
@@ -141,8 +143,7 @@ class Cassandra:
         """
         if self._closed:
             raise ConnectionFailed(
-                f"the connection to Cassandra at {','.join(self.hosts)} port {self.port} is "
-                "closed; make another RosCassandra"
+                f"the connection to Cassandra at {self._where} is closed; make another RosCassandra"
             )
 
     def prepare(self, cql: str) -> PreparedStatement:

@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import Any, Optional, TypeVar
 
 from cassandra_ros.errors import KeyspaceNotFound
+from cassandra_ros.store.address import from_environment
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.catalog import Catalog
@@ -22,8 +23,8 @@ class KeyspaceConnection:
 
     def __init__(
         self,
-        host: str = "127.0.0.1",
-        port: int = 9042,
+        host: Optional[str] = None,
+        port: Optional[int] = None,
         *,
         keyspace: Optional[str] = None,
         clock: Optional[Clock] = None,
@@ -38,6 +39,7 @@ class KeyspaceConnection:
         self._parts: Optional[Keyspace] = None
         self._adder: Optional[Adder] = None
         self._catalog: Optional[Catalog] = None
+        keyspace = from_environment("KEYSPACE") or None if keyspace is None else keyspace
         if keyspace is not None:
             try:
                 self._work_in(Keyspace(self.cassandra, keyspace))

@@ -25,9 +25,11 @@ class RosCassandra(AcrossTopics):
     """Keeps ROS topics in a Cassandra cluster. Safe to share between threads.
 
     Args:
-        host: One address, or several divided by commas.
-        port: CQL port.
-        keyspace: Connected at once when given; one that is missing is made by what first writes.
+        host: One address, or several divided by commas; None = CASSANDRA_ROS_HOST of the
+            environment, else 127.0.0.1.
+        port: CQL port, 1 to 65535; None = CASSANDRA_ROS_PORT, else 9042.
+        keyspace: Connected at once when given, or named by CASSANDRA_ROS_KEYSPACE; one
+            that is missing is made by what first writes.
         clock: Returns the time for messages without a key; default rospy's where a node runs
             in this process, else wall clock.
         consistency: Name of a Cassandra consistency level.
@@ -35,6 +37,7 @@ class RosCassandra(AcrossTopics):
 
     Raises:
         ConnectionFailed: Nobody answers there; the text says how to start a server.
+        InvalidOption: The port cannot be one.
     """
 
     # ---------------------------------------------------------------- topics
