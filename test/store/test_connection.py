@@ -125,3 +125,13 @@ def test_what_a_writer_has_not_sent_when_the_connection_is_closed_is_lost(connec
     quiet.close()
     assert lost == [("/a", 3)]
     assert [part.lost for part in quiet.stats().values()] == [3]
+
+
+@pytest.mark.parametrize(
+    "host", ["no.such.host.invalid", "a b", "x" * 64, "a..b", "\udc80", "a\0b"]
+)
+def test_a_host_that_cannot_be_found_is_named(host):
+    with pytest.raises(ConnectionFailed, match="no host of this name") as caught:
+        RosCassandra(host, 9042)
+    for part in (repr(host), "give the address", "rosrun cassandra_ros local_cassandra start"):
+        assert part in str(caught.value)

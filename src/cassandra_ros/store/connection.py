@@ -10,7 +10,7 @@ import threading
 import time
 from typing import Any, Iterable, Sequence
 
-from cassandra import ConsistencyLevel
+from cassandra import ConsistencyLevel, UnresolvableContactPoints
 from cassandra.auth import PlainTextAuthProvider
 from cassandra.cluster import (
     EXEC_PROFILE_DEFAULT,
@@ -60,7 +60,7 @@ class Cassandra:
         ssl_context: An ``ssl.SSLContext`` where the cluster speaks TLS.
 
     Raises:
-        ConnectionFailed: Nobody answers there, or refuses us.
+        ConnectionFailed: Nobody answers there, or refuses us, or the name cannot be resolved.
         InvalidOption: The port cannot be one.
     """
 
@@ -82,7 +82,13 @@ class Cassandra:
         self._prepare_lock = threading.Lock()
         self._closed = False
         auth = PlainTextAuthProvider(username, password) if username else None
-        self._cluster = self._makeCluster(auth, ssl_context)
+        try:
+            self._cluster = self._makeCluster(auth, ssl_context)
+        except (UnresolvableContactPoints, UnicodeError) as exc:
+            raise ConnectionFailed(
+                f"no host of this name can be found: {','.join(self.hosts)!r}; check the name, "
+                f"or give the address; {START_HINT}"
+            ) from exc
         self._session, self._raw_session = self._connect()
         self._connecting_until = time.monotonic() + CONNECT_TIMEOUT_SEC
 
