@@ -21,6 +21,7 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import KeyspaceNotFound
+from cassandra_ros.local_server import free_port
 from cassandra_ros.messages.connection import liveConnection
 
 SEC = 10**9
@@ -427,6 +428,15 @@ def test_a_keyspace_that_a_recorder_makes_later(roscore, cassandra, connect, new
         store.addTopic("/a").addData(String(data="a"), key=T0)
         assert client.call("/early/getData", topic="/a", key=T0)["success"]
         assert child.end() == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_can_be_interrupted_while_there_is_no_master(roscore, number):
+    uri = ("ROS_MASTER_URI", f"http://127.0.0.1:{free_port()}")
+    with start_node(roscore, "query_server", env=[uri]) as child:
+        child.await_line("Unable to register with master node")
+        assert child.end(number) == 130
+        assert "Traceback" not in child.output
 
 
 def test_no_server(roscore):

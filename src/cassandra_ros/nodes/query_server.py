@@ -31,6 +31,7 @@ def startNode(argv: Sequence[str]) -> dict[str, str]:
 
     Raises:
         InvalidName: A node of this name lives; its services would be taken away.
+        KeyboardInterrupt: The process was told to end before a master answered.
     """
     name = wantedName(NAME, argv)
     if isTaken(fullName(name)):
@@ -38,7 +39,13 @@ def startNode(argv: Sequence[str]) -> dict[str, str]:
             f"a node {fullName(name)} runs already: stop it with rosnode kill {fullName(name)}, "
             "or give this one another name with __name:=other"
         )
-    rospy.init_node(name, argv=list(argv))
+    try:
+        rospy.init_node(name, argv=list(argv))
+    except rospy.ROSInitException as exc:
+        if not rospy.is_shutdown():
+            raise
+        # rospy took the signal while it waited for a master.
+        raise KeyboardInterrupt from exc
     forwardLogging()
     given = {name: rospy.get_param(f"~{name}", None) for name in PARAMETERS}
     return {name: str(value) for name, value in given.items() if value is not None}
