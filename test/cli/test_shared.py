@@ -8,7 +8,9 @@ import argparse
 import signal
 
 import pytest
+from conftest import ROOT
 
+from cassandra_ros.cli import query_server
 from cassandra_ros.cli.interrupt import SafeInterrupt
 from cassandra_ros.cli.options import add_store_options, strip_remappings
 from cassandra_ros.cli.progress import MessageBar
@@ -49,6 +51,12 @@ def test_what_roslaunch_adds_is_dropped():
     assert strip_remappings(words) == ["verify", "a.bag", "--map", "/a:=/c", "--x=1:=2"]
     words = ["query", "SELECT data FROM /a WHERE data = 'x:=y'", '"x:=y"', "__log:=a b"]
     assert strip_remappings(words) == words[:3]
+
+
+def test_the_query_server_tells_all_its_services():
+    help_text = query_server.make_parser().format_help()
+    for path in (ROOT / "srv").glob("*.srv"):
+        assert path.stem[0].lower() + path.stem[1:] in help_text
 
 
 def test_table():

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Answer questions about recorded topics: services getData, range and executeCQL.
+"""Answer questions about recorded topics over services.
 
-The node is called cassandra_ros. Its parameters ~host, ~port, ~keyspace and ~allow_writes count
-where the options of the same names are not given.
+They are ~getData, ~range, ~executeCQL and ~lookupTransform. The node is called cassandra_ros;
+its parameters ~host, ~port, ~keyspace and ~allow_writes count where the options of the same names
+are not given.
 """
 
 from __future__ import annotations
