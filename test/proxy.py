@@ -1,0 +1,232 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A TCP proxy before the real Cassandra that holds back or fails the requests a test names.
+
+It understands where the requests and answers of the native protocol begin and end, no more:
+whatever no test names goes through byte for byte, and only an answer that a test asks for is ours.
+"""
+
+from __future__ import annotations
+
+import io
+import socket
+import struct
+import threading
+from typing import NamedTuple
+
+from cassandra import ConsistencyLevel
+from cassandra.protocol import BatchMessage, ExecuteMessage
+from cassandra.segment import SegmentCodec
+
+EXECUTE, BATCH = ExecuteMessage.opcode, BatchMessage.opcode
+_ERROR, _STARTUP, _READY = 0x00, 0x01, 0x02
+_HEAD = struct.Struct(">BBhBi")  # version, flags, stream, opcode, length of the body
+_ONE_NODE = struct.pack(">Hii", ConsistencyLevel.LOCAL_ONE, 0, 1)  # received 0 of 1
+_CHECKSUM_BYTES = 4
+WAIT_SEC = 60
+
+
+def _text(text):
+    return struct.pack(">H", len(text)) + text.encode()
+
+
+TIMED_OUT = {
+    BATCH: struct.pack(">i", 0x1100) + _text("by the proxy") + _ONE_NODE + _text("UNLOGGED_BATCH"),
+    EXECUTE: struct.pack(">i", 0x1001) + _text("by the proxy"),
+}
+"""What a server says that is too busy: a batch may be stored all the same."""
+
+
+class Frame(NamedTuple):
+    """One request or answer."""
+
+    version: int
+    flags: int
+    stream: int
+    opcode: int
+    body: bytes
+
+    def packed(self):
+        return _HEAD.pack(*self[:4], len(self.body)) + self.body
+
+
+class Caught:
+    """The requests that a test has named, in the order in which they came.
+
+    Args:
+        wanted: Says whether a request is one of them.
+        stored: They reach the server, and the client is told of a failure behind its answer.
+        failed: The client is told of a failure; else they only come late.
+        most: So many are caught at most.
+    """
+
+    def __init__(self, wanted, *, stored=False, failed=True, most=2**31):
+        self.wanted = wanted
+        self.stored = stored
+        self.failed = failed
+        self.frames = []
+        self._most = most
+        self._came = threading.Condition()
+        self._go_on = threading.Event()
+        self._go_on.set()
+
+    def hold(self):
+        """Answer none of them until release is called."""
+        self._go_on.clear()
+        return self
+
+    def release(self):
+        self._go_on.set()
+
+    def wait(self, count=1):
+        """Return when so many have come."""
+        with self._came:
+            assert self._came.wait_for(lambda: len(self.frames) >= count, WAIT_SEC)
+
+    def takes(self, frame):
+        with self._came:
+            if len(self.frames) >= self._most or not self.wanted(frame):
+                return False
+            self.frames.append(frame)
+            self._came.notify_all()
+            return True
+
+    def wait_for_release(self):
+        self._go_on.wait()
+
+
+class Proxy:
+    """Listens on a port of its own while it is a context.
+
+    Args:
+        host, port: The real server.
+    """
+
+    def __init__(self, host, port):
+        self._server = host, port
+        self._caught = []
+        self._pairs = []
+        self._listener = socket.create_server((host, 0))
+        self.host, self.port = self._listener.getsockname()
+
+    def catch(self, wanted, **options):
+        """Catch the requests for which ``wanted(frame)`` is true; see Caught."""
+        self._caught.append(Caught(wanted, **options))
+        return self._caught[-1]
+
+    def __enter__(self):
+        threading.Thread(target=self._accept, daemon=True).start()
+        return self
+
+    def __exit__(self, *exc_info):
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        for caught in self._caught:
+            caught.release()
+        for pair in self._pairs:
+            pair.close()
+
+    def _accept(self):
+        while True:
+            try:
+                client, _ = self._listener.accept()
+            except OSError:
+                return
+            self._pairs.append(_Pair(client, socket.create_connection(self._server), self._caught))
+
+
+class _Pair:
+    """One connection of the client, and ours to the server."""
+
+    def __init__(self, client, server, caught):
+        self._sockets = {"client": client, "server": server}
+        self._caught = caught
+        self._segments = threading.Event()
+        """Behind the handshake the frames lie in segments with checksums."""
+        self._writing = {"client": threading.Lock(), "server": threading.Lock()}
+        self._failing = {}
+        for sender, take in (("client", self._request), ("server", self._answer)):
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            threading.Thread(target=self._pump, args=(sender, take), daemon=True).start()
+
+    def close(self):
+        for each in self._sockets.values():
+            try:
+                each.shutdown(socket.SHUT_RDWR)
+            except OSError:
+                pass  # it was closed by the other side
+            each.close()
+
+    def _pump(self, sender, take):
+        try:
+            with self._sockets[sender].makefile("rb") as source:
+                for frame in self._frames(source):
+                    take(frame)
+        except (OSError, EOFError, ValueError):
+            self.close()
+
+    def _frames(self, source):
+        while not self._segments.is_set():
+            head = _HEAD.unpack(_exactly(source, _HEAD.size))
+            yield Frame(*head[:4], _exactly(source, head[4]))
+            if head[3] == _STARTUP:
+                self._segments.wait(WAIT_SEC)
+        codec, waiting = SegmentCodec(), b""
+        while True:
+            begin = _exactly(source, codec.header_length_with_crc)
+            header = codec.decode_header(io.BytesIO(begin))
+            rest = io.BytesIO(_exactly(source, header.payload_length + _CHECKSUM_BYTES))
+            waiting += codec.decode(rest, header).payload
+            while len(waiting) >= _HEAD.size:
+                head = _HEAD.unpack_from(waiting)
+                end = _HEAD.size + head[4]
+                if len(waiting) < end:
+                    break
+                yield Frame(*head[:4], waiting[_HEAD.size : end])
+                waiting = waiting[end:]
+
+    def _request(self, frame):
+        caught = next((each for each in self._caught if each.takes(frame)), None)
+        if caught is None:
+            self._send("server", frame)
+        elif caught.stored:
+            self._failing[frame.stream] = frame, caught
+            self._send("server", frame)
+        else:
+            threading.Thread(target=self._late, args=(frame, caught), daemon=True).start()
+
+    def _late(self, frame, caught):
+        caught.wait_for_release()
+        if caught.failed:
+            self._fail(frame)
+        else:
+            self._send("server", frame)
+
+    def _fail(self, frame):
+        body = TIMED_OUT[frame.opcode]
+        self._send("client", Frame(frame.version | 0x80, 0, frame.stream, _ERROR, body))
+
+    def _answer(self, frame):
+        request, caught = self._failing.pop(frame.stream, (None, None))
+        if caught is not None:
+            threading.Thread(target=self._late, args=(request, caught), daemon=True).start()
+            return
+        self._send("client", frame)
+        if frame.opcode == _READY:
+            self._segments.set()
+
+    def _send(self, receiver, frame):
+        packed = frame.packed()
+        if self._segments.is_set():
+            buffer = io.BytesIO()
+            SegmentCodec().encode(buffer, packed)
+            packed = buffer.getvalue()
+        with self._writing[receiver]:
+            self._sockets[receiver].sendall(packed)
+
+
+def _exactly(source, size):
+    data = source.read(size)
+    if len(data) < size:
+        raise EOFError
+    return data
