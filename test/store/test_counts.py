@@ -1,0 +1,184 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Counts stay true whoever writes, stands still, deletes or counts at the same time."""
+
+from __future__ import annotations
+
+import pytest
+from nodes.children import await_true
+from std_msgs.msg import String
+
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection import apiConnection
+from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.store import counting, directory, writer
+
+SEC = 10**9
+T0 = 1_500_000_000 * SEC
+
+
+def wire_of(number):
+    return serialize(String(data=f"text {number}"))
+
+
+def write(target, numbers):
+    handle = target.connect(apiConnection("/a", definitionOf(String), "/x"), bucket_ns=600 * SEC)
+    for number in numbers:
+        target.write(handle, T0 + number, number, wire_of(number))
+
+
+def listed(rosCas):
+    """What the directory says of the one bucket: writer → its row."""
+    (table,) = rosCas.getTopic("/a").tables
+    rows = rosCas.parts.directory.find(table.name, "", table.bucketOf(T0))
+    return {row.writer: row for row in rows}
+
+
+def counts(rosCas):
+    """How many messages there are: by the rows themselves, and as the two counts tell."""
+    topic = rosCas.getTopic("/a")
+    return len(list(topic.rows())), topic.countTopicData(), rosCas.info(["/a"])[0].count
+
+
+def test_a_closed_bucket_of_one_writer_does_not_speak_for_the_other(rosCas):
+    """One has closed the bucket that both have written to; of the other's rows nothing is known."""
+    with rosCas.messageWriter(writer_id=1) as first:
+        write(first, range(10))
+    second = rosCas.messageWriter(writer_id=2)
+    write(second, range(100, 105))
+    second.flush()
+    assert [listed(rosCas)[number].closed for number in (1, 2)] == [True, False]
+    assert counts(rosCas) == (15, 15, 15)
+    second.close()
+    assert [(listed(rosCas)[n].closed, listed(rosCas)[n].rows) for n in (1, 2)] == [
+        (True, 10),
+        (True, 5),
+    ]
+    assert counts(rosCas) == (15, 15, 15)
+
+
+# ------------------------------------------------------------------ who stood still
+
+
+def test_who_is_taken_for_dead_comes_back_before_that():
+    assert directory.HEARTBEAT_SEC < writer.REOPEN_SEC < directory.STALE_SEC
+    assert writer.IDLE_SEC < directory.STALE_SEC
+
+
+@pytest.fixture
+def still(monkeypatch):
+    """No heartbeat, and nothing is late until a test says so."""
+    monkeypatch.setattr(writer, "HEARTBEAT_SEC", 1e9)
+    monkeypatch.setattr(writer, "REOPEN_SEC", 1e9)
+
+
+def taken_for_dead(rosCas, monkeypatch):
+    """Delete five rows of the living writer, and close its bucket as that of a dead one."""
+    with monkeypatch.context() as patched:
+        patched.setattr(counting, "STALE_SEC", -1.0)
+        assert rosCas.getTopic("/a").removeData(T0, T0 + 4) == 5
+        rosCas.info(["/a"])
+    assert listed(rosCas)[9].closed
+    assert listed(rosCas)[9].rows == 5
+
+
+def test_a_writer_that_stood_still_opens_its_bucket_again(rosCas, still, monkeypatch):
+    target = rosCas.messageWriter(writer_id=9)
+    write(target, range(10))
+    target.flush()
+    taken_for_dead(rosCas, monkeypatch)
+    monkeypatch.setattr(writer, "REOPEN_SEC", -1.0)
+    write(target, range(10, 13))
+    # Before the row is sent: nobody may count without it.
+    assert not listed(rosCas)[9].closed
+    target.flush()
+    assert counts(rosCas) == (8, 8, 8)
+    target.close()
+    assert (listed(rosCas)[9].closed, listed(rosCas)[9].rows) == (True, 8)
+    assert counts(rosCas) == (8, 8, 8)
+
+
+def test_rows_that_waited_while_the_writer_stood_still_open_it_again(rosCas, still, monkeypatch):
+    target = rosCas.messageWriter(writer_id=9)
+    write(target, range(10))
+    target.flush()
+    monkeypatch.setattr(target._rows, "_linger_sec", 1e9)
+    write(target, range(10, 13))
+    taken_for_dead(rosCas, monkeypatch)
+    monkeypatch.setattr(writer, "REOPEN_SEC", -1.0)
+    monkeypatch.setattr(target._rows, "_linger_sec", -1.0)
+    await_true(lambda: target.stats()["/a"].stored == 13)
+    assert not listed(rosCas)[9].closed
+    assert counts(rosCas) == (8, 8, 8)
+    target.close()
+    assert (listed(rosCas)[9].closed, listed(rosCas)[9].rows) == (True, 8)
+    assert counts(rosCas) == (8, 8, 8)
+
+
+def test_a_writer_that_was_not_late_is_not_counted_again(rosCas, still, monkeypatch):
+    """Only then the directory is cheap: a recount reads all keys of the bucket."""
+    counted = []
+    monkeypatch.setattr(writer, "recount", lambda *args: counted.append(args))
+    with rosCas.messageWriter() as target:
+        write(target, range(10))
+    assert counted == []
+    assert counts(rosCas) == (10, 10, 10)
+
+
+# ------------------------------------------------------------------ heartbeats
+
+
+@pytest.fixture
+def beating(monkeypatch):
+    """Heartbeats as fast as the ticker goes."""
+    monkeypatch.setattr(writer, "HEARTBEAT_SEC", -1.0)
+    monkeypatch.setattr(writer, "IDLE_SEC", 1e9)
+    monkeypatch.setattr(writer, "REOPEN_SEC", 1e9)
+
+
+def test_a_busy_bucket_is_marked(rosCas, beating):
+    target = rosCas.messageWriter(writer_id=9)
+    write(target, range(10))
+    target.flush()
+    await_true(lambda: listed(rosCas)[9].rows == 10)
+    first = listed(rosCas)[9]
+    assert not first.closed
+    assert (first.t_min, first.t_max, first.largest) == (T0, T0 + 9, len(wire_of(0)))
+    assert first.bytes == 10 * len(wire_of(0))
+    write(target, range(10, 15))
+    target.flush()
+    await_true(lambda: listed(rosCas)[9].rows == 15)
+    assert listed(rosCas)[9].heartbeat > first.heartbeat
+    assert not listed(rosCas)[9].closed
+    target.close()
+    assert (listed(rosCas)[9].closed, listed(rosCas)[9].rows) == (True, 15)
+
+
+def test_an_idle_bucket_is_closed_and_opened_again(rosCas, beating, monkeypatch):
+    target = rosCas.messageWriter(writer_id=9)
+    write(target, range(10))
+    target.flush()
+    with monkeypatch.context() as patched:
+        patched.setattr(writer, "IDLE_SEC", -1.0)
+        await_true(lambda: listed(rosCas)[9].closed)
+    assert listed(rosCas)[9].rows == 10
+    write(target, range(10, 15))
+    assert not listed(rosCas)[9].closed
+    target.flush()
+    assert counts(rosCas) == (15, 15, 15)
+    target.close()
+    # The second state of the bucket has seen five of its rows.
+    assert (listed(rosCas)[9].closed, listed(rosCas)[9].rows) == (True, 15)
+
+
+def test_a_bucket_with_rows_on_their_way_is_not_closed(rosCas, beating, monkeypatch):
+    target = rosCas.messageWriter(writer_id=9)
+    monkeypatch.setattr(target._rows, "_linger_sec", 1e9)
+    write(target, range(10))
+    before = listed(rosCas)[9].heartbeat
+    monkeypatch.setattr(writer, "IDLE_SEC", -1.0)
+    await_true(lambda: listed(rosCas)[9].heartbeat > before)
+    assert not listed(rosCas)[9].closed
+    target.close()
+    assert target.stats()["/a"].stored == 10
+    assert counts(rosCas) == (10, 10, 10)
