@@ -2,6 +2,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -59,6 +63,40 @@ def test_what_is_saved_is_loaded(tmp_path):
     save_settings(tmp_path, settings)
     assert load_settings(tmp_path) == settings
     assert [settings.address(i) for i in (1, 2, 3)] == ["127.0.0.7", "127.0.0.8", "127.0.0.9"]
+
+
+SAVE = """
+import resource, sys
+from pathlib import Path
+from cassandra_ros.local_server.settings import change_settings, load_settings, save_settings
+
+directory = Path(sys.argv[1])
+wanted = change_settings(load_settings(directory), heap="4G")
+resource.setrlimit(resource.RLIMIT_FSIZE, (10, resource.RLIM_INFINITY))
+save_settings(directory, wanted)
+"""
+
+
+def test_settings_that_cannot_be_written_whole_leave_the_old_ones(tmp_path):
+    settings = change_settings(new_settings(), port=9123)
+    save_settings(tmp_path, settings)
+    child = subprocess.run(
+        [sys.executable, "-c", SAVE, str(tmp_path)],
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2] / "src")},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert "File too large" in child.stderr
+    assert load_settings(tmp_path) == settings
+
+
+def test_who_reads_settings_while_they_change_has_the_old_ones_whole(tmp_path):
+    settings = change_settings(new_settings(), port=9123)
+    save_settings(tmp_path, settings)
+    with (tmp_path / "cluster.json").open() as opened:
+        save_settings(tmp_path, change_settings(settings, port=9124))
+        assert json.load(opened)["port"] == 9123
+    assert load_settings(tmp_path).port == 9124
 
 
 def test_two_clusters_have_two_names():
