@@ -178,6 +178,21 @@ def test_sizes_that_are_not_true_take_no_memory(tmp_path, compression):
     tracemalloc.stop()
 
 
+@pytest.mark.parametrize("compression", [b"none", b"bz2", b"lz4"])
+@pytest.mark.parametrize("more", [-1, 1, 3, 10**6])
+def test_a_chunk_has_the_length_that_it_states(tmp_path, compression, more):
+    """The message in it is whole, so nothing else would tell."""
+    import roslz4
+
+    pack = {b"none": bytes, b"bz2": bz2.compress, b"lz4": roslz4.compress}[compression]
+    record, path = message_record(), tmp_path / "a.bag"
+    make_bag(path, chunk_header(compression, len(record)), pack(record))
+    assert read_all(path) == [(0, 5, b"\x01\0\0\0x")]
+    make_bag(path, chunk_header(compression, len(record) + more), pack(record))
+    with pytest.raises(BagError, match=f"{path}: chunk 1 of 1 is damaged: it .* bytes"):
+        read_all(path)
+
+
 def test_what_contradicts_itself_is_refused(tmp_path):
     path = tmp_path / "a.bag"
     record = message_record()
