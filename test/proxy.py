@@ -23,6 +23,7 @@ _ERROR, _STARTUP, _READY = 0x00, 0x01, 0x02
 _HEAD = struct.Struct(">BBhBi")  # version, flags, stream, opcode, length of the body
 _ONE_NODE = struct.pack(">Hii", ConsistencyLevel.LOCAL_ONE, 0, 1)  # received 0 of 1
 _CHECKSUM_BYTES = 4
+_WITH_PAGING_STATE = 0x08
 WAIT_SEC = 60
 
 
@@ -48,6 +49,17 @@ class Frame(NamedTuple):
 
     def packed(self):
         return _HEAD.pack(*self[:4], len(self.body)) + self.body
+
+
+def asks_on(frame):
+    """Say whether a request is one for a further page of a result."""
+    if frame.opcode != EXECUTE:
+        return False
+    at = 0
+    for _ in ("statement", "columns"):
+        at += 2 + struct.unpack_from(">H", frame.body, at)[0]
+    _, flags = struct.unpack_from(">Hi", frame.body, at)
+    return bool(flags & _WITH_PAGING_STATE)
 
 
 class Caught:

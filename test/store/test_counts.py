@@ -11,7 +11,7 @@ from std_msgs.msg import String
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
-from cassandra_ros.store import counting, directory, writer
+from cassandra_ros.store import counting, directory, slot_notes, writer
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -182,3 +182,138 @@ def test_a_bucket_with_rows_on_their_way_is_not_closed(rosCas, beating, monkeypa
     target.close()
     assert target.stats()["/a"].stored == 10
     assert counts(rosCas) == (10, 10, 10)
+
+
+# ------------------------------------------------------------------ counted again
+
+
+def test_a_recount_gives_what_the_writer_has_counted(rosCas):
+    """Plain rows, one that its columns do not hold exactly, and one in chunks."""
+    odd = b"\4\0\0\0\xff\xfe\xfd\xfc"  # no UTF-8
+    large = serialize(String(data="x" * 600_000))
+    with rosCas.messageWriter(writer_id=9) as target:
+        write(target, range(10))
+        handle = target.connect(apiConnection("/a", definitionOf(String), "/x"))
+        for number, wire in ((20, odd), (30, large), (31, odd)):
+            target.write(handle, T0 + number, number, wire)
+    told = listed(rosCas)[9]
+    (table,) = rosCas.getTopic("/a").tables
+    counted = counting.recount(rosCas.cassandra, table, "", told.bucket)[9]
+    assert vars(counted) == {name: getattr(told, name) for name in vars(counted)}
+    assert (told.rows, told.odd, told.t_min, told.t_max) == (13, 3, T0, T0 + 31)
+    assert told.largest == len(wire_of(0))
+    assert told.bytes == 10 * len(wire_of(0)) + 2 * len(odd) + len(large)
+
+
+def test_a_reader_closes_no_bucket_of_a_living_writer(rosCas, still):
+    target = rosCas.messageWriter(writer_id=9)
+    write(target, range(10))
+    target.flush()
+    assert counts(rosCas) == (10, 10, 10)
+    assert not listed(rosCas)[9].closed
+    write(target, range(10, 15))
+    target.flush()
+    assert counts(rosCas) == (15, 15, 15)
+    target.close()
+    assert counts(rosCas) == (15, 15, 15)
+
+
+def test_a_count_ends_where_its_times_end(rosCas):
+    """At both sides of the borders of buckets, to the nanosecond."""
+    borders = [T0 + number * SEC for number in range(4)]
+    times = [border + more for border in borders for more in (-1, 0, 1)]
+    with rosCas.messageWriter() as target:
+        connection = apiConnection("/a", definitionOf(String), "/x")
+        handle = target.connect(connection, bucket_ns=SEC)
+        for number, t in enumerate(times):
+            target.write(handle, t, number, wire_of(number))
+    topic = rosCas.getTopic("/a")
+    assert topic.tables[0].metadata.bucket_ns == SEC
+    ends = sorted({t + more for t in times for more in (-1, 0, 1)})
+    for low in ends[:8]:
+        for high in ends[-8:]:
+            assert topic.countTopicData(low, high) == sum(low <= t <= high for t in times)
+
+
+# ------------------------------------------------------------------ deleted
+
+
+@pytest.fixture
+def around_delete(rosCas, monkeypatch):
+    """Lets a test do something right before and after rows are deleted."""
+    execute, todo = rosCas.cassandra.execute, {}
+
+    def executing(cql, *args, **options):
+        deletes = cql.startswith("DELETE") and "cr_" not in cql
+        if deletes and "before" in todo:
+            todo.pop("before")()
+        found = execute(cql, *args, **options)
+        if deletes and "after" in todo:
+            todo.pop("after")()
+        return found
+
+    monkeypatch.setattr(rosCas.cassandra, "execute", executing)
+    return todo
+
+
+def test_a_removal_that_dies_behind_its_delete_leaves_true_counts(rosCas, around_delete):
+    with rosCas.messageWriter() as target:
+        write(target, range(10))
+
+    def die():
+        raise KeyboardInterrupt
+
+    around_delete["after"] = die
+    with pytest.raises(KeyboardInterrupt):
+        rosCas.getTopic("/a").removeData(T0, T0 + 4)
+    assert counts(rosCas) == (5, 5, 5)
+
+
+def test_rows_that_are_written_and_deleted_at_once_are_not_counted(rosCas, around_delete):
+    with rosCas.messageWriter(writer_id=1) as target:
+        write(target, (0, 1, 2, 8, 9))
+
+    def write_between():
+        with rosCas.messageWriter(writer_id=2) as other:
+            write(other, range(4, 7))
+            write(other, range(100, 102))
+
+    around_delete["before"] = write_between
+    assert rosCas.getTopic("/a").removeData(T0, T0 + 8) == 4
+    assert counts(rosCas) == (3, 3, 3)
+
+
+# ------------------------------------------------------------------ with a time to live
+
+
+def test_the_note_of_a_node_outlives_the_rows_that_rely_on_it(rosCas, monkeypatch):
+    noted, ttl = [], 1000
+    add_node = directory.Directory.addNode
+
+    def adding(self, table, slot, node, ttl=0):
+        noted.append(ttl)
+        add_node(self, table, slot, node, ttl)
+
+    monkeypatch.setattr(directory.Directory, "addNode", adding)
+    with rosCas.messageWriter(ttl=ttl) as target:
+        write(target, range(3))
+        # A row that is written right before the note is renewed lives for its ttl from then on.
+        assert noted and min(noted) >= ttl + slot_notes.AGAIN_SEC
+        del noted[:]
+        monkeypatch.setattr(writer, "REOPEN_SEC", -1.0)
+        write(target, range(3, 6))
+        assert noted == []
+        monkeypatch.setattr(slot_notes, "AGAIN_SEC", -1.0)
+        write(target, range(6, 9))
+        assert len(noted) == 3
+
+
+def test_rows_of_an_open_bucket_may_come_late():
+    """They may have been tried for minutes: an open bucket is listed longer than a closed one."""
+    place = ("", 0, 1, True, None, 1, 1, 1, 0, 0, 0)
+    closed = directory.BucketRow(*place, 105.0)
+    assert closed.expired(100)
+    assert not closed.expired(104)
+    assert not closed._replace(closed=False).expired(100)
+    assert closed._replace(closed=False, age_sec=105.0 + directory.TTL_MARGIN_SEC).expired(100)
+    assert directory.CLOCKS_SEC < directory.TTL_MARGIN_SEC

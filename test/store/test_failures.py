@@ -6,17 +6,23 @@ from __future__ import annotations
 
 import os
 import struct
+import threading
+import time
 import zlib
 
 import pytest
 from nodes.children import await_true
-from proxy import BATCH, EXECUTE, Proxy
-from std_msgs.msg import String, UInt8MultiArray
+from proxy import BATCH, EXECUTE, Proxy, asks_on
+from std_msgs.msg import Header, String, UInt8MultiArray
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.store import counting, flight, named, reader
+from cassandra_ros.store import writer as writing
+from cassandra_ros.store.registry import Run
+from cassandra_ros.store.row_table import bind
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -124,13 +130,18 @@ def test_what_was_given_up_but_is_stored_is_counted(far, proxy, rosCas):
 
 def test_what_was_given_up_and_is_not_stored_is_not_counted(far, proxy, rosCas):
     proxy.catch(text(7))
-    writer = far.messageWriter(writer_id=9, give_up_after_sec=0, on_loss=lambda *loss: None)
+    run = Run("", 9, "recording", "monday")
+    writer = far.messageWriter(
+        writer_id=9, give_up_after_sec=0, run=run, on_loss=lambda *loss: None
+    )
     write(writer, range(5))
     writer.flush()
     write(writer, range(5, 10))
     writer.close()
     assert (writer.stats()["/a"].stored, writer.stats()["/a"].lost) == (5, 5)
     assert told(rosCas) == (5, 5, 5)
+    (ended,) = rosCas.parts.registry.runs()
+    assert (ended.stored, ended.lost) == ({"/a": 5}, {"/a": 5})
 
 
 @pytest.mark.parametrize("stored", [True, False])
@@ -141,3 +152,124 @@ def test_what_fails_once_is_sent_again(far, proxy, rosCas, stored):
     assert len(failed.frames) == 2
     assert (writer.stats()["/a"].stored, writer.stats()["/a"].lost) == (10, 0)
     assert told(rosCas) == (10, 10, 10)
+
+
+def test_the_time_of_a_request_begins_when_its_turn_comes(far, proxy, monkeypatch):
+    """What waited for others to be answered is tried as long as they are."""
+    late, asking, outcomes = [0.0], set(), []
+
+    class Clock:
+        @staticmethod
+        def monotonic():
+            asking.add(threading.current_thread())
+            return time.monotonic() + late[0]
+
+    def marked(word):
+        return lambda f: f.opcode == EXECUTE and word in f.body
+
+    monkeypatch.setattr(flight, "time", Clock)
+    monkeypatch.setattr(flight, "MAX_REQUESTS", 1)
+    statement = far.cassandra.prepare(
+        f"INSERT INTO {far.keyspace}.cr_definition (md5sum, hash, text) VALUES (?, ?, ?)"
+    )
+    first = proxy.catch(marked(b"the first"), failed=False).hold()
+    second = proxy.catch(marked(b"the second"), most=1)
+    requests = flight.Flight(far.cassandra.sendRaw)
+    requests.submit(bind(statement, (b"a", b"a", b"the first")), 10, outcomes.append)
+    first.wait()
+    sending = threading.Thread(
+        target=requests.submit,
+        args=(bind(statement, (b"b", b"b", b"the second")), 10, outcomes.append),
+    )
+    sending.start()
+    await_true(lambda: sending in asking)  # it waits for its turn
+    late[0] = 1000.0
+    first.release()
+    sending.join()
+    requests.close()
+    assert len(second.frames) == 1
+    assert outcomes == [None, None]
+
+
+def test_a_bucket_whose_chunks_are_on_their_way_is_not_closed(far, proxy, rosCas, monkeypatch):
+    monkeypatch.setattr(writing, "HEARTBEAT_SEC", -1.0)
+    monkeypatch.setattr(writing, "IDLE_SEC", -1.0)
+    held = proxy.catch(lambda f: f.opcode == EXECUTE and len(f.body) > 10_000, failed=False).hold()
+    writer = far.messageWriter(writer_id=9)
+    write(writer, [0])
+    handle = connect(writer, "/a", String)
+    writer.flush()
+    await_true(lambda: directory_of(rosCas)[9].closed)
+    writer.write(handle, T0 + 1, 1, serialize(String(data="x" * 600_000)))
+    held.wait()
+    for number in range(2):
+        write_small(writer, number)
+    assert not directory_of(rosCas)[9].closed
+    held.release()
+    writer.close()
+    assert told(rosCas) == (2, 2, 2)
+
+
+# ------------------------------------------------------------------ pages
+
+COUNT = 40
+
+
+@pytest.fixture
+def small_pages(monkeypatch):
+    """Pages of seven rows, which end between messages of equal stamps."""
+    monkeypatch.setattr(reader, "MAX_PAGE_ROWS", 7)
+    monkeypatch.setattr(counting, "COUNT_PAGE_ROWS", 7)
+    monkeypatch.setattr(named, "KEY_PAGE_ROWS", 7)
+    monkeypatch.setattr(named, "VERSION_PAGE_ROWS", 7)
+
+
+def fill(rosCas, **options):
+    """Store messages of two nodes, three at each time."""
+    rosCas.addTopic("/h", msg_type="std_msgs/Header", **options)
+    for writer_id, node in ((2, ""), (1, "r1")):
+        with rosCas.messageWriter(writer_id=writer_id, nodeID=node) as writer:
+            handle = connect(writer, "/h", Header)
+            for n in range(COUNT):
+                given = {"name": "same"} if options else {}
+                wire = serialize(Header(seq=n, frame_id="same"))
+                writer.write(handle, T0 + n // 3 * SEC, n, wire, **given)
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize("where", [None, "seq >= 0 AND seq < 100"])
+def test_a_read_goes_on_where_a_page_failed(far, proxy, rosCas, small_pages, reverse, where):
+    fill(rosCas)
+    wanted = [(row.t, row.node, row.seq) for row in rosCas.getTopic("/h").rows()]
+    assert len(wanted) == 2 * COUNT
+    failed = proxy.catch(asks_on)
+    items = far.getTopic("/h").items(reverse=reverse, where=where)
+    found = [(key.ns, key.node, key.seq) for key, _ in items]
+    assert found == (wanted[::-1] if reverse else wanted)
+    assert len(failed.frames) >= 4
+
+
+def test_a_count_goes_on_where_a_page_failed(far, proxy, rosCas, small_pages):
+    fill(rosCas)
+    failed = proxy.catch(asks_on)
+    last = (COUNT - 1) // 3
+    inner = sum(0 < n // 3 < last for n in range(COUNT))
+    assert far.getTopic("/h").countTopicData(T0 + 1, T0 + last * SEC - 1) == 2 * inner
+    assert len(failed.frames) >= 4
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_versions_go_on_where_a_page_failed(far, proxy, rosCas, small_pages, reverse):
+    fill(rosCas, key_format="manual")
+    wanted = [row.position for row in rosCas.getTopic("/h").rows()]
+    failed = proxy.catch(asks_on)
+    rows = far.getTopic("/h").versions("same", reverse=reverse)
+    assert [row.position for row in rows] == (wanted[::-1] if reverse else wanted)
+    assert len(failed.frames) >= 4
+
+
+def test_a_list_of_names_begins_again_where_a_page_failed(far, proxy, rosCas, small_pages):
+    fill(rosCas, key_format="manual")
+    failed = proxy.catch(asks_on, most=3)
+    assert far.getTopic("/h").countTopicData() == rosCas.info(["/h"])[0].count * 2 == 2 * COUNT
+    assert len(failed.frames) == 3
