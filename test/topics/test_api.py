@@ -150,6 +150,21 @@ def test_equal_stamps_the_first_that_arrived(rosCas):
     assert [m.data for _, m in topic.items(reverse=True)] == ["2", "1", "0"]
 
 
+@pytest.mark.parametrize("where", [None, "data != '0'"])
+def test_of_equal_stamps_the_nearest_is_the_first_of_all_nodes_and_tables(rosCas, where):
+    tables = [rosCas.addTopic("/a", format_name) for format_name in ("ros", "binary")]
+    for n, node in enumerate(["r2", "r1", "r1", "r2", "r1"]):
+        tables[n % 2].addData(String(data=str(n)), key=T0, nodeID=node)
+    tables[0].addData(String(data="later"), key=T0 + 10 * SEC)
+    topic = rosCas.getTopic("/a")
+    for node in (None, "r1", "r2"):
+        which = {"nodeID": node, "where": where}
+        first = topic.getData(T0, T0, **which)[0]
+        assert topic.getData(T0, **which) == first
+        for how, second in (("before", 0), ("before", 7), ("either", 3), ("after", 0)):
+            assert topic.getData(T0 + second * SEC, nearest=how, **which) == first
+
+
 def test_wrong_type_stores_nothing(rosCas):
     topic = rosCas.addTopic("/a", msg_type="geometry_msgs/Twist")
     with pytest.raises(TypeMismatch) as caught:

@@ -130,7 +130,9 @@ class CassandraTopic(TopicIndexes, TopicArrays):
 
         Returns:
             With to_key a list in the order of time, else one message: of several with the same
-            stamp or value the first that arrived, of several with the same name the newest.
+            stamp (also the nearest one) or value the first, of several with the same name the
+            newest. Equal stamps are ordered by nodeID, then by the recording, import or client
+            that wrote them, and of one of these by their arrival.
 
         Raises:
             MessageNotFound: No message at key (also a KeyError).

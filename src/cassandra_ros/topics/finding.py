@@ -132,10 +132,16 @@ class Finder:
         if self.isExact(key) and self._tableOf(key) is not None:
             return self._exact(key)
         wanted = self._one(key)
-        if isinstance(wanted, Stretch) and self._where is None:
-            return self._keyspace.rows.at(self._tables, wanted.low, self._nodes)
+        if isinstance(wanted, Stretch):
+            return self._at(wanted.low)
         newest = isinstance(wanted, Named)  # of several versions; of equal values the first
         return next(self._select(wanted, reverse=newest, limit=1), None)
+
+    def _at(self, t: int) -> Optional[StoredRow]:
+        """Find the row at a time, ns: of several the first in the order of all reads."""
+        if self._where is None:
+            return self._keyspace.rows.at(self._tables, t, self._nodes)
+        return next(self._select(Stretch(t, t), limit=1), None)
 
     def _tableOf(self, key: Any) -> Optional[TopicTable]:
         """Return the table in which a key of ours lies; None where it is gone."""
@@ -174,7 +180,8 @@ class Finder:
                 low = max(0, t - (after.t - t))  # what lies before that is further away
         if nearest != "after":
             before = next(self._select(Stretch(low, t), limit=1, reverse=True), None)
-        return before or after
+        # Backwards the last of equal stamps comes first.
+        return after if before is None else self._at(before.t) or before
 
     def absent(self, key: Any, nearest: Optional[str]) -> str:
         """Say that there is no message at a key, and what lies near."""
