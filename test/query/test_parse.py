@@ -39,7 +39,9 @@ def columns(text):
         ("select * from tf", None),
         ("SELECT KEY, NODE, linear.x FROM /cmd_vel;", ["KEY", "NODE", "linear.x"]),
         ("select key, node from t", ["key", "node"]),  # fields, for they are in lower case
-        ('select "KEY", "a.b"[2].c from t', ["KEY", "a.b[2].c"]),
+        ('select "KEY", "a.b"[2].c from t', ['"KEY"', "a.b[2].c"]),
+        ('select "NODE"[1].x, a.KEY from t', ['"NODE"[1].x', "a.KEY"]),
+        ('select min("KEY") from t', ['min("KEY")']),
         ("select from, count, select, limit from t", ["from", "count", "select", "limit"]),
         ("select\n  a [ 3 ] . b\nfrom\tt", ["a[3].b"]),
         ("select count(*) from t", ["count(*)"]),

@@ -200,6 +200,28 @@ def test_large_messages(rosCas):
     assert found["data"][0].tobytes() == message.data
 
 
+@pytest.mark.parametrize("format_name", ["ros", "json"])
+def test_fields_that_are_called_as_our_own_words(rosCas, format_name):
+    text = "float64 KEY\npkg/N NODE\n" + "=" * 80 + "\nMSG: pkg/N\nint32[] KEY\n"
+    message = messageClass(parseDefinition("pkg/Named", text, None))(KEY=0.5)
+    message.NODE.KEY = [1, 2]
+    topic = store(rosCas, "/named", [message], node="r1", format=format_name)
+    names = ["KEY", '"KEY"', '"NODE".KEY']
+    found = rosCas.executeCQL("select * from named")
+    assert (list(found.columns), found) == (names, [(Stamp.fromNs(T), 0.5, [1, 2])])
+    assert rosCas.executeCQL(f"select {', '.join(names)}, NODE from named") == [(*found[0], "r1")]
+    arrays = topic.getArrays(["KEY", '"NODE".KEY[1]', '"KEY"'])
+    assert [values.tolist() for values in arrays.values()] == [[T], [2], [0.5]]
+    frame = topic.toDataFrame()
+    assert (frame.index.name, list(frame.columns)) == ("KEY", names[1:])
+    assert frame.index[0] == pandas.Timestamp(T) and frame['"KEY"'].iloc[0] == 0.5
+    assert list(topic.toDataFrame(["NODE", *names[1:]]).columns) == ["NODE", *names[1:]]
+    rosCas.executeCQL('create index on named ("KEY")')
+    assert rosCas.executeCQL('select NODE from named where "KEY" = 0.5') == [("r1",)]
+    rosCas.executeCQL('drop index on named ("KEY")')
+    assert list(topic.getMeta["indexes"]) == []
+
+
 def test_a_topic_without_a_type_has_nothing(rosCas):
     topic = rosCas.addTopic("/empty")
     assert topic.getArrays(["x", "KEY"])["x"].tolist() == []

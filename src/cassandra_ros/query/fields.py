@@ -10,7 +10,7 @@ from typing import Iterator, Optional, Sequence
 from cassandra_ros.messages.definition import Definition, Field
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.parse import nearest
-from cassandra_ros.query.syntax import Part, Path
+from cassandra_ros.query.syntax import Part, Path, path_text
 
 _TIME_PARTS = {"time": ("uint32", "uint32"), "duration": ("int32", "int32")}
 
@@ -49,9 +49,9 @@ class FieldRef:
     @property
     def name(self) -> str:
         """The dotted name as a column of a result."""
-        shown = [s.name if s.index is None else f"{s.name}[{s.index}]" for s in self.steps]
-        tail = "" if self.index is None else f"[{self.index}]"
-        return ".".join(shown) + tail + (f".{self.part}" if self.part else "")
+        last = self.steps[-1].name, self.index
+        names = [*((step.name, step.index) for step in self.steps[:-1]), last]
+        return path_text(names) + (f".{self.part}" if self.part else "")
 
     @property
     def arrays(self) -> tuple[tuple[Step, ...], ...]:

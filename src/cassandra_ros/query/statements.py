@@ -122,7 +122,7 @@ def _createIndex(rosCas: Any, statement: CreateIndex) -> None:
     text, on, name = statement.text, statement.on, statement.name
     rosCas.parts.schema.tables(fresh=True)  # others make and drop indexes, too
     topic = findTopic(rosCas, text, on.topic, on.topic_position)
-    field = on.field.text
+    field = on.field.dotted
     if topic.hasIndex(field) and not statement.unless_exists:
         raise InvalidQuery(
             text,
@@ -184,7 +184,7 @@ def _indexed(rosCas: Any, statement: DropIndex, index: Indexed) -> Optional[tupl
         if statement.if_exists:
             return None
         raise InvalidQuery(statement.text, index.topic_position, str(exc)) from exc
-    field, known = index.field.text, list(topic.getMeta["indexes"])
+    field, known = index.field.dotted, list(topic.getMeta["indexes"])
     if field in known:
         return topic, field
     if statement.if_exists:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Iterator, Optional, Union
+from typing import Any, Iterator, Optional, Sequence, Tuple, Union
 
 
 class DecimalText(float):
@@ -57,8 +57,24 @@ class Path:
     @property
     def text(self) -> str:
         """The path as a column's name."""
-        shown = (p.name if p.index is None else f"{p.name}[{p.index}]" for p in self.parts)
-        return ".".join(shown)
+        return path_text([(part.name, part.index) for part in self.parts])
+
+    @property
+    def dotted(self) -> str:
+        """The dotted name of the field without any index."""
+        return ".".join(part.name for part in self.parts)
+
+
+def path_text(names: Sequence[Tuple[str, Optional[int]]]) -> str:
+    """Write names and their indexes as a statement does.
+
+    A field that is called KEY or NODE stands in quotes, for without them these words are ours.
+    """
+    shown = [name if index is None else f"{name}[{index}]" for name, index in names]
+    first, rest = names[0][0], len(names[0][0])
+    if first in (Key.text, Node.text):
+        shown[0] = f'"{first}"{shown[0][rest:]}'
+    return ".".join(shown)
 
 
 @dataclass(frozen=True)
