@@ -9,8 +9,8 @@ from typing import Iterator, Optional, Sequence
 
 from cassandra_ros.messages.definition import Definition, Field
 from cassandra_ros.query.builder import StatementError
-from cassandra_ros.query.parse import nearest
-from cassandra_ros.query.syntax import Part, Path, path_text
+from cassandra_ros.query.parse import meant, nearest
+from cassandra_ros.query.syntax import OWN_WORDS, Part, Path, path_text
 
 _TIME_PARTS = {"time": ("uint32", "uint32"), "duration": ("int32", "int32")}
 
@@ -124,7 +124,9 @@ def _field(definition: Definition, msg_type: str, part: Part, steps: Sequence[St
             return field
     prefix = "".join(f"{step.name}." for step in steps)
     names = [field.name for field in fields]
-    hint = nearest(part.name, names) or _elsewhere(definition, part.name)
+    own = [word for word in OWN_WORDS if not steps and word == part.name.upper()]
+    hint = "" if own else nearest(part.name, names)
+    hint = hint or meant(own + _elsewhere(definition, part.name))
     raise StatementError(
         part.position,
         f"{definition.type} has no field {prefix}{part.name}{hint}; "
@@ -132,10 +134,9 @@ def _field(definition: Definition, msg_type: str, part: Part, steps: Sequence[St
     )
 
 
-def _elsewhere(definition: Definition, name: str) -> str:
-    """Where the name stands deeper in the message, as ' (did you mean …?)'."""
-    found = [ref.name for ref in allFields(definition) if ref.steps[-1].name == name]
-    return f" (did you mean {' or '.join(found[:3])}?)" if found else ""
+def _elsewhere(definition: Definition, name: str) -> list[str]:
+    """List the fields of this name that stand deeper in the message."""
+    return [ref.name for ref in allFields(definition) if ref.steps[-1].name == name]
 
 
 def _check_index(part: Part, field: Field, path: Path) -> None:

@@ -150,8 +150,12 @@ def nearest(name: str, known: Sequence[str]) -> str:
     lowered = {other.lower(): other for other in known}
     close = difflib.get_close_matches(name.lower(), lowered, n=3, cutoff=0.6)
     longer = [other for other in lowered if len(name) > 1 and other.startswith(name.lower())]
-    found = list(dict.fromkeys(close + longer))[:3]
-    return f" (did you mean {' or '.join(lowered[n] for n in found)}?)" if found else ""
+    return meant([lowered[other] for other in dict.fromkeys(close + longer)])
+
+
+def meant(names: Sequence[str]) -> str:
+    """Return ' (did you mean …?)' with up to three names, or '' where there are none."""
+    return f" (did you mean {' or '.join(names[:3])}?)" if names else ""
 
 
 class _Binding:
@@ -236,6 +240,8 @@ def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
         expected = set(error.accepts or error.expected or ())
         if error.token.type != "$END":
             position = error.token.start_pos or 0
+    last = (getattr(error, "token_history", None) or [None])[-1]
+    previous = "" if last is None else last.type
     found = _word_at(text, position)
     if found[:1] in "'\"" and found and text.count(found[0], position) == 1:
         return position, f"the quote {found[0]} is not closed"
@@ -245,18 +251,27 @@ def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
     shown = f"found {found!r}" if found else "the statement ends here"
     words = {**_WORDS, "NAME": "a name"} if "_ON" in expected else _WORDS
     wanted = ", ".join(sorted(words.get(name, name.lstrip("_")) for name in expected - _UNSAID))
-    hint = _hint(text[:position], found, expected) or nearest(found, keywords)
+    hint = _hint(text[:position], found, expected, previous) or nearest(found, keywords)
     return position, f"{shown}{hint}; expected {wanted or 'something else'}"
 
 
-def _hint(before: str, found: str, expected: set[str]) -> str:
-    """Return ' (…)' about a mistake that is known, or ''."""
+def _hint(before: str, found: str, expected: set[str], previous: str) -> str:
+    """Return ' (…)' about a mistake that is known, or ''.
+
+    Args:
+        before: The statement as far as it is right.
+        found: The word that is wrong.
+        expected: The tokens that could stand there.
+        previous: The token before it; '' where that is not known.
+    """
     words = f"{before} {found}".upper().split()
     instead = _INSTEAD.get(" ".join(words)) if expected & {"_SELECT", "_INDEX"} else None
     if instead:
         return f" ({instead})"
-    if expected == {"_FROM"}:
+    if previous == "_DELETE":
         return " (messages are removed whole: DELETE FROM topic WHERE …)"
+    if previous == "STAR" and found == ",":
+        return " (* stands alone: it gives KEY and every field)"
     if found == "(" and "_FROM" in expected:
         return " (the functions are count, min, max, sum and avg)"
     if found.upper() == "NULL" and "NUMBER" in expected:

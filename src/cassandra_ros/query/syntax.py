@@ -72,7 +72,7 @@ def path_text(names: Sequence[Tuple[str, Optional[int]]]) -> str:
     """
     shown = [name if index is None else f"{name}[{index}]" for name, index in names]
     first, rest = names[0][0], len(names[0][0])
-    if first in (Key.text, Node.text):
+    if first in OWN_WORDS:
         shown[0] = f'"{first}"{shown[0][rest:]}'
     return ".".join(shown)
 
@@ -92,6 +92,9 @@ class Node:
     position: int
     text = "NODE"
 
+
+OWN_WORDS = (Key.text, Node.text)
+"""What stands for more than a field; a field of such a name is quoted."""
 
 Operand = Union[Path, Key, Node]
 
