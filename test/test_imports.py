@@ -13,13 +13,14 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "cassandra_ros"
 
 # Known to all; they know only each other.
-GROUND = {"errors", "keys", "metadata"}
+GROUND = {"arguments", "errors", "keys", "metadata"}
 
 # Layer -> the layers below it that it may use.
 BELOW = {
     "errors": set(),
     "keys": {"errors", "messages"},  # a row key is a Stamp
     "metadata": {"errors", "keys"},
+    "arguments": {"errors", "keys", "metadata"},
     "messages": set(),
     "formats": {"messages"},
     "store": set(),

@@ -8,7 +8,7 @@ import json
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Mapping
 
-from cassandra_ros.errors import InvalidName, UnsupportedSchema
+from cassandra_ros.errors import UnsupportedSchema
 from cassandra_ros.keys import NAMED_FORMATS
 
 SCHEMA_VERSION = 1
@@ -145,40 +145,3 @@ FACTS = (
     "nodeIDs comment date ttl indexes"
 ).split()
 """Keys of getMeta that are not the user's own."""
-
-
-def checkUserKeys(keys: Mapping[str, Any]) -> dict[str, Any]:
-    """Return metadata of the user's own as JSON gives them back (a tuple becomes a list).
-
-    Raises:
-        InvalidName: A key is taken by a fact, or JSON cannot hold a key or value.
-    """
-    for name in keys:
-        if not isinstance(name, str) or not name or name in FACTS:
-            raise InvalidName(
-                f"{name!r} cannot be set as metadata: it is no text, or one of {', '.join(FACTS)}"
-            )
-    try:
-        text = json.dumps(dict(keys), allow_nan=False)
-        text.encode("utf-8")
-    except (TypeError, ValueError, RecursionError) as exc:
-        raise InvalidName(f"metadata {dict(keys)!r:.200} cannot be kept as JSON: {exc}") from exc
-    found: dict[str, Any] = json.loads(text)
-    return found
-
-
-def checkTopicName(topic: str) -> str:
-    """Return the topic's name if a table can be made for it.
-
-    Any text is data to us; only an empty name, a NUL or a lone surrogate cannot be kept.
-
-    Raises:
-        InvalidName: The name cannot be stored.
-    """
-    if not isinstance(topic, str) or not topic or "\0" in topic:
-        raise InvalidName(f"{topic!r} is not a topic name: it is empty or contains NUL")
-    try:
-        topic.encode("utf-8")
-    except UnicodeEncodeError as exc:
-        raise InvalidName(f"{topic!r} is not a topic name: it is not valid UTF-8") from exc
-    return topic

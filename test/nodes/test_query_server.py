@@ -218,6 +218,7 @@ def test_the_same_on_the_command_line(roscore, server, store):
         ({"topic": "/fix", "key_text": "1405015391"}, "did you mean seconds"),
         ({"topic": "/fix", "key": T0, "nearest": "sideways"}, "sideways"),
         ({"topic": "/fix", "key": 17}, "no message"),
+        ({"topic": "/fix", "key": T0, "node_id": "x" * 70_000}, "nodeID="),
     ],
 )
 def test_bad_requests_are_answered(get, request_, word):
@@ -295,6 +296,7 @@ def test_a_page_ends_where_it_would_be_too_large(span):
         ({"topic": "/nothing"}, "not stored"),
         ({"topic": "fix", "key": T0 + 5, "to_key": T0}, "lies before"),
         ({"topic": "fix", "cursor": "nonsense"}, "not a cursor"),
+        ({"topic": "fix", "node_id": "x" * 70_000}, "nodeID="),
         ({"topic": "fix", "where": "lat > 5"}, "did you mean latitude"),
         ({"topic": "fix", "where": "latitude >"}, "^"),
         ({"topic": "fix", "where": "latitude > ?"}, "1 parameters"),

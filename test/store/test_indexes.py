@@ -14,6 +14,7 @@ from std_msgs.msg import Float64, String
 from topics.by_index import await_built
 
 from cassandra_ros import RosCassandra
+from cassandra_ros.arguments import MAX_TTL_SEC, check_ttl
 from cassandra_ros.errors import InvalidOption, SchemaConflict, StoreUnavailable, TopicNotFound
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
@@ -23,7 +24,6 @@ from cassandra_ros.store import compaction as merging
 from cassandra_ros.store import index_builds, index_changes
 from cassandra_ros.store import schema as schema_module
 from cassandra_ros.store.backfill import Backfill, Update
-from cassandra_ros.store.buckets import MAX_TTL_SEC, checkTtl
 from cassandra_ros.store.directory import Totals
 from cassandra_ros.store.lock import SchemaLock
 
@@ -611,15 +611,15 @@ def test_comments_of_earlier_releases_are_read():
 def test_what_is_no_ttl_is_refused(rosCas):
     wrong = ["abc", "10", b"10", None, float("inf"), float("nan"), 1.5, -1, True, MAX_TTL_SEC + 1]
     for ttl in (*wrong, 10**400):
-        with pytest.raises(InvalidOption, match="cannot be kept"):
-            checkTtl(ttl)
+        with pytest.raises(InvalidOption, match="ttl=.*cannot be used"):
+            check_ttl(ttl)
         with pytest.raises(InvalidOption):
             rosCas.addTopic("/t", ttl=ttl)
 
 
 @pytest.mark.parametrize("ttl", [0, 1, 60.0, MAX_TTL_SEC])
 def test_what_is_a_ttl(ttl):
-    assert checkTtl(ttl) == ttl and type(checkTtl(ttl)) is int
+    assert check_ttl(ttl) == ttl and type(check_ttl(ttl)) is int
 
 
 def test_a_slot_is_noted_again_while_it_is_written(rosCas, monkeypatch):

@@ -26,6 +26,7 @@ from std_msgs.msg import (
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
+from cassandra_ros.arguments import MAX_TTL_SEC
 from cassandra_ros.errors import (
     InvalidKey,
     InvalidName,
@@ -40,7 +41,6 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
 from cassandra_ros.messages.stamps import isoTime
-from cassandra_ros.store.buckets import MAX_TTL_SEC
 from cassandra_ros.topics.selection import valueOfText
 
 SEC = 10**9

@@ -31,6 +31,6 @@ def formatClass(name: str) -> type[CassandraTopic_]:
     Raises:
         UnknownFormat: There is none of this name; the text lists those that are.
     """
-    if name not in FORMATS:
-        raise UnknownFormat(f"there is no format {name!r}; formats are: {', '.join(FORMATS)}")
+    if not isinstance(name, str) or name not in FORMATS:
+        raise UnknownFormat(f"there is no format {name!r:.80}; formats are: {', '.join(FORMATS)}")
     return FORMATS[name]

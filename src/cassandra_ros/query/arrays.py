@@ -9,6 +9,7 @@ from typing import Any, Callable, Iterator, NamedTuple, Optional, Sequence, Tupl
 
 import numpy as np
 
+from cassandra_ros.arguments import check_list
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.array_join import castValues, emptyValues, joinValues
 from cassandra_ros.query.array_types import MIXED, ArrayType, uniteTypes
@@ -49,6 +50,7 @@ def gatherFields(topic: Any, fields: Fields, where: Where, read: ReadRows) -> di
         read: Reads the rows.
 
     Raises:
+        InvalidName: fields is no list of names.
         InvalidQuery: A field or the condition cannot be understood, or is not in the topic.
     """
     text: Any = where
@@ -101,7 +103,7 @@ def _plain(array: FieldArray) -> Any:
 
 def _statement(topic: str, fields: Fields, where: Optional[str], params: Sequence[Any]) -> Select:
     """Parse what was asked for as the statement that it is."""
-    names = [fields] if isinstance(fields, str) else ["*"] if fields is None else list(fields)
+    names = ["*"] if fields is None else check_list("fields", fields, "['linear.x']")
     for name in names:
         if not isinstance(name, str):
             raise InvalidQuery(str(name), 0, f"a field is text, not {type(name).__name__}")

@@ -11,6 +11,8 @@ import logging
 from dataclasses import dataclass, replace
 from typing import Iterator, Optional
 
+from cassandra_ros.arguments import check_node
+from cassandra_ros.errors import InvalidName
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.literals import fitToText, fitToTime
@@ -126,7 +128,11 @@ def _conjuncts(condition: Optional[Expression]) -> Iterator[Expression]:
 def _narrowed(bounds: Bounds, part: Expression, named: bool) -> Bounds:
     if isinstance(part, Compare) and isinstance(part.value, Literal):
         if isinstance(part.operand, Node) and part.operator == "=":
-            return bounds.within(None, None, fitToText(part.value, "NODE"))
+            node = fitToText(part.value, "NODE")
+            try:
+                return bounds.within(None, None, check_node(node))
+            except InvalidName:
+                return replace(bounds, empty=True)  # no message can be of such a node
         if isinstance(part.operand, Key) and part.operator == "=" and named:
             name = fitToText(part.value, "KEY")
             clash = bounds.name not in (None, name)

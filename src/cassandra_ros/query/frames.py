@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cassandra_ros.arguments import check_list
 from cassandra_ros.query.array_join import rowsOf
 from cassandra_ros.query.arrays import FieldArray, Fields, ReadRows, Where, gatherFields
 from cassandra_ros.query.optional import optionalModule
@@ -24,8 +25,8 @@ def readFrame(topic: Any, fields: Fields, where: Where, read: ReadRows) -> Any:
         MissingDependency: pandas is not installed.
     """
     pandas = optionalModule("pandas", "toDataFrame")
-    asked = [fields] if isinstance(fields, str) else fields
-    found = gatherFields(topic, None if asked is None else ["KEY", *asked], where, read)
+    asked = None if fields is None else ["KEY", *check_list("fields", fields, "['linear.x']")]
+    found = gatherFields(topic, asked, where, read)
     key = found.pop("KEY")
     times = key.kind.kind == "time"
     index = pandas.Index(key.values.view("M8[ns]") if times else key.values, name="KEY")

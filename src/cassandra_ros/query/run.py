@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from typing import Any, Generator, Iterable, Iterator, Optional, Sequence, Tuple, Union
 
+from cassandra_ros.arguments import check_limit, check_nodes
 from cassandra_ros.errors import InvalidQuery, TopicNotFound
 from cassandra_ros.keys import Position, isBehind
 from cassandra_ros.messages.stamps import Stamp
@@ -19,7 +20,6 @@ from cassandra_ros.query.plan import TablePlan, uniteColumns
 from cassandra_ros.query.pushdown import Pushdown
 from cassandra_ros.query.scope import Findings
 from cassandra_ros.query.syntax import Select
-from cassandra_ros.topics.selection import checkLimit
 
 Cursor = Union[str, Position, None]
 _Rows = Generator[Tuple[Any, ...], None, None]
@@ -181,7 +181,8 @@ def execute(
         InvalidKey: ``after`` is no cursor.
         InvalidOption: ``limit`` is negative.
     """
-    checkLimit(limit)
+    check_limit(limit)
+    check_nodes(nodeID)
     select = statement if isinstance(statement, Select) else parseSelect(statement, params)
     topic = findTopic(rosCas, select.text, select.topic, select.topic_position)
     try:

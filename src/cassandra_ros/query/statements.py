@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from typing import Any, Optional, Sequence, Union
 
+from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, TopicNotFound
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.bounds import SECONDS_BELOW, meantAsSeconds
@@ -54,6 +55,7 @@ def executeAll(
         InvalidQuery: The statement cannot be understood, names something unknown, or cannot be
             run with these arguments.
     """
+    check_nodes(nodeID)
     parsed = parseStatement(statement, params) if isinstance(statement, str) else statement
     if isinstance(parsed, Select):
         result = execute(rosCas, parsed, nodeID=nodeID, limit=limit)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from typing import Any, Optional, Sequence
 
+from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import InvalidName, TopicNotFound
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.stamps import Stamp, toNs
@@ -27,6 +28,7 @@ def lookupTransform(
 ) -> Any:
     """Return the transform that takes points of one frame to another; see RosCassandra."""
     frames = (_frame(target), _frame(source))
+    check_nodes(nodeID)
     asked = toNs(time)
     moving, fixed = (_recorded(rosCas, name, nodeID) for name in (tf, tf_static))
     if moving is None and fixed is None:

@@ -4,16 +4,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from cassandra_ros.errors import InvalidOption
-
 SECOND_NS = 1_000_000_000
 BUCKET_LENGTHS = tuple(s * SECOND_NS for s in (1, 10, 60, 600, 3600, 6 * 3600, 86400))
 MAX_BUCKET_BYTES = 64_000_000
 MAX_BUCKET_ROWS = 100_000
-MAX_TTL_SEC = 18 * 365 * 86400
-"""What keeps chunks and directory longer than the rows must stay below Cassandra's 20 years."""
 SLOT_BUCKETS = 4096
 """Buckets per partition of the directory."""
 
@@ -36,24 +30,6 @@ def bucketFor(rate_hz: float, bytes_per_sec: float, longest_ns: int = BUCKET_LEN
         if length <= longest_ns and fits:
             return length
     return BUCKET_LENGTHS[0]
-
-
-def checkTtl(ttl_sec: Any) -> int:
-    """Return a time to live in seconds, 0 = for ever.
-
-    Raises:
-        InvalidOption: It is no whole number of 0 to MAX_TTL_SEC.
-    """
-    try:
-        number = None if isinstance(ttl_sec, (bool, str, bytes)) else int(ttl_sec)
-    except (TypeError, ValueError, OverflowError):
-        number = None
-    if number is None or number != ttl_sec or not 0 <= number <= MAX_TTL_SEC:
-        raise InvalidOption(
-            f"a ttl of {ttl_sec!r:.80} cannot be kept: give whole seconds, 1 to {MAX_TTL_SEC}, or "
-            "0 for messages that stay for ever"
-        )
-    return number
 
 
 def limitForTtl(bucket_ns: int, ttl_sec: int) -> int:

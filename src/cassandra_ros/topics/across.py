@@ -7,6 +7,7 @@ from __future__ import annotations
 import heapq
 from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence
 
+from cassandra_ros.arguments import check_nodes, check_topics
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.stamps import durationNs, toNs
 from cassandra_ros.topics.asking import Asking
@@ -38,7 +39,7 @@ class AcrossTopics(Asking):
         Memory: some pages of rows for all topics together, and for each that has a condition.
 
         Args:
-            topics: Their names; None = all.
+            topics: Their names, or one; None = all.
             key, to_key: Ends, both included; None = open.
             nodeID: Only messages of this node; None = of all.
             received: By the time of reception, as a bag has them, also where a topic's key is
@@ -48,12 +49,13 @@ class AcrossTopics(Asking):
 
         Raises:
             TopicNotFound: One of the topics is not stored.
+            InvalidName: topics or nodeID are no names.
             InvalidOption: A condition is for a topic that is not read.
             InvalidQuery: A condition is none; shows it with a caret under the spot.
         """
         low = 0 if key is None else toNs(key)
         high = LAST_NS if to_key is None else toNs(to_key)
-        names = None if topics is None else list(topics)
+        names = check_topics(topics)
         filters = self._filters(where, names, nodeID)
         return self._merged(self._tables(names), filters, low, high, nodeID, received)
 
@@ -141,7 +143,7 @@ class AcrossTopics(Asking):
         nodeID: Optional[str],
         received: bool = False,
     ) -> Iterator[StoredRow]:
-        rows, nodes = self.parts.rows, None if nodeID is None else (nodeID,)
+        rows, nodes = self.parts.rows, check_nodes(nodeID)
         read = rows.received if received else rows.read
         by_topic: Dict[str, List[TopicTable]] = {name: [] for name in filters}
         free: List[TopicTable] = []

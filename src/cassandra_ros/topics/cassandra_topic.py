@@ -6,13 +6,13 @@ from __future__ import annotations
 
 from typing import Any, Iterator, Optional
 
+from cassandra_ros.arguments import check_message_name, check_node
 from cassandra_ros.errors import InvalidKey, MessageNotFound, TypeMismatch
 from cassandra_ros.messages.definition import Definition, definitionOf
 from cassandra_ros.messages.stamps import toNs
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.filtering import Where
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.selection import checkMessageName
 from cassandra_ros.topics.stored_row import Key
 from cassandra_ros.topics.topic_arrays import TopicArrays
 from cassandra_ros.topics.topic_indexes import TopicIndexes, checkField
@@ -62,13 +62,13 @@ class CassandraTopic(TopicIndexes, TopicArrays):
 
         Raises:
             TypeMismatch: The message is of another type; nothing is stored.
-            InvalidKey, ClockNotSet, WriteFailed.
+            InvalidKey, InvalidName, ClockNotSet, WriteFailed.
         """
+        node = self._wish.nodeID if nodeID is None else check_node(nodeID)
         table = self._tableFor(msg)
-        node = self._wish.nodeID if nodeID is None else nodeID
         kind = table.metadata.key_format
         if kind == "manual":
-            name = checkMessageName(self.name, key)
+            name = check_message_name(self.name, key)
             return self._adder.add(table, msg, self._adder.now(), node, name)
         if key is not None and kind != "time":
             raise InvalidKey(

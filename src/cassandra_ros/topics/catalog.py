@@ -11,6 +11,7 @@ import threading
 from dataclasses import replace
 from typing import Mapping, Optional
 
+from cassandra_ros.arguments import check_topic
 from cassandra_ros.errors import (
     CassandraRosError,
     DefinitionError,
@@ -22,11 +23,10 @@ from cassandra_ros.formats.table import formatClass
 from cassandra_ros.messages.classes import installedDefinition
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.graph import topicType
-from cassandra_ros.metadata import TopicMetadata, checkTopicName
+from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.selection import checkKeyFormat
 from cassandra_ros.topics.topic_indexes import checkUnnamed
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.wish import Wish
@@ -48,9 +48,7 @@ class Catalog:
 
     def add(self, topic: str, wish: Wish, msg_type: Optional[str]) -> CassandraTopic:
         """Make a topic, or find it; see RosCassandra.addTopic."""
-        checkTopicName(topic)
         formatClass(wish.format)
-        checkKeyFormat(wish.key_format, wish.key_part)
         if wish.index:
             checkUnnamed(topic, wish.key_format)
         self._keyspace.schema.tables(fresh=True)
@@ -99,7 +97,7 @@ class Catalog:
         if name is not None:
             return self._topic(name)
         names = self.names()
-        near = difflib.get_close_matches(str(topic), names, n=3, cutoff=0.5)
+        near = difflib.get_close_matches(topic, names, n=3, cutoff=0.5)
         hint = f"did you mean {', '.join(near)}?" if near else f"it holds {len(names)} topics"
         if not names:
             hint = self._keyspace.side_tables.absence() or hint
@@ -115,8 +113,8 @@ class Catalog:
         """List the topics whose whole name matches a regular expression, sorted."""
         try:
             wanted = re.compile(".*" if pattern is None else pattern, re.DOTALL)
-        except re.error as exc:
-            raise InvalidName(f"{pattern!r} is not a regular expression: {exc}") from exc
+        except (re.error, OverflowError, RecursionError) as exc:
+            raise InvalidName(f"{pattern!r:.80} is not a regular expression: {exc}") from exc
         return [self._topic(name) for name in sorted(self.names()) if wanted.fullmatch(name)]
 
     def names(self, *, fresh: bool = True) -> set[str]:
@@ -159,7 +157,6 @@ class Catalog:
     def rename(self, topic: str, new_name: str) -> None:
         """Give a topic another name."""
         name = self.get(topic).name
-        checkTopicName(new_name)
 
         def check(tables: Mapping[str, TopicMetadata]) -> None:
             taken = new_name in self._pending or any(m.topic == new_name for m in tables.values())
@@ -185,6 +182,7 @@ class Catalog:
                 self._pending[new_name] = wish
 
     def _find(self, topic: str, fresh: bool) -> Optional[str]:
+        check_topic(topic)
         names = self.names(fresh=fresh)
         other = topic[1:] if topic.startswith("/") else "/" + topic
         return next((name for name in (topic, other) if name in names), None)

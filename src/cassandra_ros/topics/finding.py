@@ -7,6 +7,7 @@ from __future__ import annotations
 from itertools import islice
 from typing import Any, Iterator, Optional, Sequence
 
+from cassandra_ros.arguments import check_limit, check_nodes
 from cassandra_ros.errors import InvalidKey, MessageNotFound
 from cassandra_ros.keys import RowName
 from cassandra_ros.messages.stamps import Stamp, toNs
@@ -18,7 +19,6 @@ from cassandra_ros.topics.selection import (
     Named,
     Selection,
     Stretch,
-    checkLimit,
     selectMany,
     selectOne,
 )
@@ -55,7 +55,7 @@ class Finder:
         self._tables = tables
         self._node = nodeID
         self._where = where
-        self._nodes = None if nodeID is None else (nodeID,)
+        self._nodes = check_nodes(nodeID)
 
     def many(
         self, key: Any, to_key: Any, *, limit: Optional[int] = None, reverse: bool = False
@@ -71,7 +71,7 @@ class Finder:
         limit: Optional[int] = None,
         bare: bool = False,
     ) -> Iterator[StoredRow]:
-        checkLimit(limit)
+        check_limit(limit)
         if self._where is None:
             return self._keyspace.rows.select(
                 self._tables, wanted, nodes=self._nodes, limit=limit, reverse=reverse

@@ -9,6 +9,7 @@ import threading
 from dataclasses import dataclass, replace
 from typing import Mapping, Optional
 
+from cassandra_ros.arguments import check_new_topic, check_node
 from cassandra_ros.errors import (
     CassandraRosError,
     InvalidKey,
@@ -17,7 +18,7 @@ from cassandra_ros.errors import (
 from cassandra_ros.formats.table import DEFAULT_FORMAT, formatClass
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, joinSeq
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.metadata import TopicMetadata, checkTopicName
+from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.new_row import NewRow
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.write_stats import LossCallback, WriteStats
@@ -127,7 +128,7 @@ class MessageWriter:
         Raises:
             SchemaConflict, StoreUnavailable: The table cannot be made.
         """
-        node = self._node if nodeID is None else nodeID
+        node = self._node if nodeID is None else check_node(nodeID)
         key = (connection, format or self._format, node)
         with self._mutex:
             known = self._handles.get(key)
@@ -137,7 +138,7 @@ class MessageWriter:
                 return known
             # The topic was renamed or removed by another client.
             like = like or (known.table.metadata if stored is None else None)
-        checkTopicName(connection.topic)
+        check_new_topic(connection.topic)
         definition, warning = usableDefinition(connection, key[1])
         metadata = replace(
             like or TopicMetadata("", "", "", "", 0, ttl=self._ttl or 0),

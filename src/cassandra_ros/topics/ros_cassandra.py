@@ -6,11 +6,24 @@ from __future__ import annotations
 
 from typing import Any, Iterable, Mapping, Optional, Sequence
 
+from cassandra_ros.arguments import (
+    MAX_TOPIC_BYTES,
+    check_fields,
+    check_integer,
+    check_key_format,
+    check_new_topic,
+    check_node,
+    check_seconds,
+    check_text,
+    check_topics,
+    check_ttl,
+    check_user_keys,
+    check_writer_id,
+)
+from cassandra_ros.errors import InvalidKey, InvalidName, InvalidOption
 from cassandra_ros.formats.table import DEFAULT_FORMAT
 from cassandra_ros.keys import newWriterId
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.metadata import checkUserKeys
-from cassandra_ros.store.buckets import checkTtl
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.write_stats import LossCallback
 from cassandra_ros.store.writer import RowWriter
@@ -78,20 +91,31 @@ class RosCassandra(AcrossTopics):
             TopicExists: It is stored with another type, key_format or ttl than given. (The comment
                 and metadata of a stored topic stay as they are: setMeta changes them.)
             InvalidKey: The type has no such field as key_part.
-            InvalidName: It has no such field as one of index.
-            UnknownFormat, InvalidOption, DefinitionError.
+            InvalidName: It has no such field as one of index, or topic, nodeID or a key of
+                metadata cannot be a name.
+            InvalidOption: comment is no text, or ttl no number of seconds.
+            UnknownFormat, DefinitionError.
         """
-        user = checkUserKeys(metadata or {})
-        fields = (index,) if isinstance(index, str) else tuple(index)
-        kept = (nodeID, checkTtl(ttl), comment, key_format or "", key_part, user, fields)
-        wish = Wish(format, *kept)
-        return self._topics.add(topic, wish, msg_type)
+        if msg_type is not None:
+            check_text("msg_type", msg_type, error=InvalidName, wanted="one like 'std_msgs/String'")
+        wish = Wish(
+            format=format,
+            nodeID=check_node(nodeID),
+            ttl=check_ttl(ttl),
+            comment=check_text("comment", comment),
+            key_format=check_key_format(key_format, key_part),
+            key_part=key_part,
+            user=check_user_keys({} if metadata is None else metadata),
+            index=check_fields("index", index),
+        )
+        return self._topics.add(check_new_topic(topic), wish, msg_type)
 
     def getTopic(self, topic: str) -> CassandraTopic:
         """Return a topic by its name, with or without the leading slash.
 
         Raises:
             TopicNotFound: There is none; the text gives the nearest names.
+            InvalidName: It is no text.
         """
         return self._topics.get(topic)
 
@@ -108,6 +132,8 @@ class RosCassandra(AcrossTopics):
         Raises:
             InvalidName: The pattern is not a regular expression.
         """
+        if pattern is not None:
+            check_text("pattern", pattern, error=InvalidName, wanted="a regular expression")
         return self._topics.all(pattern)
 
     def removeTopic(self, topic: str) -> None:
@@ -137,7 +163,7 @@ class RosCassandra(AcrossTopics):
             TopicExists: A topic has the new name already.
             InvalidName: The new name is not one.
         """
-        self._topics.rename(topic, new_name)
+        self._topics.rename(topic, check_new_topic(new_name))
 
     # ---------------------------------------------------------------- messages of many topics
 
@@ -165,28 +191,39 @@ class RosCassandra(AcrossTopics):
             run: Description of the recording or import, kept in the store.
             on_loss: Called with (topic, messages, error) for what was given up; without it
                 the writer raises.
+
+        Raises:
+            InvalidName, InvalidKey, InvalidOption, UnknownFormat: An argument cannot be one.
         """
         parts = self.parts
-        number = newWriterId() if writer_id is None else writer_id
-        timing: Any = {"linger_sec": linger_sec, "give_up_after_sec": give_up_after_sec}
+        number = newWriterId() if writer_id is None else check_writer_id(writer_id)
+        timing: Any = {
+            "linger_sec": check_seconds("linger_sec", linger_sec),
+            "give_up_after_sec": check_seconds("give_up_after_sec", give_up_after_sec),
+        }
+        if run is not None and not isinstance(run, Run):
+            raise InvalidOption(f"run={run!r:.80} describes no run: give a store.registry.Run")
+        node, ttl_sec = check_node(nodeID), check_ttl(ttl)
         place = (parts.cassandra, parts.schema, parts.directory)
         rows = RowWriter(*place, number, on_loss=on_loss, **timing)
         return MessageWriter(
             *(parts, rows, number),
             format=format,
-            nodeID=nodeID,
-            ttl=checkTtl(ttl),
+            nodeID=node,
+            ttl=ttl_sec,
             run=run,
             on_loss=on_loss,
         )
 
     def connection(self, table: str, conn: int) -> Connection:
         """Return the connection that a row of a table names."""
+        check_text("table", table, MAX_TOPIC_BYTES, InvalidKey, "row.table.name")
+        check_integer("conn", conn, -(2**63), 2**63 - 1, InvalidKey)
         return self.parts.connections.get(table, conn)
 
     def info(self, topics: Optional[Iterable[str]] = None) -> list[TopicInfo]:
         """Describe what is stored: counts, sizes and times by topic, table and node."""
-        return self.parts.totals.info(self._tables(topics))
+        return self.parts.totals.info(self._tables(check_topics(topics)))
 
     def runs(self) -> list[Run]:
         """List the recordings and imports of the keyspace."""

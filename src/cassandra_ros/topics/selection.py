@@ -6,13 +6,13 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, Optional, Sequence, Union
 
-from cassandra_ros.errors import InvalidKey, InvalidOption
-from cassandra_ros.keys import KEY_FORMATS, NAMED_FORMATS
+from cassandra_ros.arguments import check_message_name
+from cassandra_ros.errors import InvalidKey
+from cassandra_ros.keys import NAMED_FORMATS
 from cassandra_ros.messages.stamps import isTime, toNs
 from cassandra_ros.topics.topic_table import TopicTable
 
 LAST_NS = 2**63 - 1
-MAX_NAME_BYTES = 4096
 
 
 class Stretch(NamedTuple):
@@ -35,51 +35,6 @@ class Valued(NamedTuple):
 
 
 Selection = Union[Stretch, Named, Valued]
-
-
-def checkKeyFormat(key_format: str, key_part: str) -> None:
-    """Check what addTopic was given.
-
-    Raises:
-        InvalidKey: There is no such key format, or key_part does not go with it.
-    """
-    if key_format and key_format not in KEY_FORMATS:
-        raise InvalidKey(
-            f"there is no key_format {key_format!r}; key formats are: {', '.join(KEY_FORMATS)}"
-        )
-    if (key_format == "msg_part") != bool(key_part):
-        raise InvalidKey(
-            "key_part names the field that is the key, as 'header.stamp', and goes with "
-            f"key_format='msg_part': given were key_format={key_format!r}, key_part={key_part!r}"
-        )
-
-
-def checkLimit(limit: Optional[int]) -> None:
-    """Check how many messages or rows somebody wants; None = all.
-
-    Raises:
-        InvalidOption: It is no number of them.
-    """
-    if limit is not None and (isinstance(limit, bool) or not isinstance(limit, int) or limit < 0):
-        raise InvalidOption(f"limit={limit!r} is no number of messages: give 0 or more, or None")
-
-
-def checkMessageName(topic: str, name: Any) -> str:
-    """Return a name under which a message can be kept.
-
-    Raises:
-        InvalidKey: It is none.
-    """
-    fits = isinstance(name, str) and bool(name)
-    try:
-        if fits and len(name.encode("utf-8")) <= MAX_NAME_BYTES:
-            return str(name)
-    except UnicodeEncodeError as exc:
-        raise InvalidKey(f"{name!r:.80} is no name: it is not valid Unicode") from exc
-    raise InvalidKey(
-        f"messages of topic {topic} are kept under names, and {name!r:.80} is none: give a text "
-        f"of 1 to {MAX_NAME_BYTES} bytes"
-    )
 
 
 def valueOfText(tables: Sequence[TopicTable], text: str) -> Any:
@@ -122,7 +77,7 @@ def selectMany(
             "have no order: there is no stretch between two of them; give one key, or none for all"
         )
     if named:
-        return Named(checkMessageName(topic, key))
+        return Named(check_message_name(topic, key))
     low_is_value, high_is_value = (_isValue(tables, end) for end in (key, to_key))
     if to_key is None and low_is_value:
         return Valued(key)
@@ -144,7 +99,7 @@ def selectOne(topic: str, key_format: str, tables: Sequence[TopicTable], key: An
         InvalidKey: It cannot be a key of the topic.
     """
     if key_format in NAMED_FORMATS:
-        return Named(checkMessageName(topic, key))
+        return Named(check_message_name(topic, key))
     if _isValue(tables, key):
         return Valued(key)
     t = toNs(key)

@@ -7,6 +7,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, Callable, Iterator, Optional, Sequence, Union
 
+from cassandra_ros.arguments import check_nodes
 from cassandra_ros.topics.filtering import Where
 from cassandra_ros.topics.selection import Stretch, selectMany
 from cassandra_ros.topics.topic_rows import AnyKey, Time, TopicRows
@@ -110,5 +111,5 @@ class TopicArrays(TopicRows):
         wanted = selectMany(self.name, key_format, tables, key, to_key)
         if where is not None or not isinstance(wanted, Stretch):
             return self._finder(nodeID, where).many(key, to_key)
-        nodes = None if nodeID is None else (nodeID,)
+        nodes = check_nodes(nodeID)
         return self._keyspace.rows.read(tables, *wanted, nodes=nodes, columns=columns)

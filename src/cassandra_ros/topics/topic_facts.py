@@ -6,9 +6,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from cassandra_ros.errors import TopicNotFound
+from cassandra_ros.arguments import check_text, check_user_keys
+from cassandra_ros.errors import TopicNotFound, TypeMismatch
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
-from cassandra_ros.metadata import TopicMetadata, checkUserKeys
+from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.meta_view import MetaView
 from cassandra_ros.topics.selection import LAST_NS
@@ -58,10 +59,13 @@ class TopicFacts:
 
         Raises:
             InvalidName: A key cannot be set.
+            InvalidOption: The comment is no text.
             TopicNotFound: The topic has no type yet, so there is no table to note it in.
         """
         comment = keys.pop("comment", None)
-        checkUserKeys(keys)
+        if comment is not None:
+            check_text("comment", comment)
+        check_user_keys(keys)
         if not self.tables:
             raise TopicNotFound(
                 f"topic {self.name} has no type yet: its first message fixes it; give metadata= "
@@ -72,7 +76,7 @@ class TopicFacts:
             every = {**metadata.user, **keys}
             user = {name: value for name, value in every.items() if value is not None}
             return metadata.with_(
-                user=user, comment=metadata.comment if comment is None else str(comment)
+                user=user, comment=metadata.comment if comment is None else comment
             )
 
         self._keyspace.schema.changeTopic(self.name, change)
@@ -98,5 +102,11 @@ class TopicFacts:
         return self.format.encode(msg)
 
     def decode(self, data: EncodedMessage) -> Any:
-        """Translate columns back into a message (paper 3.1)."""
+        """Translate columns back into a message (paper 3.1).
+
+        Raises:
+            TypeMismatch: data is not what encode returns.
+        """
+        if not isinstance(data, EncodedMessage):
+            raise TypeMismatch(f"{data!r:.80} is no encoded message: give what encode returned")
         return self.format.decode(data)

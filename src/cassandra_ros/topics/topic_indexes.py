@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from typing import Optional
 
+from cassandra_ros.arguments import check_field
 from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound
 from cassandra_ros.keys import NAMED_FORMATS
 from cassandra_ros.messages.definition import Definition
@@ -48,6 +49,7 @@ class TopicIndexes(TopicFacts):
                 meanwhile could miss rows), or is busy with other indexes; ask again later.
             TopicNotFound: The topic is gone, or has no type yet.
         """
+        check_field(field)
         space = self._keyspace
         space.schema.tables(fresh=True)
         checkIndexable(self.name, self.tables, field)
@@ -58,6 +60,7 @@ class TopicIndexes(TopicFacts):
 
     def hasIndex(self, field: str) -> bool:
         """Say whether every table of the topic whose type has the field has an index on it."""
+        check_field(field)
         able = [table for table in self.tables if _typeOf(table.metadata, field) is not None]
         return bool(able) and all(field in table.metadata.indexes for table in able)
 
@@ -72,6 +75,7 @@ class TopicIndexes(TopicFacts):
             InvalidOption: The key of the messages needs it.
             TopicNotFound: The topic is gone.
         """
+        check_field(field)
         space = self._keyspace
         space.schema.tables(fresh=True)
         tables = self.tables

@@ -6,13 +6,14 @@ from __future__ import annotations
 
 from typing import Any, Iterator, Optional
 
-from cassandra_ros.errors import TopicNotFound
+from cassandra_ros.arguments import check_limit, check_nodes, check_text
+from cassandra_ros.errors import InvalidKey, TopicNotFound
 from cassandra_ros.keys import NAMED_FORMATS, Position
 from cassandra_ros.messages.stamps import Stamp, isIsoText, toNs
 from cassandra_ros.topics.filtering import Filter, Where
 from cassandra_ros.topics.finding import Finder
 from cassandra_ros.topics.reading import Columns
-from cassandra_ros.topics.selection import LAST_NS, checkLimit, valueOfText
+from cassandra_ros.topics.selection import LAST_NS, valueOfText
 from cassandra_ros.topics.stored_row import Key, StoredRow
 from cassandra_ros.topics.topic_facts import TopicFacts
 from cassandra_ros.topics.topic_table import TopicTable
@@ -53,6 +54,7 @@ class TopicRows(TopicFacts):
         Raises:
             InvalidKey: The text is no key of the topic.
         """
+        check_text("text", text, error=InvalidKey)
         tables = self._stored()
         if self._wish.key_format in NAMED_FORMATS or any(table.named for table in tables):
             return text
@@ -68,6 +70,7 @@ class TopicRows(TopicFacts):
         self, name: str, *, nodeID: Optional[str] = None, reverse: bool = False
     ) -> Iterator[StoredRow]:
         """Walk through the messages under one name, by time, without making objects."""
+        check_text("name", name, error=InvalidKey)
         return self._finder(nodeID).many(name, None, reverse=reverse)
 
     def rows(
@@ -94,13 +97,14 @@ class TopicRows(TopicFacts):
         """
         low = 0 if key is None else toNs(key)
         high = LAST_NS if to_key is None else toNs(to_key)
-        checkLimit(limit)
+        if not isinstance(after, (Position, type(None))):
+            raise InvalidKey(f"after={after!r:.80} is no place: give the position of a row")
         return self._keyspace.rows.read(
             *(self._stored(), low, high),
-            nodes=None if nodeID is None else (nodeID,),
+            nodes=check_nodes(nodeID),
             after=after,
             reverse=reverse,
-            limit=limit,
+            limit=check_limit(limit),
             columns=columns,
             chooser=chooser,
         )

@@ -1,0 +1,257 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the public methods take: one check for each kind of argument.
+
+A check returns the argument in the form in which it is kept, or raises an error that names the
+argument, its value, and what to give instead. Nothing is stored or asked before.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Iterable, Mapping, Optional, Type
+
+from cassandra_ros.errors import CassandraRosError, InvalidKey, InvalidName, InvalidOption
+from cassandra_ros.keys import KEY_FORMATS, WRITER_BITS
+from cassandra_ros.metadata import FACTS
+
+MAX_TOPIC_BYTES = 65_535
+"""CQL has no longer name in the map in which a run counts the messages of its topics."""
+MAX_MESSAGE_NAME_BYTES = 4096
+MAX_NODE_BYTES = 61_411
+"""Beside a name, a time and a counter in a partition key, which has 65,535 bytes in all."""
+MAX_TEXT_BYTES = 1 << 20
+"""Each client reads every comment: a topic's metadata are no place for files."""
+MAX_TTL_SEC = 18 * 365 * 86400
+"""What keeps chunks and directory longer than the rows must stay below Cassandra's 20 years."""
+
+
+def _shown(value: Any) -> str:
+    try:
+        return f"{value!r:.80}"
+    except ValueError:  # an integer of thousands of digits
+        return f"of type {type(value).__name__}"
+
+
+def check_text(
+    name: str,
+    value: Any,
+    most: int = MAX_TEXT_BYTES,
+    error: Type[CassandraRosError] = InvalidOption,
+    wanted: str = "a text",
+) -> str:
+    """Return a text that can be stored.
+
+    Args:
+        name: Of the argument.
+        value: What was given.
+        most: Bytes of UTF-8 that it may have, included.
+        error: Raised where it is no text, no valid Unicode, or too long.
+        wanted: What to give instead.
+    """
+    try:
+        if not isinstance(value, str):
+            reason = f"it is of type {type(value).__name__}"
+        elif len(value.encode("utf-8")) <= most:
+            return str(value)
+        else:
+            reason = f"it has more than {most} bytes"
+    except UnicodeEncodeError:
+        reason = "it is no valid Unicode"
+    raise error(f"{name}={_shown(value)} cannot be used: {reason}; give {wanted}")
+
+
+def check_integer(
+    name: str, value: Any, least: int, most: int, error: Type[CassandraRosError] = InvalidOption
+) -> int:
+    """Return a whole number of least to most, both included; a float of the same value is one."""
+    try:
+        number = None if isinstance(value, (bool, str, bytes)) else int(value)
+    except (TypeError, ValueError, OverflowError):
+        number = None
+    if number is None or number != value or not least <= number <= most:
+        raise error(
+            f"{name}={_shown(value)} cannot be used: give a whole number of {least} to {most}"
+        )
+    return number
+
+
+def check_seconds(name: str, value: Any) -> float:
+    """Return a number of seconds, at least 0.
+
+    Raises:
+        InvalidOption: It is none.
+    """
+    if isinstance(value, (int, float)) and not isinstance(value, bool) and value >= 0:
+        return float(value)
+    raise InvalidOption(f"{name}={_shown(value)} is no number of seconds: give 0.0 or more")
+
+
+def check_node(node: Any) -> str:
+    """Return a nodeID, '' = nobody says.
+
+    Raises:
+        InvalidName: It cannot be one.
+    """
+    wanted = f"the name of a robot, as 'robot_1', of up to {MAX_NODE_BYTES} bytes"
+    return check_text("nodeID", node, MAX_NODE_BYTES, InvalidName, wanted)
+
+
+def check_nodes(node: Any) -> Optional[tuple[str, ...]]:
+    """Return the nodes whose messages a nodeID asks for; None = all.
+
+    Raises:
+        InvalidName: It cannot be one.
+    """
+    return None if node is None else (check_node(node),)
+
+
+def check_topic(topic: Any) -> str:
+    """Return the name of a topic that is looked for.
+
+    Raises:
+        InvalidName: It is no text.
+    """
+    if isinstance(topic, str):
+        return topic
+    raise InvalidName(f"{_shown(topic)} is no name of a topic: give a text like '/scan'")
+
+
+def check_new_topic(topic: Any) -> str:
+    """Return the name of a topic if a table can be made for it. Else any text is data to us.
+
+    Raises:
+        InvalidName: It is empty, contains NUL, is no valid Unicode, or is too long.
+    """
+    wanted = f"a name like '/scan', of up to {MAX_TOPIC_BYTES} bytes"
+    name = check_text("topic", topic, MAX_TOPIC_BYTES, InvalidName, wanted)
+    if not name or "\0" in name:
+        raise InvalidName(f"{name!r:.80} is not a topic name: it is empty or contains NUL")
+    return name
+
+
+def check_topics(topics: Any) -> Optional[list[str]]:
+    """Return the names of several topics; a text is one, None = all.
+
+    Raises:
+        InvalidName: They are no names.
+    """
+    if topics is None:
+        return None
+    return [check_topic(topic) for topic in check_list("topics", topics, "['/scan', '/tf']")]
+
+
+def check_field(field: Any) -> str:
+    """Return the name of a field that is looked for in a type.
+
+    Raises:
+        InvalidName: It is no text.
+    """
+    return check_text("field", field, MAX_TEXT_BYTES, InvalidName, "a name like 'linear.x'")
+
+
+def check_fields(name: str, fields: Any) -> tuple[str, ...]:
+    """Return the names of several fields; a text is one.
+
+    Raises:
+        InvalidName: They are no names.
+    """
+    return tuple(check_field(field) for field in check_list(name, fields, "['linear.x']"))
+
+
+def check_list(name: str, values: Any, example: str) -> list[Any]:
+    """Return names as a list, whatever each of them is; a text is one.
+
+    Raises:
+        InvalidName: They are no list; the text gives the example.
+    """
+    if isinstance(values, str):
+        return [values]
+    if isinstance(values, Iterable) and not isinstance(values, (bytes, bytearray)):
+        return list(values)
+    raise InvalidName(f"{name}={_shown(values)} is no list of names: give one like {example}")
+
+
+def check_limit(limit: Any) -> Optional[int]:
+    """Return how many messages or rows somebody wants; None = all.
+
+    Raises:
+        InvalidOption: It is no number of them.
+    """
+    if limit is not None and (isinstance(limit, bool) or not isinstance(limit, int) or limit < 0):
+        raise InvalidOption(
+            f"limit={_shown(limit)} is no number of messages: give 0 or more, or None"
+        )
+    return limit
+
+
+def check_ttl(ttl_sec: Any) -> int:
+    """Return a time to live in seconds, 0 = for ever.
+
+    Raises:
+        InvalidOption: It is no whole number of 0 to MAX_TTL_SEC.
+    """
+    return check_integer("ttl", ttl_sec, 0, MAX_TTL_SEC)
+
+
+def check_key_format(key_format: Any, key_part: Any) -> str:
+    """Return the key format that addTopic was given, '' for None; key_part must go with it.
+
+    Raises:
+        InvalidKey: There is no such key format, or key_part does not go with it.
+    """
+    check_text("key_part", key_part, error=InvalidKey, wanted="a field like 'header.stamp'")
+    if key_format not in (None, "", *KEY_FORMATS):
+        raise InvalidKey(
+            f"there is no key_format {_shown(key_format)}; there are: {', '.join(KEY_FORMATS)}"
+        )
+    if (key_format == "msg_part") != bool(key_part):
+        raise InvalidKey(
+            "key_part names the field that is the key, as 'header.stamp', and goes with "
+            f"key_format='msg_part': given were key_format={key_format!r}, key_part={key_part!r}"
+        )
+    return key_format or ""
+
+
+def check_message_name(topic: str, name: Any) -> str:
+    """Return a name under which a message of a topic can be kept.
+
+    Raises:
+        InvalidKey: It is none.
+    """
+    wanted = f"a text of 1 to {MAX_MESSAGE_NAME_BYTES} bytes"
+    if name != "":
+        kept = f"a name, for messages of topic {topic} are kept under names: {wanted}"
+        return check_text("key", name, MAX_MESSAGE_NAME_BYTES, InvalidKey, kept)
+    raise InvalidKey(f"messages of topic {topic} are kept under names, and '' is none: {wanted}")
+
+
+def check_writer_id(writer_id: Any) -> int:
+    """Return a writer id: 1 to 2**31 - 1.
+
+    Raises:
+        InvalidKey: It is none.
+    """
+    return check_integer("writer_id", writer_id, 1, 2**WRITER_BITS - 1, InvalidKey)
+
+
+def check_user_keys(keys: Any) -> dict[str, Any]:
+    """Return metadata of the user's own as JSON gives them back (a tuple becomes a list).
+
+    Raises:
+        InvalidName: A key is taken by a fact, or JSON cannot hold a key or value.
+    """
+    if not isinstance(keys, Mapping):
+        raise InvalidName(f"metadata={_shown(keys)} is no mapping: give one like {{'site': 'lab'}}")
+    for name in keys:
+        if not isinstance(name, str) or not name or name in FACTS:
+            raise InvalidName(
+                f"{name!r} cannot be set as metadata: it is no text, or one of {', '.join(FACTS)}"
+            )
+    try:
+        text = json.dumps(dict(keys), allow_nan=False)
+        text.encode("utf-8")
+    except (TypeError, ValueError, RecursionError) as exc:
+        raise InvalidName(f"metadata {dict(keys)!r:.200} cannot be kept as JSON: {exc}") from exc
+    found: dict[str, Any] = json.loads(text)
+    return found
