@@ -13,13 +13,13 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros.bag.exporter import exportBag
 from cassandra_ros.bag.importer import importBag
-from cassandra_ros.bag.recorder import Recorder
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import TypeMismatch
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize, toYaml
 from cassandra_ros.messages.connection import liveConnection
 from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.recording.recorder import Recorder
 
 T0 = 1_500_000_000 * 10**9
 every_format = pytest.mark.parametrize("form", FORMATS)

@@ -18,7 +18,7 @@ from cassandra_ros.formats.yaml import MAX_DEPTH, CassandraTopic_yaml, _most_dep
 from cassandra_ros.formats.yaml_block import printBlock, readBlock
 from cassandra_ros.messages.classes import installedDefinition
 from cassandra_ros.messages.definition import parseDefinition
-from cassandra_ros.messages.tree import Budget, treeReader
+from cassandra_ros.messages.tree.read import Budget, treeReader
 
 
 class Dumper(yaml.CSafeDumper):

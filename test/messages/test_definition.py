@@ -21,7 +21,7 @@ from cassandra_ros.messages.definition import (
     renderDefinition,
 )
 from cassandra_ros.messages.installed import installedClass
-from cassandra_ros.messages.wire import wirePlan
+from cassandra_ros.messages.wire.plan import wirePlan
 
 
 def genmsgMd5(msg_type, text):

@@ -18,9 +18,9 @@ from cassandra_ros.messages.classes import (
     serialize,
 )
 from cassandra_ros.messages.definition import parseDefinition
-from cassandra_ros.messages.echo import echoPrinter
-from cassandra_ros.messages.tree import Budget, treeReader
-from cassandra_ros.messages.tree_build import treeBuilder
+from cassandra_ros.messages.tree.build import treeBuilder
+from cassandra_ros.messages.tree.echo import echoPrinter
+from cassandra_ros.messages.tree.read import Budget, treeReader
 
 SEEDS = st.integers(0, 2**32)
 

@@ -13,7 +13,7 @@ from messages.random_wire import SEPARATOR, DefinitionMaker, WireMaker, installe
 from cassandra_ros.errors import CorruptMessage, InvalidExpression
 from cassandra_ros.messages.classes import deserialize, installedDefinition, messageClass
 from cassandra_ros.messages.definition import parseDefinition
-from cassandra_ros.messages.wire import WirePlan, wirePlan
+from cassandra_ros.messages.wire.plan import WirePlan, wirePlan
 
 SEEDS = st.integers(0, 2**32)
 

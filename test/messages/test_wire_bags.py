@@ -9,7 +9,7 @@ import rosbag
 
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.messages.definition import parseDefinition
-from cassandra_ros.messages.wire import wirePlan
+from cassandra_ros.messages.wire.plan import wirePlan
 
 # Counted with the rosbag module; every one of them is exactly held in its columns.
 MESSAGES = {

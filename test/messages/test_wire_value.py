@@ -11,7 +11,7 @@ from messages.random_wire import SEPARATOR, WireMaker, installedTypes
 
 from cassandra_ros.messages.classes import deserialize, installedDefinition, messageClass, serialize
 from cassandra_ros.messages.definition import parseDefinition
-from cassandra_ros.messages.wire import WirePlan, wirePlan
+from cassandra_ros.messages.wire.plan import WirePlan, wirePlan
 
 
 def attribute(message, path):

@@ -23,7 +23,7 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros import Stamp
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.messages.definition import definitionOf, parseDefinition
-from cassandra_ros.query import Condition
+from cassandra_ros.query.conditions import Condition
 
 OPERATORS = {
     "=": operator.eq,

@@ -12,7 +12,7 @@ import pytest
 
 from cassandra_ros import Stamp
 from cassandra_ros.errors import InvalidExpression
-from cassandra_ros.query import fromJson, toJson
+from cassandra_ros.query.json_values import fromJson, toJson
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,8 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros import Stamp
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import liveConnection
-from cassandra_ros.query import Condition, execute
+from cassandra_ros.query import execute
+from cassandra_ros.query.conditions import Condition
 from cassandra_ros.query.pushdown import PLANS
 
 SECOND = 10**9

@@ -20,11 +20,12 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
 from cassandra_ros.metadata import TopicMetadata, fromComment
-from cassandra_ros.store import compaction as merging
-from cassandra_ros.store import index_builds, index_changes
 from cassandra_ros.store import schema as schema_module
-from cassandra_ros.store.backfill import Backfill, Update
 from cassandra_ros.store.directory import Totals
+from cassandra_ros.store.index import builds as index_builds
+from cassandra_ros.store.index import changes as index_changes
+from cassandra_ros.store.index import compaction as merging
+from cassandra_ros.store.index.backfill import Backfill, Update
 from cassandra_ros.store.lock import SchemaLock
 
 SEC = 10**9

@@ -6,8 +6,10 @@ from __future__ import annotations
 
 from typing import Any, BinaryIO, Iterable, Iterator, Sequence, Tuple
 
+from cassandra_ros.arrays.array_types import ArrayType
+from cassandra_ros.arrays.optional import optionalModule
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.query import ArrayType, optionalModule, toJson
+from cassandra_ros.query.json_values import toJson
 
 GROUP_ROWS = 20_000
 GROUP_BYTES = 32 * 1024 * 1024

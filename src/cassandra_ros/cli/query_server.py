@@ -81,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = make_parser()
     words = strip_remappings(arguments)
     options = parser.parse_args(words)
-    from cassandra_ros.nodes.query_server import serve, startNode
+    from cassandra_ros.nodes.query_node import serve, startNode
 
     apply_parameters(parser, options, words, startNode([PROGRAM, *arguments]))
     with open_store(options, make=True) as rosCas:

@@ -19,8 +19,8 @@ from cassandra_ros.cli.table import format_bytes, format_table, shown
 from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
 
 if TYPE_CHECKING:
-    from cassandra_ros.bag.recorder_counts import TopicReport
-    from cassandra_ros.nodes.recorder import RecorderOptions
+    from cassandra_ros.nodes.recorder_node import RecorderOptions
+    from cassandra_ros.recording.counts import TopicReport
 
 PROGRAM = "recorder"
 MEGABYTE = 1024 * 1024
@@ -133,7 +133,7 @@ def whole_number(text: str) -> int:
 
 def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> RecorderOptions:
     """Return what is to be recorded; ends the program where that makes no sense."""
-    from cassandra_ros.nodes.recorder import RecorderOptions
+    from cassandra_ros.nodes.recorder_node import RecorderOptions
 
     if bool(options.topics) == options.all:
         parser.error("give topics to record, or -a for all" + (", not both" * options.all))
@@ -168,7 +168,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = make_parser()
     options = parser.parse_args(strip_remappings(arguments))
     chosen = read_options(parser, options)
-    from cassandra_ros.nodes.recorder import record
+    from cassandra_ros.nodes.recorder_node import record
 
     def say(line: str) -> None:
         if not options.quiet:

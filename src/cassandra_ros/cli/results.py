@@ -10,7 +10,7 @@ from typing import Any, Iterable, Iterator, Sequence, TextIO, Tuple
 
 from cassandra_ros.cli.table import shown
 from cassandra_ros.messages.stamps import Stamp, isoTime
-from cassandra_ros.query import jsonValue, toJson
+from cassandra_ros.query.json_values import jsonValue, toJson
 
 Columns = Sequence[str]
 Lines = Iterable[Tuple[Any, ...]]

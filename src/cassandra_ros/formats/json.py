@@ -10,8 +10,8 @@ from math import isfinite
 from typing import Any
 
 from cassandra_ros.formats.text import ParsedFormat
-from cassandra_ros.messages.tree import Tree
-from cassandra_ros.messages.tree_build import plainBytes
+from cassandra_ros.messages.tree.build import plainBytes
+from cassandra_ros.messages.tree.read import Tree
 
 
 class CassandraTopic_json(ParsedFormat):

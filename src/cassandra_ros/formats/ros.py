@@ -9,7 +9,7 @@ from typing import Any, Sequence
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire import wirePlan
+from cassandra_ros.messages.wire.plan import wirePlan
 
 INLINE_BYTES = 512 * 1024
 """Of larger messages only the scalar fields get columns: the row holds all bytes anyway."""

@@ -10,8 +10,8 @@ from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.cassandra_topic_ import EncodedMessage
 from cassandra_ros.formats.text import TextFormat
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.echo import echoPrinter
-from cassandra_ros.messages.tree import Tree
+from cassandra_ros.messages.tree.echo import echoPrinter
+from cassandra_ros.messages.tree.read import Tree
 
 
 class CassandraTopic_string(TextFormat):

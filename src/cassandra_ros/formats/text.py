@@ -10,8 +10,8 @@ from typing import Sequence
 from cassandra_ros.errors import CorruptMessage, DefinitionError
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.tree import Budget, ReadTree, Tree, treeReader
-from cassandra_ros.messages.tree_build import plainBytes, treeBuilder
+from cassandra_ros.messages.tree.build import plainBytes, treeBuilder
+from cassandra_ros.messages.tree.read import Budget, ReadTree, Tree, treeReader
 
 MAX_TEXT_BYTES = 64 * 1024
 

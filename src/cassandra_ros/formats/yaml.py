@@ -12,7 +12,7 @@ import yaml
 from cassandra_ros.formats.text import ParsedFormat
 from cassandra_ros.formats.yaml_block import MAX_NAME, ONE_LINE, printBlock, readBlock
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.tree import Tree
+from cassandra_ros.messages.tree.read import Tree
 
 MAX_DEPTH = 300
 """Of a text; libyaml's composer overflows the stack of the process at some ten thousand."""

@@ -15,10 +15,10 @@ from typing import Callable, Dict, List, Optional, Sequence
 
 from cassandra_ros.errors import InvalidName
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire import Column, wirePlan
-from cassandra_ros.messages.wire_layout import elementOf
-from cassandra_ros.messages.wire_lists import packList, packNumbers, splitList
-from cassandra_ros.messages.wire_value import CQL_CODES
+from cassandra_ros.messages.wire.layout import elementOf
+from cassandra_ros.messages.wire.lists import packList, packNumbers, splitList
+from cassandra_ros.messages.wire.plan import Column, wirePlan
+from cassandra_ros.messages.wire.values import CQL_CODES
 
 MAX_TEXT_BYTES = 1024
 """Longer texts are not indexed; Cassandra refuses rows with an indexed one over 8 KiB."""

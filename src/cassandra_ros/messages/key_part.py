@@ -13,9 +13,9 @@ from typing import Any, Callable, Optional
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.index_field import MAX_TEXT_BYTES, nearestFields, normalFloat
-from cassandra_ros.messages.wire import Column, wirePlan
-from cassandra_ros.messages.wire_lists import packList, packVarint
-from cassandra_ros.messages.wire_value import CODES, CQL_CODES
+from cassandra_ros.messages.wire.lists import packList, packVarint
+from cassandra_ros.messages.wire.plan import Column, wirePlan
+from cassandra_ros.messages.wire.values import CODES, CQL_CODES
 
 Encode = Callable[[Any], Optional[bytes]]
 

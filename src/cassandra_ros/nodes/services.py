@@ -14,15 +14,11 @@ from cassandra_ros.keys import decodeCursor, encodeCursor
 from cassandra_ros.messages.stamps import toNs
 from cassandra_ros.msg import Row
 from cassandra_ros.nodes.stored_messages import clean, pack, sizeOf
-from cassandra_ros.query import (
-    Condition,
-    Select,
-    execute,
-    executeAll,
-    fromJson,
-    parseStatement,
-    toJson,
-)
+from cassandra_ros.query import execute, executeAll
+from cassandra_ros.query.conditions import Condition
+from cassandra_ros.query.json_values import fromJson, toJson
+from cassandra_ros.query.parse import parseStatement
+from cassandra_ros.query.syntax import Select
 from cassandra_ros.srv import (
     ExecuteCQLResponse,
     GetDataResponse,

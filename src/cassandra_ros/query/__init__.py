@@ -11,17 +11,17 @@ messages at once, of which ``table_values`` and ``table_columns`` gather those o
 driver, no rospy.
 """
 
-from cassandra_ros.query.array_types import ArrayType
-from cassandra_ros.query.arrays import readArrays
+from cassandra_ros.arrays.array_types import ArrayType
+from cassandra_ros.arrays.frames import readFrame
+from cassandra_ros.arrays.gather import readArrays
+from cassandra_ros.arrays.optional import optionalModule
+from cassandra_ros.arrays.outputs import columnTypes
 from cassandra_ros.query.conditions import Condition
-from cassandra_ros.query.frames import readFrame
 from cassandra_ros.query.json_values import fromJson, jsonValue, toJson
-from cassandra_ros.query.optional import optionalModule
-from cassandra_ros.query.outputs import columnTypes
 from cassandra_ros.query.parse import parseStatement
 from cassandra_ros.query.run import QueryResult, Rows, execute
-from cassandra_ros.query.statements import executeAll
 from cassandra_ros.query.syntax import Select
+from cassandra_ros.topics.statements import executeAll
 
 __all__ = [
     "ArrayType",

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Any, Callable, Iterator, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire import wirePlan
+from cassandra_ros.messages.wire.plan import wirePlan
 from cassandra_ros.query.fields import FieldRef, Step
 
 Get = Callable[[Any], Any]

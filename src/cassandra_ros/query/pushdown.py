@@ -13,7 +13,7 @@ from itertools import product
 from typing import Any, Dict, Iterator, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.messages.index_field import MAX_TEXT_BYTES
-from cassandra_ros.messages.wire import Column, wirePlan
+from cassandra_ros.messages.wire.plan import Column, wirePlan
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.fields import FieldRef, fieldOf
 from cassandra_ros.query.literals import Comparable, fitToField

@@ -17,7 +17,7 @@ from typing import Any, Optional, Sequence, Tuple
 
 import numpy
 
-from cassandra_ros.messages.wire_lists import packVarint
+from cassandra_ros.messages.wire.lists import packVarint
 from cassandra_ros.query.literals import Comparable
 
 Term = Tuple[str, str, bytes]

@@ -11,9 +11,9 @@ from typing import Callable, Collection, Mapping, Sequence, Tuple
 
 from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
 from cassandra_ros.metadata import SHADOW, TopicMetadata, fromComment
-from cassandra_ros.store.compaction import Compaction
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.index_builds import awaitBuilds
+from cassandra_ros.store.index.builds import awaitBuilds
+from cassandra_ros.store.index.compaction import Compaction
 from cassandra_ros.store.lock import SchemaLock
 from cassandra_ros.store.names import chunkTableName, quoteName, quoteText, tableName
 from cassandra_ros.store.side_tables import SideTables

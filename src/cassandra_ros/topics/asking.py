@@ -113,6 +113,6 @@ class Asking(KeyspaceConnection):
             MissingDependency: tf2_py is not installed.
             InvalidKey, InvalidName.
         """
-        from cassandra_ros.query.transforms import lookupTransform
+        from cassandra_ros.transforms.lookup import lookupTransform
 
         return lookupTransform(self, target, source, time, nodeID, tf, tf_static)

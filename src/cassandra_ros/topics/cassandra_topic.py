@@ -12,10 +12,10 @@ from cassandra_ros.messages.definition import Definition, definitionOf
 from cassandra_ros.messages.stamps import toNs
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.filtering import Where
+from cassandra_ros.topics.indexes import TopicIndexes, checkField
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.stored_row import Key
 from cassandra_ros.topics.topic_arrays import TopicArrays
-from cassandra_ros.topics.topic_indexes import TopicIndexes, checkField
 from cassandra_ros.topics.topic_rows import AnyKey, Time
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.wish import Wish

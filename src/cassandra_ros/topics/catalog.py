@@ -26,8 +26,8 @@ from cassandra_ros.messages.graph import topicType
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.indexes import checkUnnamed
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.topic_indexes import checkUnnamed
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.wish import Wish
 

@@ -33,7 +33,7 @@ class Filter:
     """
 
     def __init__(self, topic: Any, where: Where, nodeID: Optional[str] = None) -> None:
-        from cassandra_ros.query import Condition
+        from cassandra_ros.query.conditions import Condition
 
         self.text, params = _parts(where)
         self._topic = topic

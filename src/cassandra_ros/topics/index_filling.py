@@ -15,9 +15,9 @@ from typing import Callable, Dict, Iterable, Iterator, List, Optional, Tuple
 from cassandra_ros.errors import CorruptMessage, StoreUnavailable
 from cassandra_ros.keys import splitSeq
 from cassandra_ros.messages.index_field import IndexField
-from cassandra_ros.store.backfill import Backfill, Update, Written
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import STALE_SEC, BucketRow, Directory, Totals
+from cassandra_ros.store.index.backfill import Backfill, Update, Written
 from cassandra_ros.topics.reading import Rows
 from cassandra_ros.topics.topic_table import TopicTable
 

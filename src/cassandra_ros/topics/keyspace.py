@@ -17,7 +17,7 @@ from cassandra_ros.metadata import TopicMetadata, shadowColumn
 from cassandra_ros.store.buckets import SECOND_NS, limitForTtl
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import Directory
-from cassandra_ros.store.index_changes import IndexChanges
+from cassandra_ros.store.index.changes import IndexChanges
 from cassandra_ros.store.registry import Registry
 from cassandra_ros.store.schema import Planned, Schema
 from cassandra_ros.store.side_tables import SideTables

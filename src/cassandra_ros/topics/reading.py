@@ -15,12 +15,12 @@ from cassandra_ros.store.chunks import readChunks
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import Directory
 from cassandra_ros.store.fetch import Wanted, fetchRows
+from cassandra_ros.store.index.shadow import keysByShadow
 from cassandra_ros.store.lookup import firstAt
 from cassandra_ros.store.named import listNames, versions
 from cassandra_ros.store.reader import readRows
 from cassandra_ros.store.row_table import RowTable, TableRow
 from cassandra_ros.store.scan import Chooser, Scan
-from cassandra_ros.store.shadow import keysByShadow
 from cassandra_ros.topics.connections import Connections
 from cassandra_ros.topics.selection import LAST_NS, Named, Selection, Stretch, Valued
 from cassandra_ros.topics.stored_row import StoredRow

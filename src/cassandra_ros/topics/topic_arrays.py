@@ -62,7 +62,7 @@ class TopicArrays(TopicRows):
             InvalidQuery: A field or the condition is not one of this topic; shows the spot.
             InvalidKey: key or to_key cannot be one.
         """
-        from cassandra_ros.query import readArrays
+        from cassandra_ros.arrays.gather import readArrays
 
         read = partial(self._read, key, to_key, where, nodeID)
         return readArrays(self, fields, where, read)
@@ -92,7 +92,7 @@ class TopicArrays(TopicRows):
             MissingDependency: pandas is not installed; the text says how.
             InvalidQuery, InvalidKey: As of getArrays.
         """
-        from cassandra_ros.query import readFrame
+        from cassandra_ros.arrays.frames import readFrame
 
         read = partial(self._read, key, to_key, where, nodeID)
         return readFrame(self, fields, where, read)

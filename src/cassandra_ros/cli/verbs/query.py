@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _parameter(text: str) -> Any:
-    from cassandra_ros.query import fromJson
+    from cassandra_ros.query.json_values import fromJson
 
     try:
         return fromJson(text)
@@ -97,7 +97,11 @@ def _parameter(text: str) -> Any:
 
 
 def _answer(rosCas: Any, options: argparse.Namespace, params: Sequence[Any]) -> None:
-    from cassandra_ros.query import ArrayType, Select, columnTypes, execute, parseStatement
+    from cassandra_ros.arrays.array_types import ArrayType
+    from cassandra_ros.arrays.outputs import columnTypes
+    from cassandra_ros.query import execute
+    from cassandra_ros.query.parse import parseStatement
+    from cassandra_ros.query.syntax import Select
 
     statement = parseStatement(options.statement, params)
     if not isinstance(statement, Select):
@@ -111,7 +115,8 @@ def _answer(rosCas: Any, options: argparse.Namespace, params: Sequence[Any]) -> 
 
 
 def _change(rosCas: Any, options: argparse.Namespace, statement: Any) -> None:
-    from cassandra_ros.query import ArrayType, executeAll
+    from cassandra_ros.arrays.array_types import ArrayType
+    from cassandra_ros.query import executeAll
 
     if not options.allow_writes:
         raise InvalidOption("the statement changes what is stored; to run it, add --allow-writes")

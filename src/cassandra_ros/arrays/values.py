@@ -1,0 +1,272 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Undecoded columns of many rows to arrays, all rows at once; and values that were decoded.
+
+What is missing is a zero in the array, and marked in a second one.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Callable, List, NamedTuple, Optional, Sequence
+
+import numpy as np
+
+from cassandra_ros.arrays.array_types import ArrayType
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.messages.wire.layout import Column
+from cassandra_ros.messages.wire.lists import splitList
+from cassandra_ros.query.fields import FieldRef
+
+Raws = Sequence[Optional[bytes]]
+_SECOND_NS = 1_000_000_000
+_BIG = {
+    "boolean": ">u1",
+    "tinyint": ">i1",
+    "smallint": ">i2",
+    "int": ">i4",
+    "bigint": ">i8",
+    "float": ">f4",
+    "double": ">f8",
+}
+"""numpy's types of CQL's encodings."""
+_FIXED_LISTS = {f"frozen<list<{cql_type}>>": big for cql_type, big in _BIG.items()}
+_NO_LIST = b"\0\0\0\1"
+
+
+class Values(NamedTuple):
+    """An array of values, one a row."""
+
+    values: Any
+    missing: Any = None
+    """A bool for each row, or None where nothing is missing."""
+
+
+Convert = Callable[[Raws], Values]
+
+
+def compileConvert(ref: FieldRef, column: Column, kind: ArrayType, inside: bool) -> Convert | None:
+    """Return the function from the columns of many rows to a field's values.
+
+    Args:
+        ref: The field.
+        column: The column in which it lies.
+        kind: Its type.
+        inside: The column is a list over an array that is unnested: each element is a row.
+
+    Returns:
+        None where the values of the field must be decoded one by one.
+    """
+    direct = all(step.index is None for step in ref.steps) and column.name == ref.column
+    if not direct or column.kind == "wire" or kind.depth > 1:
+        return None
+    if column.is_list and not inside:
+        convert = _lists(ref, column, kind)
+    elif inside and column.cql_type in _FIXED_LISTS:
+        convert = _elements(column, kind)
+    else:
+        convert = _one(ref, column, kind)
+        if inside:
+            convert = _split(convert)
+    return _part(convert, ref.part) if ref.part else convert
+
+
+def countElements(raws: Raws) -> Any:
+    """Return how many elements the lists have; where one is missing, it stands for one."""
+    return np.frombuffer(b"".join([raw[:4] if raw else _NO_LIST for raw in raws]), ">i4")
+
+
+def _absent(raws: Raws) -> Any:
+    if None not in raws:
+        return None
+    return np.fromiter((raw is None for raw in raws), bool, len(raws))
+
+
+def _one(ref: FieldRef, column: Column, kind: ArrayType) -> Convert:
+    """For columns, or elements of lists, that hold one field each."""
+    if column.kind == "array" and ref.index is not None:
+        # The type of secs is a number's, and they lie in a time.
+        base = column.field_type.partition("[")[0] if ref.part else ref.type
+        return _element(ref.index, base)
+    if column.kind == "array":
+        return _arrays(kind)
+    if column.kind == "text":
+        return _texts
+    if column.field_type == "uint64":
+        return lambda raws: Values(_varints(raws), _absent(raws))
+    big = np.dtype(_BIG[column.cql_type])
+
+    def convert(raws: Raws) -> Values:
+        return Values(_joined(raws, big).astype(kind.dtype), _absent(raws))
+
+    return convert
+
+
+def _joined(raws: Raws, dtype: Any) -> Any:
+    """Lay the values of all rows side by side; each has its type's size."""
+    filler = bytes(dtype.itemsize)
+    joined = b"".join([filler if raw is None else raw for raw in raws])
+    if len(joined) != len(raws) * dtype.itemsize:
+        raise CorruptMessage("a column does not have the size of its type")
+    return np.frombuffer(joined, dtype)
+
+
+def _varints(raws: Raws) -> Any:
+    joined = b"".join([(raw or b"")[-8:].rjust(8, b"\0") for raw in raws])
+    return np.frombuffer(joined, ">u8").astype(np.uint64)
+
+
+def _texts(raws: Raws) -> Values:
+    # Frames and names repeat: of equal texts one is kept.
+    known = {raw: raw.decode("utf-8", "replace") for raw in set(raws) if raw is not None}
+    values = np.empty(len(raws), object)
+    values[:] = [None if raw is None else known[raw] for raw in raws]
+    return Values(values, _absent(raws))
+
+
+def numbersOf(kind: str, wire: bytes) -> Any:
+    """Read the elements of a primitive array as on the wire."""
+    if kind in ("time", "duration"):
+        pairs = np.frombuffer(wire, "<u4" if kind == "time" else "<i4").reshape(-1, 2)
+        return pairs[:, 0].astype(np.int64) * _SECOND_NS + pairs[:, 1]
+    dtype = np.dtype("u1" if kind == "bool" else kind)
+    return np.frombuffer(wire, dtype.newbyteorder("<")).astype(kind)
+
+
+def _arrays(kind: ArrayType) -> Convert:
+    length, unit = kind.length, 8 if kind.kind in ("time", "duration") else kind.dtype.itemsize
+    if length is None:
+        return lambda raws: Values(
+            objectsOf([None if raw is None else numbersOf(kind.kind, raw) for raw in raws]),
+            _absent(raws),
+        )
+    size = length * unit
+
+    def convert(raws: Raws) -> Values:
+        joined = _joined(raws, np.dtype(f"V{size}"))
+        values = numbersOf(kind.kind, joined.tobytes())
+        return Values(values.reshape(len(raws), length), _absent(raws))
+
+    return convert
+
+
+def _element(index: int, kind: str) -> Convert:
+    unit = 8 if kind in ("time", "duration") else np.dtype(kind).itemsize
+    low, high = index * unit, (index + 1) * unit
+
+    def convert(raws: Raws) -> Values:
+        cut = [raw[low:high] if raw is not None and len(raw) >= high else None for raw in raws]
+        joined = _joined(cut, np.dtype(f"V{unit}"))
+        return Values(numbersOf(kind, joined.tobytes()), _absent(cut))
+
+    return convert
+
+
+def _split(convert: Convert) -> Convert:
+    """Apply to all elements of lists, one after the other."""
+
+    def split(raws: Raws) -> Values:
+        cut: List[Optional[bytes]] = []
+        for raw in raws:
+            cut += [None] if raw is None else splitList(raw)
+        return convert(cut)
+
+    return split
+
+
+def _elements(column: Column, kind: ArrayType) -> Convert:
+    """As _split, for elements that all have the same size."""
+    value = np.dtype(_FIXED_LISTS[column.cql_type])
+    element = np.dtype([("size", ">i4"), ("value", value)])
+    filler = value.itemsize.to_bytes(4, "big") + bytes(value.itemsize)
+
+    def convert(raws: Raws) -> Values:
+        joined = b"".join([filler if raw is None else raw[4:] for raw in raws])
+        counts = countElements(raws)
+        if len(joined) != int(counts.sum()) * element.itemsize:
+            raise CorruptMessage(f"list column {column.name} is malformed")
+        found = np.frombuffer(joined, element)
+        if (found["size"] != value.itemsize).any():
+            raise CorruptMessage(f"list column {column.name} has a malformed element")
+        absent = _absent(raws)
+        missing = None if absent is None else np.repeat(absent, counts)
+        return Values(found["value"].astype(kind.dtype), missing)
+
+    return convert
+
+
+def _lists(ref: FieldRef, column: Column, kind: ArrayType) -> Convert:
+    if ref.index is not None:
+        return _listed(ref.index)
+    fixed = column.cql_type in _FIXED_LISTS
+    elements = _elements(column, kind) if fixed else _split(_one(ref, column, kind))
+
+    def convert(raws: Raws) -> Values:
+        # Lists that are missing stand for one element.
+        every, ends = elements(raws).values, np.cumsum(countElements(raws))
+        cells = np.split(every, ends[:-1])
+        return arraysOf([None if raw is None else c for raw, c in zip(raws, cells)], kind)
+
+    return convert
+
+
+def _listed(index: int) -> Convert:
+    """One element of each string[]."""
+
+    def convert(raws: Raws) -> Values:
+        lists = [[] if raw is None else splitList(raw) for raw in raws]
+        return _texts([found[index] if index < len(found) else None for found in lists])
+
+    return convert
+
+
+def _part(convert: Convert, part: str) -> Convert:
+    def whole(raws: Raws) -> Values:
+        values, missing = convert(raws)
+        return Values(
+            values // _SECOND_NS if part == "secs" else values % _SECOND_NS,
+            missing,
+        )
+
+    return whole
+
+
+def objectsOf(cells: Sequence[Any]) -> Any:
+    """Return an array of objects, whatever they are."""
+    values = np.empty(len(cells), object)
+    for n, cell in enumerate(cells):
+        values[n] = cell
+    return values
+
+
+def arraysOf(cells: Sequence[Any], kind: ArrayType) -> Values:
+    """Return arrays of one dimension as rows of one array, if their length is fixed."""
+    missing = np.fromiter((cell is None for cell in cells), bool, len(cells))
+    if kind.length is None:
+        return Values(objectsOf(cells), missing if missing.any() else None)
+    filler = None if kind.dtype.kind == "O" else 0
+    values = np.full((len(cells), kind.length), filler, kind.dtype)
+    for n, cell in enumerate(cells):
+        if cell is not None:
+            values[n] = cell
+    return Values(values, missing if missing.any() else None)
+
+
+def fromDecoded(values: Sequence[Any], kind: ArrayType) -> Values:
+    """Make the arrays of values that were decoded one by one."""
+    if kind.depth == 0:
+        missing = np.fromiter((value is None for value in values), bool, len(values))
+        if kind.dtype.kind == "O":
+            return Values(objectsOf(values), missing if missing.any() else None)
+        filled = np.array([0 if value is None else value for value in values], kind.dtype)
+        return Values(filled, missing if missing.any() else None)
+    if kind.depth > 1:
+        return Values(objectsOf(values), _absent(values))
+    return arraysOf([None if value is None else _cell(value, kind) for value in values], kind)
+
+
+def _cell(value: Any, kind: ArrayType) -> Any:
+    if isinstance(value, bytes):
+        return np.frombuffer(value, np.uint8).copy()
+    if kind.dtype.kind == "O" or None in value:
+        return objectsOf(value)
+    return np.array(value, kind.dtype)

@@ -1,0 +1,219 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How the fields of a message lie on the wire, and which column holds each of them.
+
+A message is a row of segments: fields of fixed size, then at most one field of variable size,
+whose length ends the fixed part. Each segment is read and written with one struct.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Iterator, Mapping
+
+from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, MessageSpec
+from cassandra_ros.messages.wire.skip import Skip, compileFieldSkip, fixedSize
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of format ``ros``."""
+
+    name: str
+    """Path of the field: 'transform.translation.x', 'transforms.child_frame_id'."""
+    cql_type: str
+    kind: str
+    """What the column holds, or each element of its list:
+
+    'int', 'float', 'bool', 'text', 'time', 'duration' (both in ns), 'array' (a blob of the
+    elements as on the wire, without their number) or 'wire' (a blob of the whole field as on the
+    wire; of an array of empty messages only their number).
+    """
+    field_type: str
+    """ROS type of the field, as 'float64[9]'; of a list of structs, of the field in one element."""
+    is_list: bool = False
+    """Whether the column is a frozen list: string[], or a field in an array of messages."""
+    array: str = ""
+    """Path of the array of messages over whose elements the list runs, or ''."""
+
+    @property
+    def is_scalar(self) -> bool:
+        """Whether the column holds one value, neither list nor array."""
+        return not self.is_list and self.kind not in ("array", "wire")
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """A field that always takes the same number of bytes."""
+
+    column: Column
+    little: str
+    """struct code on the wire."""
+    big: str
+    """struct code of the same value in CQL."""
+    cql_size: int
+    special: str = ""
+    """'time', 'duration', 'bool' or 'uint64': more is to do than turning the bytes round."""
+
+
+@dataclass(frozen=True)
+class Tail:
+    """A field of variable size (or an array of structs), which ends a segment."""
+
+    column: Column | None
+    """None where there are several: those of the elements."""
+    kind: str
+    """'bytes', 'text', 'texts', 'wire' or 'elements'."""
+    skip: Skip
+    """Finds the end of the field, its length included."""
+    unit: int = 1
+    """Bytes of an element, for 'bytes' and 'text'."""
+    length: int | None = None
+    """Elements of a fixed array; None when their number is on the wire."""
+    columns: tuple[Column, ...] = ()
+    """All columns of the field."""
+    element: tuple[Segment, ...] = ()
+    """Layout of one element, for 'elements'."""
+
+    @property
+    def has_count(self) -> bool:
+        """Whether a segment's struct ends with the length of this field."""
+        return self.length is None and self.kind != "wire"
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Fields of fixed size, then at most one of variable size."""
+
+    fixed: tuple[Fixed, ...]
+    tail: Tail | None
+
+
+# ROS type -> struct code on the wire, struct code in CQL, bytes in CQL, CQL type, kind
+_SCALARS = {
+    "bool": ("B", "B", 1, "boolean", "bool"),
+    "int8": ("b", "b", 1, "tinyint", "int"),
+    "uint8": ("B", "h", 2, "smallint", "int"),
+    "int16": ("h", "h", 2, "smallint", "int"),
+    "uint16": ("H", "i", 4, "int", "int"),
+    "int32": ("i", "i", 4, "int", "int"),
+    "uint32": ("I", "q", 8, "bigint", "int"),
+    "int64": ("q", "q", 8, "bigint", "int"),
+    "uint64": ("Q", "Q", 8, "varint", "int"),
+    # As integers: a float of Python would make signalling NaNs quiet.
+    "float32": ("I", "I", 4, "float", "float"),
+    "float64": ("Q", "Q", 8, "double", "float"),
+    "time": ("Q", "q", 8, "bigint", "time"),
+    "duration": ("q", "q", 8, "bigint", "duration"),
+}
+_SPECIALS = {"bool": "bool", "uint64": "uint64", "time": "time", "duration": "duration"}
+
+
+def layout(msg_type: str, specs: Mapping[str, MessageSpec]) -> tuple[Segment, ...]:
+    """Return the segments of a checked message type."""
+    return _segments(_items(msg_type, specs, "", False))
+
+
+def columnsOf(segments: tuple[Segment, ...]) -> Iterator[Column]:
+    """Yield all columns in the order of the wire."""
+    for segment in segments:
+        for fixed in segment.fixed:
+            yield fixed.column
+        if segment.tail is not None:
+            yield from segment.tail.columns
+
+
+def cqlSizes(segments: tuple[Segment, ...]) -> Iterator[int | None]:
+    """Yield the bytes that each column takes in CQL, None where they vary."""
+    for segment in segments:
+        for fixed in segment.fixed:
+            yield None if fixed.special == "uint64" else fixed.cql_size
+        if segment.tail is not None:
+            yield from [None] * len(segment.tail.columns)
+
+
+def elementOf(column: Column) -> Fixed:
+    """Return how one element of a primitive array lies on the wire, and what would hold it."""
+    return _fixed(column.name, Field(column.name, column.field_type.partition("[")[0]))
+
+
+def _segments(items: Iterator[Fixed | Tail]) -> tuple[Segment, ...]:
+    segments: list[Segment] = []
+    fixed: list[Fixed] = []
+    for item in items:
+        if isinstance(item, Fixed):
+            fixed.append(item)
+        else:
+            segments.append(Segment(tuple(fixed), item))
+            fixed = []
+    if fixed:
+        segments.append(Segment(tuple(fixed), None))
+    return tuple(segments)
+
+
+def _items(
+    msg_type: str, specs: Mapping[str, MessageSpec], prefix: str, inside: bool
+) -> Iterator[Fixed | Tail]:
+    """Yield the fields of a message, those of its messages in their place.
+
+    Args:
+        msg_type: Whose fields.
+        specs: The checked types.
+        prefix: Path of the message, '' or 'a.b.'.
+        inside: Whether this is an element of an array: arrays in it become blobs.
+    """
+    for field in specs[msg_type].fields:
+        name = prefix + field.name
+        if field.is_array:
+            item = _array(name, field, specs, inside)
+            if item is not None:
+                yield item
+        elif field.is_primitive:
+            yield _scalar(name, field, specs)
+        else:
+            yield from _items(field.type, specs, name + ".", inside)
+
+
+def _scalar(name: str, field: Field, specs: Mapping[str, MessageSpec]) -> Fixed | Tail:
+    if field.type == "string":
+        column = Column(name, "text", "text", "string")
+        return Tail(column, "text", compileFieldSkip(field, specs), columns=(column,))
+    return _fixed(name, field)
+
+
+def _fixed(name: str, field: Field) -> Fixed:
+    little, big, size, cql_type, kind = _SCALARS[field.base]
+    column = Column(name, cql_type, kind, field.type)
+    return Fixed(column, little, big, size, _SPECIALS.get(field.base, ""))
+
+
+def _array(
+    name: str, field: Field, specs: Mapping[str, MessageSpec], inside: bool
+) -> Fixed | Tail | None:
+    skip = compileFieldSkip(field, specs)
+    if field.is_primitive and field.type != "string":
+        return _numbers(name, field, skip)
+    size = None if field.is_primitive else fixedSize(field.type, specs)
+    if field.length == 0 or (field.length is not None and size == 0):
+        return None  # takes no bytes: no column either
+    if inside or size == 0:
+        column = Column(name, "blob", "wire", field.full_type)
+        return Tail(column, "wire", skip, length=field.length, columns=(column,))
+    if field.is_primitive:
+        column = Column(name, "frozen<list<text>>", "text", field.full_type, True)
+        return Tail(column, "texts", skip, length=field.length, columns=(column,))
+    element = _segments(_items(field.type, specs, name + ".", True))
+    columns = tuple(
+        replace(c, cql_type=f"frozen<list<{c.cql_type}>>", is_list=True, array=name)
+        for c in columnsOf(element)
+    )
+    return Tail(None, "elements", skip, length=field.length, columns=columns, element=element)
+
+
+def _numbers(name: str, field: Field, skip: Skip) -> Fixed | Tail | None:
+    column = Column(name, "blob", "array", field.full_type)
+    unit = PRIMITIVE_SIZES[field.type]
+    if field.length is None:
+        return Tail(column, "bytes", skip, unit, columns=(column,))
+    size = field.length * unit
+    return Fixed(column, f"{size}s", f"{size}s", size) if size else None

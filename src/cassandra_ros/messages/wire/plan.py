@@ -1,0 +1,208 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Wire plans: serialised messages to columns in CQL's encoding, and back, without objects."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, Callable, Sequence
+
+from cassandra_ros.errors import CorruptMessage, InvalidExpression
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.wire.build import BUILD_ERRORS, buildMessage, compileBuild
+from cassandra_ros.messages.wire.layout import Column, columnsOf, layout
+from cassandra_ros.messages.wire.skip import WIRE_ERRORS
+from cassandra_ros.messages.wire.values import compileDecoder
+from cassandra_ros.messages.wire.walk import Out, Step, compileWalk
+
+__all__ = ["Column", "WirePlan", "wirePlan"]
+
+MAX_COLUMNS = 64
+
+
+class WirePlan:
+    """What is to be done with the bytes of one message type, compiled from its definition.
+
+    Attributes:
+        columns: The columns in the order of the wire. Where all fields would need more than
+            64, only the first 64 scalar ones; arrays would otherwise be stored twice.
+        left_out: The fields without a column.
+        complete: Whether nothing was left out, so that ``build`` works.
+    """
+
+    def __init__(self, definition: Definition) -> None:
+        self.definition = definition
+        self._segments = layout(definition.type, definition.specs)
+        self.all_columns: tuple[Column, ...] = tuple(columnsOf(self._segments))
+        scalars = [c for c in self.all_columns if c.is_scalar]
+        self.complete = len(self.all_columns) <= MAX_COLUMNS
+        self.columns = self.all_columns if self.complete else tuple(scalars[:MAX_COLUMNS])
+        names = {column.name for column in self.columns}
+        self.left_out = tuple(c for c in self.all_columns if c.name not in names)
+        self._steps = compileWalk(self._segments, True, None if self.complete else names)
+        self._build = compileBuild(self._segments)
+        self._decoders = [compileDecoder(c, definition.specs) for c in self.columns]
+        self._scalar_at = [i for i, c in enumerate(self.columns) if c.is_scalar]
+        self._scalar_names = {self.columns[i].name for i in self._scalar_at}
+        self._scalar_steps = compileWalk(self._segments, True, self._scalar_names)
+        self._readers: dict[tuple[str, ...], Callable[[bytes], list[Any]]] = {}
+
+    def walk(self, wire: bytes) -> tuple[Out, bool]:
+        """Turn a message into its columns.
+
+        Args:
+            wire: Any bytes.
+
+        Returns:
+            The columns in CQL's encoding (None: the field cannot be held exactly) and whether
+            they are not the whole truth: a None among them, surplus bytes, or no message at all
+            (then all are None).
+        """
+        out, odd, end = _walk(self._steps, wire)
+        if end < 0:
+            return [None] * len(self.columns), True
+        return out, odd or end != len(wire)
+
+    def walkScalars(self, wire: bytes) -> tuple[Out, bool]:
+        """Turn a large message into columns, leaving lists and arrays out (None)."""
+        out, odd, end = _walk(self._scalar_steps, wire)
+        columns: Out = [None] * len(self.columns)
+        if end < 0:
+            return columns, True
+        for i, column in zip(self._scalar_at, out):
+            columns[i] = column
+        exact = len(out) == len(columns) and not odd and end == len(wire)
+        return columns, not exact
+
+    def build(self, columns: Sequence[bytes | None]) -> bytes:
+        """Turn columns back into the message.
+
+        Raises:
+            CorruptMessage: A column is missing or malformed, or the plan is not complete.
+        """
+        name = self.definition.type
+        if not self.complete or len(columns) != len(self.columns):
+            raise CorruptMessage(f"a row of {name} has {len(columns)} columns, not all its fields")
+        try:
+            return buildMessage(self._build, columns)
+        except BUILD_ERRORS as exc:
+            missing = [c.name for c, v in zip(self.columns, columns) if v is None]
+            why = f"column {missing[0]} is missing" if missing else str(exc)
+            raise CorruptMessage(f"the columns of a row are no {name}: {why}") from exc
+
+    def value(self, index: int, raw: bytes) -> Any:
+        """Return the Python value of a column; see compileDecoder.
+
+        Raises:
+            CorruptMessage: The bytes are none of the column's type.
+        """
+        try:
+            return self._decoders[index](raw)
+        except BUILD_ERRORS as exc:
+            name = self.columns[index].name
+            raise CorruptMessage(f"column {name} of a row is malformed: {exc}") from exc
+
+    def reader(self, names: Sequence[str]) -> Callable[[bytes], list[Any]]:
+        """Return a function that reads some fields out of a serialised message.
+
+        What ``walk`` gives as None is read as its nearest value: bool byte 2 as True, nsecs over
+        10**9 as they add up, text that is not UTF-8 with U+FFFD.
+
+        Args:
+            names: Names of any of ``all_columns``, in the order wanted.
+
+        Returns:
+            A function from wire bytes to the values; it raises CorruptMessage.
+
+        Raises:
+            InvalidExpression: There is no such field.
+        """
+        key = tuple(names)
+        if key not in self._readers:
+            self._readers[key] = self._compile_reader(key)
+        return self._readers[key]
+
+    def picker(self, name: str) -> Callable[[bytes], bytes | None]:
+        """Return a function that takes one column out of a serialised message.
+
+        Args:
+            name: Name of one of ``all_columns``.
+
+        Returns:
+            A function from wire bytes to the column in CQL's encoding, None where it cannot hold
+            the field exactly or the bytes are no message.
+
+        Raises:
+            InvalidExpression: There is no such field.
+        """
+        if name not in {column.name for column in self.all_columns}:
+            raise InvalidExpression(f"{self.definition.type} has no field {name!r}")
+        steps = compileWalk(self._segments, True, (name,))
+
+        def pick(wire: bytes) -> bytes | None:
+            out, _, end = _walk(steps, wire)
+            return out[0] if end >= 0 else None
+
+        return pick
+
+    def cutter(self, names: Sequence[str]) -> Callable[[bytes], list[bytes]]:
+        """Return a function that cuts some columns, undecoded, out of a serialised message.
+
+        As ``reader``; the columns are in CQL's encoding and hold the nearest value: they may be
+        bool byte 2, or text that is not UTF-8.
+        """
+        steps, found = self._compile_cut(names)
+        places = [i for i, _ in found]
+        type_ = self.definition.type
+
+        def cut(wire: bytes) -> list[bytes]:
+            out, _, end = _walk(steps, wire)
+            if end < 0:
+                raise CorruptMessage(f"{len(wire)} bytes are no {type_}")
+            return [out[i] for i in places]  # type: ignore[misc]
+
+        return cut
+
+    def _compile_reader(self, names: Sequence[str]) -> Callable[[bytes], list[Any]]:
+        steps, found = self._compile_cut(names)
+        picks = [(i, compileDecoder(column, self.definition.specs)) for i, column in found]
+
+        def read(wire: bytes) -> list[Any]:
+            out, _, end = _walk(steps, wire)
+            if end < 0:
+                raise CorruptMessage(f"{len(wire)} bytes are no {self.definition.type}")
+            return [decode(out[i]) for i, decode in picks]  # type: ignore[arg-type]
+
+        return read
+
+    def _compile_cut(self, names: Sequence[str]) -> tuple[list[Step], list[tuple[int, Column]]]:
+        """Return what cuts the named columns out, and where each then stands."""
+        found = [column for column in self.all_columns if column.name in names]
+        order = {column.name: i for i, column in enumerate(found)}
+        for name in names:
+            if name not in order:
+                raise InvalidExpression(f"{self.definition.type} has no field {name!r}")
+        places = [order[name] for name in names]
+        return compileWalk(self._segments, False, order), [(i, found[i]) for i in places]
+
+
+def _walk(steps: Sequence[Step], wire: bytes) -> tuple[Out, bool, int]:
+    """Return columns, whether one is inexact, and the end of the message (-1: it is none)."""
+    out: Out = []
+    odd: list[int] = []
+    at = 0
+    try:
+        for head, size, tail in steps:
+            count = head(wire, at, out, odd) if head is not None else 0
+            at += size
+            if tail is not None:
+                at = tail(wire, at, count, out, odd)
+    except WIRE_ERRORS:
+        return out, True, -1
+    return out, bool(odd), at
+
+
+@lru_cache(maxsize=512)
+def wirePlan(definition: Definition) -> WirePlan:
+    """Return the plan of a definition, compiled once per type and md5."""
+    return WirePlan(definition)

@@ -1,0 +1,245 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Node recorder: subscribes to topics of any type and stores what comes."""
+
+from __future__ import annotations
+
+import logging
+import re
+import signal
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any, Callable, Sequence
+
+import rospy
+
+from cassandra_ros.formats.table import DEFAULT_FORMAT
+from cassandra_ros.nodes.node_name import MASTER_ERRORS, fullName, isTaken, wantedName, withoutName
+from cassandra_ros.nodes.ros_clock import followClock, nowNs
+from cassandra_ros.nodes.rosout import forwardLogging
+from cassandra_ros.nodes.subscription import connectedUris, isDrained, subscribe
+from cassandra_ros.recording.counts import TopicReport
+from cassandra_ros.recording.recorder import DEFAULT_BUFFER_BYTES, Recorder
+
+_log = logging.getLogger(__name__)
+
+POLL_SEC = 0.1
+CONNECT_SEC = 5.0
+"""How long publishers that exist are waited for before the recorder says that it records."""
+DRAIN_SEC = 5.0
+"""How long the rest of what lies in the sockets at the end is waited for while nothing comes."""
+MAX_DRAIN_SEC = 60.0
+"""And while messages come: a publisher may send faster than they can be taken."""
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class RecorderOptions:
+    """What to record, and how."""
+
+    topics: tuple[str, ...] = ()
+    """Names, or regular expressions."""
+    all: bool = False
+    regex: bool = False
+    exclude: str = ""
+    """Regular expression of topics that are left out."""
+    format: str = DEFAULT_FORMAT
+    node_id: str = ""
+    duration_sec: float = 0.0
+    """0 = until it is stopped."""
+    limit: int = 0
+    """Messages of each topic; 0 = all."""
+    buffer_bytes: int = DEFAULT_BUFFER_BYTES
+    ttl_sec: int = 0
+    tcp_nodelay: bool = False
+
+    @property
+    def discovers(self) -> bool:
+        """Whether topics are chosen while they appear."""
+        return self.all or self.regex
+
+    def chooses(self, topic: str) -> bool:
+        """Say whether a topic that appeared is to be recorded."""
+        if self.exclude and re.fullmatch(self.exclude, topic):
+            return False
+        return self.all or any(re.fullmatch(wanted, topic) for wanted in self.topics)
+
+
+def record(
+    rosCas: Any, options: RecorderOptions, argv: Sequence[str], say: Say
+) -> list[TopicReport]:
+    """Record until a signal, the master, the duration or the limit ends it.
+
+    Args:
+        rosCas: A RosCassandra connected to a keyspace.
+        options: What to record.
+        argv: Command line with the program's name and ROS remappings.
+        say: Prints a line.
+
+    Returns:
+        What became of the messages of each topic.
+    """
+    name = _startNode(argv)
+    say(f"services under {name}")
+    recorder = Recorder(
+        rosCas,
+        clock=nowNs,
+        format=options.format,
+        nodeID=options.node_id,
+        buffer_bytes=options.buffer_bytes,
+        limit=options.limit,
+        ttl=options.ttl_sec,
+        name=name,
+    )
+    try:
+        reports = _Session(recorder, options, say).run()
+    except BaseException:
+        recorder.close()
+        raise
+    finally:
+        rospy.signal_shutdown("the recording has ended")
+    return reports
+
+
+class _Session:
+    """One recording from its first subscription to its last message."""
+
+    def __init__(self, recorder: Recorder, options: RecorderOptions, say: Say) -> None:
+        self._recorder = recorder
+        self._options = options
+        self._say = say
+        self._subscribers: dict[str, rospy.Subscriber] = {}
+        self._signals = 0
+        self._stop = threading.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._signalled)
+
+    def run(self) -> list[TopicReport]:
+        self._subscribeAll()
+        self._awaitPublishers()
+        topics = len(self._subscribers)
+        self._say(f"recording {topics} topic{'' if topics == 1 else 's'}")
+        ends = time.monotonic() + (self._options.duration_sec or 1e12)
+        while not (self._stop.wait(POLL_SEC) or rospy.is_shutdown() or time.monotonic() >= ends):
+            if self._options.discovers:
+                self._discover(announce=True)
+            if self._isComplete():
+                break
+        return self._end()
+
+    def _subscribeAll(self) -> None:
+        if self._options.discovers:
+            self._discover(announce=False)
+            return
+        for topic in self._options.topics:
+            resolved = rospy.resolve_name(topic)
+            if not self._isExcluded(resolved):
+                self._subscribe(resolved)
+
+    def _isExcluded(self, topic: str) -> bool:
+        exclude = self._options.exclude
+        return bool(exclude and re.fullmatch(exclude, topic))
+
+    def _discover(self, announce: bool) -> None:
+        try:
+            _, _, published = rospy.get_master().getPublishedTopics("")
+        except MASTER_ERRORS as exc:
+            _log.warning("the master does not answer; new topics are not seen: %s", exc)
+            self._stop.wait(1.0)
+            return
+        for topic, _ in published:
+            if topic not in self._subscribers and self._options.chooses(topic):
+                if announce:
+                    self._say(f"recording {topic}, too")
+                self._subscribe(topic)
+
+    def _subscribe(self, topic: str) -> None:
+        if topic not in self._subscribers:
+            nodelay = self._options.tcp_nodelay
+            self._recorder.expect(topic)
+            self._subscribers[topic] = subscribe(topic, self._recorder.received, nodelay)
+
+    def _awaitPublishers(self) -> None:
+        """Return when the publishers that exist are connected, or after a while."""
+        ends = time.monotonic() + CONNECT_SEC
+        missing = _publishers(list(self._subscribers))
+        while missing and time.monotonic() < ends and not self._stop.is_set():
+            missing = {
+                topic: count
+                for topic, count in missing.items()
+                if len(connectedUris(self._subscribers[topic])) < count
+            }
+            self._stop.wait(0.02)
+        if missing and not self._stop.is_set():
+            _log.warning(
+                "no connection yet to all publishers of %s: their messages are recorded only from "
+                "when it stands (is their node alive, and ROS_IP or ROS_HOSTNAME right?)",
+                ", ".join(sorted(missing)),
+            )
+
+    def _isComplete(self) -> bool:
+        """Leave the topics that reached the limit; say whether all have."""
+        left = False
+        for topic, subscriber in self._subscribers.items():
+            if not self._recorder.isComplete(topic):
+                left = True
+            elif subscriber.impl is not None:
+                subscriber.unregister()
+        return bool(self._options.limit and self._subscribers) and not left
+
+    def _end(self) -> list[TopicReport]:
+        """Read what is on its way, store it, and report."""
+        self._drainSockets()
+        while not self._recorder.stop(timeout_sec=0.2):
+            if self._signals > 1:
+                _log.warning("interrupted again: what is not stored yet is lost")
+                return self._recorder.reports(final=True)
+        return self._recorder.close()
+
+    def _drainSockets(self) -> None:
+        """Wait until each connection was seen empty once: until then it lags behind the end."""
+        left, seen, ends = dict(self._subscribers), -1, 0.0
+        last = time.monotonic() + MAX_DRAIN_SEC
+        while self._signals < 2 and not rospy.is_shutdown():
+            left = {t: subscriber for t, subscriber in left.items() if not isDrained(subscriber)}
+            arrived, now = sum(map(self._recorder.count, left)), time.monotonic()
+            if arrived != seen:
+                seen, ends = arrived, min(now + DRAIN_SEC, last)
+            if not left:
+                return
+            if now > ends:
+                _log.warning(
+                    "what the publishers of %s had sent last is not recorded: "
+                    "it could not be read to its end",
+                    ", ".join(sorted(left)),
+                )
+                return
+            time.sleep(0.01)
+
+    def _signalled(self, number: int, frame: Any) -> None:
+        self._signals += 1
+        self._stop.set()
+
+
+def _startNode(argv: Sequence[str]) -> str:
+    """Become /recorder where that name is free, else a node of an anonymous name."""
+    name = wantedName("recorder", argv)
+    taken = isTaken(fullName(name))
+    words = withoutName(argv) if taken else list(argv)
+    rospy.init_node(name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True)
+    forwardLogging()
+    followClock()
+    if taken:
+        _log.warning("a node %s runs already; this one is %s", fullName(name), rospy.get_name())
+    return str(rospy.get_name())
+
+
+def _publishers(topics: Sequence[str]) -> dict[str, int]:
+    """Return how many publishers each topic has, where it has any."""
+    try:
+        _, _, (publishers, _, _) = rospy.get_master().getSystemState()
+    except MASTER_ERRORS:
+        return {}
+    return {topic: len(nodes) for topic, nodes in publishers if topic in topics and nodes}

@@ -1,0 +1,185 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What became of the messages of each topic: received, stored, lost and why, gaps before us."""
+
+from __future__ import annotations
+
+import logging
+import struct
+import threading
+import time
+from dataclasses import dataclass, field
+from typing import Mapping, Optional
+
+from cassandra_ros.recording.source import Feed
+
+_log = logging.getLogger(__name__)
+
+REPORT_SEC = 10.0
+"""A topic that loses messages is warned of at once, then at most this often."""
+MAX_REASONS = 5
+LEFT_OVER = "the recorder ended before they were stored"
+
+_JUMP = 100_000
+"""A sequence number that leaps further was set anew, nothing was lost."""
+_sequence = struct.Struct("<I").unpack_from
+
+
+@dataclass(frozen=True)
+class TopicReport:
+    """One line of the closing table."""
+
+    topic: str
+    types: tuple[str, ...]
+    received: int
+    stored: int
+    lost: int
+    reasons: Mapping[str, int]
+    """Why messages were lost → how many."""
+    gaps: Optional[int]
+    """Messages that the publishers numbered and that never came here; None = not numbered."""
+    bytes: int
+    """Serialised bytes received."""
+    rate_hz: float
+
+
+MAX_SEQUENCES = 1024
+"""Publishers of a topic whose numbers are followed: anonymous ones come without end."""
+
+
+@dataclass
+class _Topic:
+    types: set[str] = field(default_factory=set)
+    received: int = 0
+    nbytes: int = 0
+    first: float = 0.0
+    last: float = 0.0
+    lost: dict[str, int] = field(default_factory=dict)
+    warned: float = -REPORT_SEC
+    sequences: dict[str, _Sequence] = field(default_factory=dict)
+    past_gaps: int = 0
+    """Gaps of publishers that are not remembered any more."""
+
+    def newSequence(self, callerid: str) -> _Sequence:
+        """Begin to follow a publisher; of too many the oldest is forgotten."""
+        while len(self.sequences) >= MAX_SEQUENCES:
+            oldest = self.sequences.pop(next(iter(self.sequences)))
+            self.past_gaps += oldest.gaps if oldest.reliable else 0
+        sequence = self.sequences[callerid] = _Sequence()
+        return sequence
+
+
+class _Sequence:
+    """``header.seq`` of one publisher: what is missing between two messages was lost before us."""
+
+    def __init__(self) -> None:
+        self._last: Optional[int] = None
+        self._feed: Optional[Feed] = None
+        self._counts = True
+        self.gaps = 0
+
+    @property
+    def reliable(self) -> bool:
+        """Whether the numbers are those of one counter."""
+        return self._counts
+
+    def see(self, number: int, feed: Feed) -> None:
+        """Take the number of the next message."""
+        if self._last is not None and self._counts:
+            step = (number - self._last) & 0xFFFFFFFF
+            if 0 < step < _JUMP:
+                self.gaps += step - 1
+            elif feed is self._feed:
+                # No number, or several counters behind one publisher (a played bag, a relay).
+                self._counts = False
+                self.gaps = 0
+        self._last, self._feed = number, feed
+
+
+class Counts:
+    """Counts by topic. Thread-safe."""
+
+    def __init__(self) -> None:
+        self._topics: dict[str, _Topic] = {}
+        self._mutex = threading.Lock()
+
+    def expect(self, topic: str) -> None:
+        """List a topic from which nothing may come."""
+        with self._mutex:
+            self._topic(topic)
+
+    def received(self, topic: str, wire: bytes) -> None:
+        """Count a message that arrived."""
+        now = time.monotonic()
+        with self._mutex:
+            counted = self._topic(topic)
+            if not counted.received:
+                counted.first = now
+            counted.last = now
+            counted.received += 1
+            counted.nbytes += len(wire)
+
+    def attribute(self, topic: str, wire: bytes, feed: Feed) -> None:
+        """Note the connection over which a message arrived, and its sequence number."""
+        connection = feed.source.connection
+        with self._mutex:
+            counted = self._topic(topic)
+            counted.types.add(connection.type)
+            if feed.source.has_header and len(wire) >= 4:
+                sequence = counted.sequences.get(connection.callerid)
+                if sequence is None:
+                    sequence = counted.newSequence(connection.callerid)
+                sequence.see(_sequence(wire, 0)[0], feed)
+
+    def lost(self, topic: str, messages: int, reason: str) -> None:
+        """Count messages that will not be stored."""
+        now = time.monotonic()
+        with self._mutex:
+            counted = self._topic(topic)
+            known = reason in counted.lost or len(counted.lost) < MAX_REASONS
+            reason = reason if known else "other reasons"
+            counted.lost[reason] = counted.lost.get(reason, 0) + messages
+            total = sum(counted.lost.values())
+            if now - counted.warned < REPORT_SEC:
+                return
+            counted.warned = now
+        _log.warning("topic %s: %d messages lost so far: %s", topic, total, reason)
+
+    def of(self, topic: str) -> int:
+        """Return how many messages of a topic arrived."""
+        with self._mutex:
+            return self._topics[topic].received if topic in self._topics else 0
+
+    def reports(self, stored: Mapping[str, int], final: bool) -> list[TopicReport]:
+        """Describe all topics, sorted by name.
+
+        Args:
+            stored: Topic → messages that the store acknowledged.
+            final: Nothing is on its way any more: what is neither stored nor lost is lost.
+        """
+        with self._mutex:
+            names = sorted(self._topics)
+            return [_report(n, self._topics[n], stored.get(n, 0), final) for n in names]
+
+    def _topic(self, topic: str) -> _Topic:
+        return self._topics.setdefault(topic, _Topic())
+
+
+def _report(name: str, counted: _Topic, stored: int, final: bool) -> TopicReport:
+    reasons = dict(counted.lost)
+    left = counted.received - stored - sum(reasons.values())
+    if final and left > 0:
+        reasons[LEFT_OVER] = left
+    numbered = [s for s in counted.sequences.values() if s.reliable]
+    span = counted.last - counted.first
+    return TopicReport(
+        topic=name,
+        types=tuple(sorted(counted.types)),
+        received=counted.received,
+        stored=stored,
+        lost=sum(reasons.values()),
+        reasons=reasons,
+        gaps=counted.past_gaps + sum(s.gaps for s in numbered) if numbered else None,
+        bytes=counted.nbytes,
+        rate_hz=(counted.received - 1) / span if span > 0 else 0.0,
+    )

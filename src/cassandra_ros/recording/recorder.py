@@ -1,0 +1,279 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The recorder without ROS: serialised messages in from any thread, rows out by one.
+
+A callback only stamps, counts and queues, so no publisher waits for the store. One thread writes;
+another makes tables while the messages of their topics wait. What does not fit into the buffer, or
+cannot be stored, is counted by topic and reason.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+import weakref
+from functools import partial
+from typing import Any, Callable, Mapping, Optional
+
+from cassandra_ros.errors import CassandraRosError, ClockNotSet
+from cassandra_ros.formats.table import DEFAULT_FORMAT
+from cassandra_ros.keys import COUNTER_BITS, newWriterId
+from cassandra_ros.messages.connection import liveConnection
+from cassandra_ros.recording.buffer import Buffer, Item
+from cassandra_ros.recording.counts import Counts, TopicReport
+from cassandra_ros.recording.source import Feed, Source
+from cassandra_ros.recording.tables import TableMaker
+from cassandra_ros.store.registry import Run
+
+_log = logging.getLogger(__name__)
+
+DEFAULT_BUFFER_BYTES = 256 * 1024 * 1024
+BATCH_ITEMS = 256
+BATCH_BYTES = 1024 * 1024
+POLL_SEC = 0.05
+GIVE_UP_SEC = 300.0
+"""How long the writing of one message is tried."""
+MAX_FEEDS = 4096
+"""Connections remembered by their header object; publishers come and go for days."""
+
+
+class Recorder:
+    """Stores messages as they arrive.
+
+    Args:
+        rosCas: A RosCassandra connected to a keyspace.
+        clock: Returns the time of arrival, ns; raises ClockNotSet while it is unknown.
+        format: Format of topics that are not stored yet.
+        nodeID: The robot or entity that is recorded.
+        buffer_bytes: Bound of all messages that wait; the oldest are dropped. 0 = none.
+        limit: Record only so many messages of each topic; 0 = all.
+        ttl: Seconds until a message expires; 0 = never.
+        name: Name of the run in the store.
+    """
+
+    def __init__(
+        self,
+        rosCas: Any,
+        *,
+        clock: Callable[[], int] = time.time_ns,
+        format: str = DEFAULT_FORMAT,
+        nodeID: str = "",
+        buffer_bytes: int = DEFAULT_BUFFER_BYTES,
+        limit: int = 0,
+        ttl: int = 0,
+        name: str = "",
+    ) -> None:
+        self._rosCas = rosCas
+        self._clock = clock
+        self._format, self._nodeID, self._ttl, self._name = format, nodeID, ttl, name
+        self._limit = limit
+        self._lock = threading.Lock()
+        self._accepting = True
+        self._counter = 0
+        self._feeds: dict[int, Feed] = {}
+        # Feeds, queued messages and waiting lists hold the sources that are in use.
+        self._sources: weakref.WeakValueDictionary[tuple[str, bytes], Source]
+        self._sources = weakref.WeakValueDictionary()
+        self._counts = Counts()
+        self._writers = [self._makeWriter()]
+        self._buffer = Buffer(buffer_bytes)
+        self._most_waiting = buffer_bytes // 2 or 2**63
+        self._waiting: list[Source] = []
+        self._waiting_bytes = 0
+        self._tables = TableMaker(self._connect, self._buffer.wake)
+        self._thread = threading.Thread(target=self._run, name="recorder-writer", daemon=True)
+        self._thread.start()
+
+    # ---------------------------------------------------------------- messages in
+
+    def expect(self, topic: str) -> None:
+        """Let a topic appear in the reports even if nothing ever comes."""
+        self._counts.expect(topic)
+
+    def received(self, topic: str, header: Mapping[str, Any], wire: bytes) -> None:
+        """Take one message that has just arrived. Never waits for the store.
+
+        Args:
+            topic: Resolved name of the topic.
+            header: The connection header; the same object for all messages of a connection.
+            wire: The serialised message.
+        """
+        # Stamp and counter together: rospy has a thread per publisher, and the order of the
+        # stamps must be that of the counters.
+        with self._lock:
+            if not self._accepting or self.isComplete(topic):
+                return
+            self._counts.received(topic, wire)
+            try:
+                lost = self._take(topic, header, wire)
+            except Exception as exc:  # noqa: BLE001 - rospy would only log it: counted
+                lost = [(topic, f"internal error: {type(exc).__name__}: {exc}")]
+        for lost_topic, reason in lost:
+            self._counts.lost(lost_topic, 1, reason)
+
+    def _take(self, topic: str, header: Mapping[str, Any], wire: bytes) -> list[tuple[str, str]]:
+        """Stamp and queue a message; return topic and reason of what is lost by that."""
+        try:
+            t = self._clock()
+        except ClockNotSet as exc:
+            return [(topic, str(exc))]
+        counter = self._counter
+        self._counter += 1
+        feed = self._feed(topic, header)
+        self._counts.attribute(topic, wire, feed)
+        dropped = self._buffer.put(Item(feed.source, t, counter, wire))
+        return [(item.source.topic, "the buffer was full (option -b)") for item in dropped]
+
+    def _feed(self, topic: str, header: Mapping[str, Any]) -> Feed:
+        feed = self._feeds.get(id(header))
+        if feed is None:
+            connection = liveConnection(topic, header)
+            key = (topic, connection.header)
+            source = self._sources.get(key)
+            if source is None:
+                source = self._sources[key] = Source(connection)
+            if len(self._feeds) >= MAX_FEEDS:
+                self._feeds.pop(next(iter(self._feeds)))
+            feed = self._feeds[id(header)] = Feed(header, source)
+        return feed
+
+    def isComplete(self, topic: str) -> bool:
+        """Say whether a topic has all the messages that the limit allows."""
+        return bool(self._limit) and self.count(topic) >= self._limit
+
+    def count(self, topic: str) -> int:
+        """Return how many messages of a topic arrived."""
+        return self._counts.of(topic)
+
+    # ---------------------------------------------------------------- messages out
+
+    def _run(self) -> None:
+        while not self._step():
+            pass
+        self._tables.close()
+
+    def _step(self) -> bool:
+        """Move some messages on; return whether all are gone."""
+        for item in self._buffer.take(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
+            self._route(item)
+        for source in self._tables.finished():
+            self._waiting.remove(source)
+            while source.waiting:
+                self._route(self._released(source))
+        ending = self._buffer.ended
+        for source in self._waiting:
+            if not source.submitted and (ending or source.isRipe()):
+                self._tables.submit(source)
+        if ending:
+            self._tables.hurry()
+        return ending and not self._waiting
+
+    def _route(self, item: Item) -> None:
+        source: Source = item.source
+        if source.handle is None and not source.error:
+            if not source.waiting and not source.submitted:
+                self._waiting.append(source)
+            source.hold(item)
+            self._waiting_bytes += item.nbytes
+            self._boundWaiting(source)
+            return
+        if source.error:
+            self._counts.lost(source.topic, 1, source.error)
+        else:
+            self._write(item)
+        self._buffer.release(item)
+
+    def _boundWaiting(self, source: Source) -> None:
+        """Keep what waits for tables within half of the buffer: topics with one go on."""
+        while self._waiting_bytes > self._most_waiting and len(source.waiting) > 1:
+            self._buffer.release(self._released(source))
+            self._counts.lost(source.topic, 1, "the buffer was full before its table stood")
+
+    def _released(self, source: Source) -> Item:
+        item = source.waiting.popleft()
+        self._waiting_bytes -= item.nbytes
+        return item
+
+    def _write(self, item: Item) -> None:
+        generation, counter = divmod(item.counter, 1 << COUNTER_BITS)
+        source: Source = item.source
+        try:
+            writer = self._writer(generation)
+            if generation:  # the counter ran over: another writer, with handles of its own
+                source.handle = writer.connect(source.connection)
+            writer.write(source.handle, item.t, counter, item.wire)
+        except CassandraRosError as exc:
+            self._counts.lost(source.topic, 1, str(exc))
+        except Exception as exc:  # noqa: BLE001 - our mistake: counted, the other topics go on
+            _log.exception("a message of topic %s could not be stored", source.topic)
+            self._counts.lost(source.topic, 1, f"internal error: {type(exc).__name__}: {exc}")
+
+    def _connect(self, source: Source, bucket_ns: int) -> object:
+        return self._writers[0].connect(source.connection, bucket_ns)
+
+    def _writer(self, generation: int) -> Any:
+        while len(self._writers) <= generation:
+            self._writers.append(self._makeWriter())
+        return self._writers[generation]
+
+    def _makeWriter(self) -> Any:
+        number = newWriterId()
+        run = Run(self._nodeID, number, "recording", name=self._name, format=self._format)
+        return self._rosCas.messageWriter(
+            writer_id=number,
+            format=self._format,
+            nodeID=self._nodeID,
+            ttl=self._ttl,
+            run=run,
+            # The buffer is the bound: a Cassandra that restarts costs nothing while it lasts.
+            give_up_after_sec=GIVE_UP_SEC,
+            on_loss=lambda topic, messages, error: self._counts.lost(topic, messages, str(error)),
+        )
+
+    # ---------------------------------------------------------------- end
+
+    def stop(self, timeout_sec: Optional[float] = None) -> bool:
+        """Take no more messages and store what is here; call again to go on waiting.
+
+        Args:
+            timeout_sec: Return after so long even if not all is stored; None = never.
+
+        Returns:
+            Whether all is stored or counted as lost.
+        """
+        with self._lock:
+            self._accepting = False
+        self._buffer.close()
+        self._thread.join(timeout_sec)
+        return not self._thread.is_alive()
+
+    def close(self) -> list[TopicReport]:
+        """Stop, close the buckets, note the end of the run; return the final report."""
+        self.stop()
+        for writer in self._writers:
+            _tryTo(writer.flush)
+        lost = {report.topic: report.lost for report in self.reports(final=True) if report.lost}
+        for writer in self._writers:
+            _tryTo(partial(writer.close, lost))
+        return self.reports(final=True)
+
+    def reports(self, final: bool = False) -> list[TopicReport]:
+        """Describe what became of each topic.
+
+        Args:
+            final: Count what is still on its way as lost.
+        """
+        stored: dict[str, int] = {}
+        for writer in self._writers:
+            for topic, part in writer.stats().items():
+                stored[topic] = stored.get(topic, 0) + part.stored
+        return self._counts.reports(stored, final)
+
+
+def _tryTo(work: Callable[[], None]) -> None:
+    # The closing table must come whatever happens: it is where losses are told.
+    try:
+        work()
+    except CassandraRosError as exc:
+        _log.error("the recording could not be closed properly: %s", exc)

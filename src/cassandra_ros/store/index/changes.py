@@ -1,0 +1,162 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Indexes of stored topics, made and dropped under the schema lock while others read and write.
+
+An index is a shadow column, an index on it, and its line in the comment, made in this order and
+taken away in the other: what the comment lists is there. A column is never dropped, for a writer
+that has a bucket open goes on filling it, and would lose its messages.
+"""
+
+from __future__ import annotations
+
+from typing import Callable
+
+from cassandra_ros.errors import SchemaConflict, TopicNotFound
+from cassandra_ros.metadata import SHADOW, TopicMetadata, shadowColumn
+from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.index.builds import awaitBuilds
+from cassandra_ros.store.index.compaction import Compaction
+from cassandra_ros.store.lock import SchemaLock
+from cassandra_ros.store.names import quoteName
+from cassandra_ros.store.schema import Schema
+
+TypeOf = Callable[[TopicMetadata], "str | None"]
+"""CQL type of the shadow column of a field in a table; None where its type lacks the field."""
+
+BUILD_SEC = 30.0
+"""How long Cassandra may take to begin to build an index."""
+
+
+class IndexChanges:
+    """Adds and drops the indexes of the topics of one keyspace."""
+
+    def __init__(self, cassandra: Cassandra, schema: Schema) -> None:
+        self._cassandra = cassandra
+        self._schema = schema
+
+    def add(self, topic: str, field: str, type_of: TypeOf) -> None:
+        """Make an index in every table of a topic that can have it; complete one that is there.
+
+        Raises:
+            TopicNotFound: The topic is gone.
+        """
+        with self._schema.lock() as lock:
+            for table, metadata in self._tables(topic).items():
+                cql_type = type_of(metadata)
+                if field in metadata.indexes:
+                    self._complete(table, metadata.indexes[field], lock)
+                elif cql_type is not None:
+                    self._addTo(table, metadata, field, cql_type, lock)
+                else:
+                    self._resume(table, lock)
+        self._schema.tables(fresh=True)
+
+    def _addTo(
+        self, table: str, metadata: TopicMetadata, field: str, cql_type: str, lock: SchemaLock
+    ) -> None:
+        # A column that no comment has listed yet was left by somebody who died before that.
+        columns, number = self._schema.columns(table), metadata.nextShadow
+        while columns.get(shadowColumn(number), cql_type) != cql_type:
+            number += 1
+        shadow = shadowColumn(number)
+        if shadow not in columns:
+            lock.renew()
+            self._cassandra.schemaChange(
+                f"ALTER TABLE {self._schema.qualified(table)} ADD {quoteName(shadow)} {cql_type}",
+                what=f"adding a column to table {table}",
+            )
+        self._make(table, shadow, lock)
+        lock.renew()
+        self._schema.setComment(table, metadata.withIndex(field, number))
+
+    def _complete(self, table: str, shadow: str, lock: SchemaLock) -> None:
+        """Do what somebody left who died while he changed the indexes of a table."""
+        if table + shadow in self._names(table):
+            self._resume(table, lock)
+        else:
+            self._make(table, shadow, lock)
+
+    def _make(self, table: str, shadow: str, lock: SchemaLock) -> None:
+        """Make an index, anew where somebody made it who died before it was listed."""
+        index, compaction = table + shadow, self._compaction(table, lock)
+        if index in self._names(table):
+            # It may miss rows. Its build, if it waits for its turn, would go on without it.
+            self._awaitBuilds(table, lock)
+            self._drop(table, index, lock)
+        compaction.pause()
+        refused = None
+        # When the nodes make and build what was sent to them, if at all, is not known on an error.
+        with compaction.told():
+            lock.renew()
+            try:
+                self._schema.createIndex(table, shadow)
+            except SchemaConflict as exc:
+                refused = exc
+            self._resume(table, lock)
+        if refused:
+            raise refused
+
+    def _resume(self, table: str, lock: SchemaLock) -> None:
+        """Let the files of a table be merged again that somebody has paused for an index."""
+        compaction = self._compaction(table, lock)
+        if compaction.paused():
+            self._awaitBuilds(table, lock)
+            compaction.resume()
+
+    def _awaitBuilds(self, table: str, lock: SchemaLock) -> None:
+        keyspace, names = self._schema.keyspace, self._names(table)
+        awaitBuilds(self._cassandra, keyspace, table, names, lock, BUILD_SEC)
+
+    def _compaction(self, table: str, lock: SchemaLock) -> Compaction:
+        return Compaction(self._cassandra, self._schema.keyspace, table, lock)
+
+    def _drop(self, table: str, index: str, lock: SchemaLock) -> None:
+        lock.renew()
+        self._cassandra.schemaChange(
+            f"DROP INDEX IF EXISTS {quoteName(self._schema.keyspace)}.{quoteName(index)}",
+            what=f"dropping an index of table {table}",
+        )
+
+    def drop(self, topic: str, field: str) -> bool:
+        """Drop an index in every table of a topic, and what others left behind in doing so.
+
+        Returns:
+            Whether there was anything to drop.
+
+        Raises:
+            StoreUnavailable: Cassandra has not begun to build an index that somebody made.
+            TopicNotFound: The topic is gone.
+        """
+        done = False
+        with self._schema.lock() as lock:
+            for table, metadata in self._tables(topic).items():
+                # First, for a build that waits for its turn goes on without its index.
+                self._resume(table, lock)
+                if field in metadata.indexes:
+                    metadata = metadata.withoutIndex(field)
+                    lock.renew()
+                    self._schema.setComment(table, metadata)
+                    done = True
+                kept = {table + shadow for shadow in metadata.indexes.values()}
+                for name in self._names(table) - kept:
+                    self._drop(table, name, lock)
+                    done = True
+        self._schema.tables(fresh=True)
+        return done
+
+    def _tables(self, topic: str) -> dict[str, TopicMetadata]:
+        tables = self._schema.tables(fresh=True).items()
+        mine = {name: metadata for name, metadata in tables if metadata.topic == topic}
+        if not mine:
+            raise TopicNotFound(f"topic {topic} is not stored in {self._schema.keyspace} any more")
+        return mine
+
+    def _names(self, table: str) -> set[str]:
+        """Names of the indexes of ours that a table has."""
+        rows = self._cassandra.execute(
+            "SELECT index_name FROM system_schema.indexes "
+            "WHERE keyspace_name = ? AND table_name = ?",
+            (self._schema.keyspace, table),
+            what=f"reading the indexes of table {table}",
+        )
+        return {name for (name,) in rows if name.startswith(table + SHADOW)}

@@ -1,0 +1,246 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The recorder without ROS: everything that comes in is stored, or counted with a reason."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from nodes.raw_publisher import header_of, message
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Header, String
+
+from cassandra_ros.errors import ClockNotSet
+from cassandra_ros.messages.connection import liveConnection
+from cassandra_ros.recording.buffer import ITEM_BYTES, Buffer, Item
+from cassandra_ros.recording.counts import Counts
+from cassandra_ros.recording.recorder import Recorder
+from cassandra_ros.recording.source import Feed, Source, startsWithHeader
+
+T0 = 1_400_000_000 * 10**9
+
+
+def text(n):
+    return message(String(str(n)))
+
+
+def by_topic(reports):
+    return {report.topic: report for report in reports}
+
+
+# -------------------------------------------------------------------- buffer
+
+
+def item(n, size=0):
+    return Item(None, n, n, bytes(size))
+
+
+def test_buffer_drops_the_oldest():
+    buffer = Buffer(3 * (ITEM_BYTES + 10))
+    assert [buffer.put(item(n, 10)) for n in range(3)] == [[], [], []]
+    assert [dropped.t for dropped in buffer.put(item(3, 10))] == [0]
+    taken = buffer.take(10, 10**6, 0)
+    assert [i.t for i in taken] == [1, 2, 3]
+    # What was taken and not released still counts.
+    assert buffer.put(item(4, 10)) == []
+    assert [dropped.t for dropped in buffer.put(item(5, 10))] == [4]
+    for one in taken:
+        buffer.release(one)
+    assert buffer.held_bytes == ITEM_BYTES + 10
+
+
+def test_buffer_takes_one_message_of_any_size():
+    buffer = Buffer(1000)
+    buffer.put(item(0, 100))
+    assert [dropped.t for dropped in buffer.put(item(1, 10**6))] == [0]
+    assert [i.t for i in buffer.take(10, 10**9, 0)] == [1]
+    unbounded = Buffer(0)
+    assert not any(unbounded.put(item(n, 10**5)) for n in range(100))
+
+
+def test_buffer_ends():
+    buffer = Buffer(0)
+    buffer.put(item(0))
+    buffer.close()
+    assert not buffer.ended
+    assert len(buffer.take(10, 10**6, 5)) == 1
+    assert buffer.ended
+    assert buffer.take(10, 10**6, 0) == []
+
+
+# -------------------------------------------------------------------- gaps and rates
+
+
+def gaps(*runs):
+    """Gaps after runs of sequence numbers, each over a connection of its own."""
+    counts = Counts()
+    source = Source(liveConnection("/t", header_of(Imu)))
+    for run in runs:
+        feed = Feed({}, source)
+        for number in run:
+            wire = message(Imu(header=Header(seq=number)))
+            counts.received("/t", wire)
+            counts.attribute("/t", wire, feed)
+    return counts.reports({}, final=False)[0].gaps
+
+
+def test_gaps_before_us():
+    assert gaps(range(5, 10)) == 0
+    assert gaps([5, 6, 9, 10, 12]) == 3
+    assert gaps([1, 2], [5, 6]) == 2  # lost while the connection was down
+    assert gaps([100, 101], [0, 1, 2]) == 0  # the publisher began anew
+    assert gaps([2**32 - 2, 2**32 - 1, 0, 1]) == 0
+    assert gaps([0, 0, 0]) is None  # not numbered
+    assert gaps([1, 2, 700, 3, 701, 4]) is None  # two counters behind one connection
+
+
+def test_only_a_header_that_comes_first_is_read():
+    assert startsWithHeader("# comment\n\nint32 A=5\nHeader header  # x\nint32 x")
+    assert startsWithHeader("std_msgs/Header h")
+    assert not startsWithHeader("int32 x\nHeader header")
+    assert not startsWithHeader("")
+    assert not startsWithHeader("=" * 80 + "\nMSG: std_msgs/Header\nHeader h")
+
+
+@given(st.text())
+def test_any_definition_text(definition):
+    startsWithHeader(definition)
+
+
+# -------------------------------------------------------------------- the whole
+
+
+def test_messages_are_stored_as_they_came(rosCas):
+    recorder = Recorder(rosCas, format="ros", nodeID="husky")
+    header = header_of(String)
+    before = time.time_ns()
+    for n in range(500):
+        recorder.received("/text", header, text(n))
+    (report,) = recorder.close()
+    assert (report.received, report.stored, report.lost, report.gaps) == (500, 500, 0, None)
+    rows = list(rosCas.getTopic("/text").rows())
+    assert [row.wire for row in rows] == [text(n) for n in range(500)]
+    assert before <= rows[0].t <= rows[-1].t <= time.time_ns()
+    assert {row.node for row in rows} == {"husky"}
+    assert rows[0].connection == liveConnection("/text", header)
+    assert report.types == ("std_msgs/String",)
+    (run,) = rosCas.runs()
+    assert (run.kind, run.node, run.stored) == ("recording", "husky", {"/text": 500})
+    recorder.received("/text", header, text(0))
+    assert recorder.close() == [report]  # twice is harmless, and nothing is taken any more
+
+
+def test_stamps_and_counters_have_one_order(rosCas):
+    clock_lock = threading.Lock()
+    ticks = iter(range(T0, T0 + 10**9))
+
+    def clock():
+        with clock_lock:
+            return next(ticks) // 10 * 10  # ten messages share a stamp
+
+    recorder = Recorder(rosCas, clock=clock)
+
+    def publish(name):
+        header = header_of(String, callerid=name)
+        for n in range(300):
+            recorder.received("/text", header, text(f"{name}{n}"))
+
+    threads = [threading.Thread(target=publish, args=(f"/p{n}",)) for n in range(5)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    (report,) = recorder.close()
+    assert (report.stored, report.lost) == (1500, 0)
+    rows = list(rosCas.getTopic("text").rows())
+    assert [row.seq for row in rows] == sorted(row.seq for row in rows)
+    for name in range(5):
+        sent = [text(f"/p{name}{n}") for n in range(300)]
+        assert [row.wire for row in rows if row.wire in set(sent)] == sent
+
+
+def test_what_does_not_fit_is_counted(rosCas):
+    recorder = Recorder(rosCas, buffer_bytes=100_000)
+    header = header_of(String)
+    for n in range(2000):
+        recorder.received("/text", header, text(n))
+    (report,) = recorder.close()
+    assert report.received == 2000 == report.stored + report.lost
+    assert report.lost > 0
+    assert all("buffer" in reason for reason in report.reasons)
+    assert rosCas.getTopic("/text").countTopicData() == report.stored
+
+
+def test_the_limit(rosCas):
+    recorder = Recorder(rosCas, limit=3)
+    for n in range(10):
+        recorder.received("/a", header_of(String), text(n))
+    recorder.received("/b", header_of(String), text(0))
+    assert recorder.isComplete("/a")
+    assert not recorder.isComplete("/b")
+    reports = by_topic(recorder.close())
+    assert (reports["/a"].stored, reports["/b"].stored) == (3, 1)
+    assert [row.wire for row in rosCas.getTopic("/a").rows()] == [text(n) for n in range(3)]
+
+
+def test_a_clock_that_is_not_set(rosCas):
+    def clock():
+        raise ClockNotSet("no /clock")
+
+    recorder = Recorder(rosCas, clock=clock)
+    recorder.received("/text", header_of(String), text(0))
+    (report,) = recorder.close()
+    assert (report.received, report.stored, report.reasons) == (1, 0, {"no /clock": 1})
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        {},
+        {"type": "std_msgs/String"},
+        {"type": "*", "md5sum": "*", "message_definition": ""},
+        {"type": "no such", "md5sum": "x", "message_definition": "rubbish rubbish rubbish"},
+        {"type": "std_msgs/String", "md5sum": "0" * 32, "message_definition": "string data"},
+        {"type": "a/B", "md5sum": "1" * 32, "message_definition": "string \udcb0C"},
+        header_of(String, latching=None, callerid=None, message_definition=None),
+    ],
+)
+def test_headers_that_lack_or_lie(rosCas, header):
+    recorder = Recorder(rosCas, format="ros")
+    wires = [text(0), b"", bytes(range(256))]
+    for wire in wires:
+        recorder.received("/text", header, wire)
+    recorder.received("/good", header_of(String), text(0))
+    reports = by_topic(recorder.close())
+    assert (reports["/text"].stored, reports["/text"].lost) == (3, 0)
+    assert reports["/good"].stored == 1
+    rows = list(rosCas.getTopic("/text").rows())
+    assert [row.wire for row in rows] == wires
+    assert rows[0].connection == liveConnection("/text", header)
+
+
+def test_a_topic_that_cannot_have_a_table(rosCas):
+    recorder = Recorder(rosCas)
+    recorder.received("", header_of(String), text(0))
+    recorder.received("/good", header_of(String), text(0))
+    reports = by_topic(recorder.close())
+    assert (reports[""].stored, reports[""].lost) == (0, 1)
+    assert reports["/good"].stored == 1
+
+
+def test_the_first_second_fixes_the_bucket(rosCas):
+    recorder = Recorder(rosCas)
+    imu = message(Imu())
+    header = header_of(Imu)
+    for _ in range(6000):
+        recorder.received("/fast", header, imu)
+    # Behind it, or the table of this one would be made first, and count as time that passed.
+    recorder.received("/slow", header_of(String), text(0))
+    recorder.close()
+    lengths = {info.topic: info.bucket_ns for info in rosCas.info()}
+    assert lengths["/slow"] == 600 * 10**9
+    assert lengths["/fast"] <= 10 * 10**9
