@@ -36,7 +36,6 @@ EVERY = "\n".join(
     ]
 )
 
-Metadata = namedtuple("Metadata", "format topic")
 Topic = namedtuple("Topic", "name tables")
 
 
@@ -45,8 +44,8 @@ class Table:
 
     def __init__(self, definition, fmt="ros", name="table", named=False):
         self.name, self.definition, self.named = name, definition, named
-        self.metadata = Metadata(fmt, "/topic")
         self.storage = formatClass(fmt)(definition.type, definition.md5sum, definition)
+        self.by_field = self.storage.BY_FIELD
         self.columns = tuple(self.storage.getColValidationClasses())
 
 

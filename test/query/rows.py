@@ -12,13 +12,12 @@ import genpy
 from cassandra_ros.messages.definition import definitionOf
 
 Row = namedtuple("Row", "t node wire table odd columns key topic")
-Table = namedtuple("Table", "name definition metadata named", defaults=[False])
-Metadata = namedtuple("Metadata", "format topic")
+Table = namedtuple("Table", "name definition topic by_field named", defaults=[False, False])
 
 
-def table_of(definition, topic="/topic", fmt="binary"):
+def table_of(definition, topic="/topic"):
     name = "none" if definition is None else definition.md5sum
-    return Table(name, definition, Metadata(fmt, topic))
+    return Table(name, definition, topic)
 
 
 def row_of(msg=None, t=1, node="", wire=None, table=None):
@@ -28,7 +27,7 @@ def row_of(msg=None, t=1, node="", wire=None, table=None):
         wire = buffer.getvalue()
     if table is None:
         table = table_of(definitionOf(type(msg)))
-    return Row(t, node, wire, table, False, (), t, table.metadata.topic)
+    return Row(t, node, wire, table, False, (), t, table.topic)
 
 
 def plain(value):

@@ -20,7 +20,6 @@ from query.kinds import KINDS, T0, Stored, serialized
 from query.random_statements import ORDERED, Asker, numbersBeside
 
 from cassandra_ros.messages.connection import liveConnection
-from cassandra_ros.query import execute
 
 FORMATS = ("ros", "binary", "json")
 PLANS = ("client", "filter", "index")
@@ -33,7 +32,7 @@ STATEMENTS = 170
 
 def ask(store, statement, params, plan, used):
     """Run a statement in one way, return its rows, and count what the plan made of it."""
-    result = execute(store, statement, params, plan=plan)
+    result = store.statements.select(statement, params, plan=plan)
     rows = [tuple(map(canonical, row)) for row in result]
     used["indexed"] += bool(result.pushdown.indexed)
     used["filtered"] += bool(result.pushdown.filtered)

@@ -16,7 +16,6 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.query import execute
 from cassandra_ros.query.pushdown import PLANS
 from cassandra_ros.store import reader
 
@@ -90,7 +89,7 @@ def rows(found):
 def paged(store, statement, size, plan):
     found, cursor = [], None
     while True:
-        with execute(store, statement, limit=size, after=cursor, plan=plan) as result:
+        with store.statements.select(statement, limit=size, after=cursor, plan=plan) as result:
             page = rows(result)
             # As services keep it: as text.
             cursor = str(result.cursor)
@@ -103,7 +102,7 @@ def paged(store, statement, size, plan):
 
 @pytest.mark.parametrize("statement", STATEMENTS)
 def test_pages_of_any_size_give_the_same_rows(store, statement):
-    whole = rows(execute(store, statement, plan="client"))
+    whole = rows(store.statements.select(statement, plan="client"))
     assert len(whole) > 7 or "count(" in statement or "= 'yard'" in statement
     for size in SIZES:
         for plan in ("auto", "index"):
@@ -112,11 +111,11 @@ def test_pages_of_any_size_give_the_same_rows(store, statement):
 
 @pytest.mark.parametrize("statement", STATEMENTS)
 def test_pages_of_the_store_change_nothing(store, statement, monkeypatch):
-    whole = rows(execute(store, statement, plan="client"))
+    whole = rows(store.statements.select(statement, plan="client"))
     for size in (1, 7):
         monkeypatch.setattr(reader, "MAX_PAGE_ROWS", size)
         for plan in PLANS:
-            assert rows(execute(store, statement, plan=plan)) == whole, (size, plan)
+            assert rows(store.statements.select(statement, plan=plan)) == whole, (size, plan)
         assert paged(store, statement, 7, "auto") == whole
 
 
@@ -124,6 +123,6 @@ def test_positions_are_cursors_too(store):
     """Of a statement that gives a row for each message the cursor may be a bare position."""
     topic = store.getTopic("both")
     statement = "select KEY, NODE from both"
-    whole = rows(execute(store, statement))
+    whole = rows(store.statements.select(statement))
     for n, row in enumerate(topic.rows()):
-        assert rows(execute(store, statement, after=row.position)) == whole[n + 1 :]
+        assert rows(store.statements.select(statement, after=row.position)) == whole[n + 1 :]

@@ -14,7 +14,6 @@ from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
-from cassandra_ros.query import execute
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -44,7 +43,7 @@ def index(rosCas, field):
 def explained(rosCas, condition, **wanted):
     found = rosCas.explainCQL(f"select KEY from c where {condition}")
     assert found.rows_returned == len(
-        list(execute(rosCas, f"select KEY from c where {condition}", plan="client"))
+        list(rosCas.statements.select(f"select KEY from c where {condition}", plan="client"))
     )
     assert {name: getattr(found, name) for name in wanted} == wanted, str(found)
     return found
@@ -155,9 +154,9 @@ def test_names_that_no_message_can_have(rosCas):
 
 
 def test_a_page_after_an_aggregate_is_empty(rosCas):
-    first = execute(rosCas, "select max(r) from c", limit=1)
+    first = rosCas.statements.select("select max(r) from c", limit=1)
     assert list(first) == [(4799.0,)]
-    assert list(execute(rosCas, "select max(r) from c", limit=1, after=first.cursor)) == []
+    assert list(rosCas.statements.select("select max(r) from c", limit=1, after=first.cursor)) == []
 
 
 def test_a_limit_is_a_number_of_rows(rosCas):

@@ -17,7 +17,6 @@ from std_msgs.msg import Float32, String
 from cassandra_ros import RosCassandra, Stamp
 from cassandra_ros.errors import InvalidKey, InvalidQuery
 from cassandra_ros.messages.connection import liveConnection
-from cassandra_ros.query import execute
 from cassandra_ros.query.conditions import Condition
 
 TOPICS = ("/diagnostics", "/encoder", "/fix", "/joy", "/tf")
@@ -48,7 +47,7 @@ class Recorded:
         writer.close()
 
     def ask(self, statement, params=(), **options):
-        return list(execute(self.store, statement, params, **options))
+        return list(self.store.statements.select(statement, params, **options))
 
 
 @pytest.fixture(scope="module", params=["binary", "ros"])
@@ -108,7 +107,7 @@ def test_the_statement_of_the_paper(husky):
 
 
 def test_select_star(husky):
-    result = execute(husky.store, "select * from tf limit 3")
+    result = husky.store.statements.select("select * from tf limit 3")
     assert result.columns[:3] == ("KEY", "transforms.header.seq", "transforms.header.stamp")
     for row, (t, message) in zip(result, husky.messages["/tf"]):
         assert row[0] == key(t)
@@ -148,7 +147,7 @@ def test_aggregates(husky):
         "select min(latitude), MAX(latitude) as top, sum(latitude), avg(latitude), "
         "count(latitude), count(*) as n, min(header.frame_id), max(KEY), sum(header.seq) from fix"
     )
-    result = execute(husky.store, statement)
+    result = husky.store.statements.select(statement)
     assert result.columns[:3] == ("min(latitude)", "top", "sum(latitude)")
     assert result.columns[5] == "n"
     ((*numbers, frame, last, total),) = list(result)
@@ -202,7 +201,7 @@ def test_patterns_arrays_and_null(husky):
     assert husky.ask("select count(*) from joy where axes[99] is null") == [(len(joys),)]
     assert husky.ask("select count(*) from joy where NODE like 'hus__'") == [(len(joys),)]
     assert husky.ask("select count(*) from joy where NODE like 'hus_'") == [(0,)]
-    renamed = execute(husky.store, "select KEY as time, buttons[0] as b from joy limit 1")
+    renamed = husky.store.statements.select("select KEY as time, buttons[0] as b from joy limit 1")
     assert renamed.columns == ("time", "b")
     assert list(renamed) == [(key(joys[0][0]), joys[0][1].buttons[0])]
 
@@ -233,7 +232,7 @@ def test_pages_give_the_same_rows(husky, statement, size):
     assert len(whole) > 7
     pages, cursor = [], None
     for _ in range(len(whole) + 2):
-        with execute(husky.store, statement, limit=size, after=cursor) as result:
+        with husky.store.statements.select(statement, limit=size, after=cursor) as result:
             page = list(result)
             cursor = result.cursor
         if not page:
@@ -244,7 +243,7 @@ def test_pages_give_the_same_rows(husky, statement, size):
 
 def test_cursors_from_elsewhere(husky):
     with pytest.raises(InvalidKey, match="not a cursor"):
-        execute(husky.store, "select KEY from joy", after="x")
+        husky.store.statements.select("select KEY from joy", after="x")
 
 
 def test_condition_for_getdata_and_range(husky):
@@ -281,7 +280,7 @@ def test_condition_for_getdata_and_range(husky):
 )
 def test_errors_come_at_once_with_the_statement(husky, statement, spot, word):
     with pytest.raises(InvalidQuery) as caught:
-        execute(husky.store, statement)
+        husky.store.statements.select(statement)
     assert statement[caught.value.position :].startswith(spot)
     assert word in caught.value.reason
     assert statement in str(caught.value)
@@ -317,7 +316,7 @@ def test_definitions_are_united(rosCas):
     writer.close()
     rows = rosCas.executeCQL("select KEY, data, latitude from x")
     assert rows == [(key(T0), 1.5, None), (key(T0 + 1), None, 5.0), (key(T0 + 2), "text", None)]
-    everything = execute(rosCas, "select * from x")
+    everything = rosCas.statements.select("select * from x")
     assert set(everything.columns) >= {"KEY", "data", "latitude", "header.frame_id"}
     assert len(list(everything)) == 3
     assert rosCas.executeCQL("select data from x where data = 'text'") == [("text",)]
@@ -366,7 +365,7 @@ def test_a_topic_without_messages(rosCas):
     assert rosCas.executeCQL("select data from later") == []
     assert rosCas.executeCQL("select count(*) from later") == [(0,)]
     rosCas.addTopic("/unknown")
-    assert execute(rosCas, "select KEY from unknown").columns == ("KEY",)
+    assert rosCas.statements.select("select KEY from unknown").columns == ("KEY",)
 
 
 def test_names_match_patterns(rosCas):

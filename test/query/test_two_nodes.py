@@ -13,7 +13,6 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros import Stamp
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import liveConnection
-from cassandra_ros.query import execute
 from cassandra_ros.query.conditions import Condition
 from cassandra_ros.query.pushdown import PLANS
 
@@ -64,7 +63,7 @@ class Fleet:
         return [(t, robot) for t, robot, _ in self.expected(topic, test, robots)]
 
     def ask(self, statement, params=(), **options):
-        result = execute(self.store, statement, params, **options)
+        result = self.store.statements.select(statement, params, **options)
         return [tuple(map(canonical, row)) for row in result]
 
 

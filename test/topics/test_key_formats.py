@@ -458,7 +458,6 @@ class TestQueries:
             ask("select data from results where KEY = 5")
 
     def test_pages(self, rosCas):
-        from cassandra_ros.query import execute
 
         topic = rosCas.addTopic("/r", key_format="manual")
         for number in range(7):
@@ -467,7 +466,7 @@ class TestQueries:
             statement = f"select data from /r{condition}"
             found, cursor = [], None
             while True:
-                with execute(rosCas, statement, after=cursor, limit=2) as result:
+                with rosCas.statements.select(statement, after=cursor, limit=2) as result:
                     page = list(result)
                     cursor = result.cursor
                 found += page

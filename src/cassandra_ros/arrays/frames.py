@@ -12,11 +12,12 @@ from cassandra_ros.arguments import check_list
 from cassandra_ros.arrays.gather import FieldArray, Fields, ReadRows, Where, gatherFields
 from cassandra_ros.arrays.join import rowsOf
 from cassandra_ros.arrays.optional import optionalModule
+from cassandra_ros.query.protocols import Row, Source
 
 _UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}
 
 
-def readFrame(topic: Any, fields: Fields, where: Where, read: ReadRows) -> Any:
+def readFrame(topic: Source[Row], fields: Fields, where: Where, read: ReadRows) -> Any:
     """Return fields as a DataFrame, whose index is KEY.
 
     Arguments and errors are those of gatherFields.

@@ -16,6 +16,7 @@ from cassandra_ros.arrays.outputs import uniteOutputs
 from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.parse import parseCondition, parseSelect
+from cassandra_ros.query.protocols import Row, Source, Table
 from cassandra_ros.query.scope import Findings
 from cassandra_ros.query.syntax import Column, Key, Operand, Select
 
@@ -23,9 +24,9 @@ Where = Union[None, str, Tuple[str, Sequence[Any]]]
 """A condition, or a condition with the values of its ``?``."""
 Fields = Union[None, str, Sequence[str]]
 """Names of fields; None = all."""
-Columns = Callable[[Any], Sequence[str]]
-"""Which columns of a TopicTable are needed."""
-ReadRows = Callable[[Columns], Iterator[Any]]
+Columns = Callable[[Table], Sequence[str]]
+"""Which columns of a table are needed."""
+ReadRows = Callable[[Columns], Iterator[Row]]
 """Reads the stored rows that satisfy the condition."""
 
 _PLAIN_TOPIC = re.compile(r"/[A-Za-z][A-Za-z0-9_/]*")
@@ -40,11 +41,13 @@ class FieldArray(NamedTuple):
     """A bool for each row: the message has no such value. None where all have it."""
 
 
-def gatherFields(topic: Any, fields: Fields, where: Where, read: ReadRows) -> dict[str, FieldArray]:
+def gatherFields(
+    topic: Source[Row], fields: Fields, where: Where, read: ReadRows
+) -> dict[str, FieldArray]:
     """Gather fields from the rows of a topic.
 
     Args:
-        topic: A CassandraTopic.
+        topic: Whose rows.
         fields: As a SELECT statement names them, KEY and NODE included; None = all fields.
         where: Which messages ``read`` gives, and which elements of the arrays that are unnested.
         read: Reads the rows.
@@ -64,7 +67,7 @@ def gatherFields(topic: Any, fields: Fields, where: Where, read: ReadRows) -> di
     tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
     findings.check()
 
-    def columns(table: Any) -> Sequence[str]:
+    def columns(table: Table) -> Sequence[str]:
         known = tables.get(table.name)
         return table.columns if known is None else known.needed
 
@@ -82,12 +85,12 @@ def gatherFields(topic: Any, fields: Fields, where: Where, read: ReadRows) -> di
     return _united(select, list(tables.values()))
 
 
-def readArrays(*asked: Any) -> dict[str, Any]:
+def readArrays(topic: Source[Row], fields: Fields, where: Where, read: ReadRows) -> dict[str, Any]:
     """Return fields as arrays, those of which values are missing as masked ones.
 
     Arguments and errors are those of gatherFields.
     """
-    return {name: _plain(array) for name, array in gatherFields(*asked).items()}
+    return {name: _plain(array) for name, array in gatherFields(topic, fields, where, read).items()}
 
 
 def _plain(array: FieldArray) -> Any:

@@ -10,6 +10,7 @@ from cassandra_ros.arrays.array_types import ArrayType, typeOf, uniteTypes
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.evaluate import compileCondition
 from cassandra_ros.query.fields import FieldRef
+from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.scope import Findings, Scope
 from cassandra_ros.query.syntax import Aggregate, Column, Key, Node, Select
 
@@ -56,12 +57,12 @@ def outputsOf(
     ]
 
 
-def columnTypes(select: Select, tables: Sequence[Any]) -> list[tuple[str, ArrayType]]:
+def columnTypes(select: Select, tables: Sequence[Table]) -> list[tuple[str, ArrayType]]:
     """Return name and type of each column of the result of a statement.
 
     Args:
         select: The statement.
-        tables: The TopicTables of its topic.
+        tables: The tables of its topic.
     """
     found = []
     for table in tables:

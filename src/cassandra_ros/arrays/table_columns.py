@@ -12,6 +12,7 @@ from cassandra_ros.arrays.values import Convert, compileConvert
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
 from cassandra_ros.messages.wire.plan import wirePlan
 from cassandra_ros.query.extract import Array
+from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.syntax import Key, Node
 
 _log = logging.getLogger(__name__)
@@ -37,7 +38,7 @@ class TableColumns:
         listed: Place of a column with one element for each row, where there is one.
     """
 
-    def __init__(self, table: Any, outputs: Sequence[Output], unnested: Sequence[Array]) -> None:
+    def __init__(self, table: Table, outputs: Sequence[Output], unnested: Sequence[Array]) -> None:
         self._table = table
         self.direct = len(unnested) <= 1
         self.names: List[str] = []
@@ -82,7 +83,7 @@ class TableColumns:
             return every
         return [name for name in every if name in self.names]
 
-    def read(self, row: Any) -> Optional[Sequence[Optional[bytes]]]:
+    def read(self, row: Row) -> Optional[Sequence[Optional[bytes]]]:
         """Return the columns of a row, None for each where the message cannot be read.
 
         None instead of all where the message was removed since its columns were read.
@@ -106,7 +107,7 @@ class TableColumns:
 
     def _where(self, width: int) -> Optional[list[int]]:
         """Places of the columns in a row of so many: all of the table's, or those asked for."""
-        if self._table.metadata.format != "ros":
+        if not self._table.by_field:
             return None
         if width not in self._places:
             held = list(self._table.columns)

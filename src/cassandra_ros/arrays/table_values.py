@@ -23,6 +23,7 @@ from cassandra_ros.errors import CassandraRosError, CorruptMessage
 from cassandra_ros.query.conditions import readable
 from cassandra_ros.query.evaluate import compileCondition
 from cassandra_ros.query.extract import Extractor
+from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.scope import KEY_PLACE, NODE_PLACE, Findings, Scope
 from cassandra_ros.query.syntax import Key, Node, Select
 
@@ -35,14 +36,14 @@ class TableValues:
 
     Args:
         select: The statement; its columns are fields, KEY and NODE.
-        table: A TopicTable.
+        table: The table.
         findings: Collects what the statement names in vain.
 
     Attributes:
         outputs: The columns that the table has, for each selected path.
     """
 
-    def __init__(self, select: Select, table: Any, findings: Findings) -> None:
+    def __init__(self, select: Select, table: Table, findings: Findings) -> None:
         definition = table.definition
         self._scope = scope = Scope(definition, findings, table.named)
         self._check = compileCondition(select.condition, scope.locate, scope.fit)
@@ -53,7 +54,9 @@ class TableValues:
         self._extractor = scope.extractor()
         self._columns = TableColumns(table, self._all, scope.unnested)
         self._tester: Optional[Extractor] = None
-        if any(array in scope.unnested for ref in tested for array in ref.arrays):
+        if definition is not None and any(
+            array in scope.unnested for ref in tested for array in ref.arrays
+        ):
             self._tester = Extractor(definition, tested, scope.unnested)
         self._chunks: list[list[Values]] = [[] for _ in self._all]
         self._orders: list[Any] = []
@@ -69,11 +72,11 @@ class TableValues:
 
     # ---------------------------------------------------------------- rows
 
-    def add(self, row: Any, number: int) -> None:
+    def add(self, row: Row, number: int) -> None:
         """Take a row in.
 
         Args:
-            row: A StoredRow of the table that satisfies the condition.
+            row: A row of the table that satisfies the condition.
             number: Orders the rows of all tables; never falls.
         """
         if self._columns.direct:
@@ -96,7 +99,7 @@ class TableValues:
         if len(self._numbers) >= BATCH_ROWS or self._bytes >= BATCH_BYTES:
             self.flush()
 
-    def _test(self, row: Any, tester: Extractor) -> list[bool]:
+    def _test(self, row: Row, tester: Extractor) -> list[bool]:
         """Say for each element of the unnested array whether it satisfies the condition."""
         own = (row.name if self._named else row.t, row.node)
         values = ((*own, *found) for found in tester.values(row))

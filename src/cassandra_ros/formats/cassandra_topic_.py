@@ -33,6 +33,9 @@ class CassandraTopic_(ABC):
     """
 
     NAME: str
+    """By which it is chosen, and stored in the comment."""
+    BY_FIELD = False
+    """Whether each field has a column of its own, which conditions can be checked on."""
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         self.msg_type = msg_type

@@ -25,6 +25,7 @@ class CassandraTopic_ros(CassandraTopic_):
     """
 
     NAME = "ros"
+    BY_FIELD = True
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         super().__init__(msg_type, md5sum, definition)

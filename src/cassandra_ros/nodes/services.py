@@ -14,7 +14,6 @@ from cassandra_ros.keys import decodeCursor, encodeCursor
 from cassandra_ros.messages.stamps import toNs
 from cassandra_ros.msg import Row
 from cassandra_ros.nodes.stored_messages import clean, pack, sizeOf
-from cassandra_ros.query import execute, executeAll
 from cassandra_ros.query.conditions import Condition
 from cassandra_ros.query.json_values import fromJson, toJson
 from cassandra_ros.query.parse import parseStatement
@@ -140,12 +139,14 @@ class Services:
             return ExecuteCQLResponse(success=False, message=READ_ONLY)
         if request.cursor:
             raise InvalidKey("a cursor leads to the next page of a SELECT; leave it out here")
-        found = executeAll(self._rosCas, statement, nodeID=node)
+        found = self._rosCas.statements.run(statement, nodeID=node)
         rows = [Row([toJson(value) for value in values]) for values in found]
         return ExecuteCQLResponse(success=True, columns=list(found.columns), rows=rows)
 
     def _page(self, select: Select, node: Optional[str], limit: int, cursor: str) -> Any:
-        with execute(self._rosCas, select, (), node, limit + 1, cursor) as result:
+        with self._rosCas.statements.select(
+            select, nodeID=node, limit=limit + 1, after=cursor
+        ) as result:
             response = ExecuteCQLResponse(success=True, columns=[clean(c) for c in result.columns])
             size = 0
             for values in islice(result, limit):

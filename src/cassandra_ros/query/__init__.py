@@ -10,33 +10,3 @@ values out of messages, ``plan`` makes rows of them, ``run`` joins all, and ``ex
 messages at once, of which ``table_values`` and ``table_columns`` gather those of one table. No
 driver, no rospy.
 """
-
-from cassandra_ros.arrays.array_types import ArrayType
-from cassandra_ros.arrays.frames import readFrame
-from cassandra_ros.arrays.gather import readArrays
-from cassandra_ros.arrays.optional import optionalModule
-from cassandra_ros.arrays.outputs import columnTypes
-from cassandra_ros.query.conditions import Condition
-from cassandra_ros.query.json_values import fromJson, jsonValue, toJson
-from cassandra_ros.query.parse import parseStatement
-from cassandra_ros.query.run import QueryResult, Rows, execute
-from cassandra_ros.query.syntax import Select
-from cassandra_ros.topics.statements import executeAll
-
-__all__ = [
-    "ArrayType",
-    "Condition",
-    "QueryResult",
-    "Rows",
-    "Select",
-    "columnTypes",
-    "execute",
-    "executeAll",
-    "fromJson",
-    "jsonValue",
-    "optionalModule",
-    "parseStatement",
-    "readArrays",
-    "readFrame",
-    "toJson",
-]

@@ -14,20 +14,21 @@ from cassandra_ros.query.bounds import Bounds, boundsOf
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.evaluate import compileCondition
 from cassandra_ros.query.parse import parseCondition
+from cassandra_ros.query.protocols import Row, RowT, Source, Table
 from cassandra_ros.query.pushdown import Pushdown
 from cassandra_ros.query.scope import Findings, Scope
 from cassandra_ros.query.syntax import Expression
 
 _log = logging.getLogger(__name__)
 
-Test = Callable[[Any], bool]
+Test = Callable[[Row], bool]
 
 
 class _TableTest:
     """Tells whether a row of one table satisfies a condition."""
 
-    def __init__(self, expression: Expression, table: Any, findings: Findings) -> None:
-        self._format = table.metadata.format
+    def __init__(self, expression: Expression, table: Table, findings: Findings) -> None:
+        self._by_field = table.by_field
         self._scope = Scope(table.definition, findings, table.named)
         self._check = compileCondition(expression, self._scope.locate, self._scope.fit)
         self._extractor = self._scope.extractor()
@@ -37,16 +38,16 @@ class _TableTest:
         """Columns of the table that it looks at; None = all."""
         if self._extractor is None:
             return ()
-        return self._extractor.columns if self._format == "ros" else None
+        return self._extractor.columns if self._by_field else None
 
-    def __call__(self, row: Any) -> bool:
+    def __call__(self, row: Row) -> bool:
         values = self._scope.rows(row, self._extractor)
         found = readable(row, values, self._scope.width)
         return any(self._check(value) is True for value in found)
 
 
 class Condition:
-    """What stands behind WHERE, for the messages of one topic.
+    """What stands behind WHERE, for the messages of one source.
 
     A message satisfies a condition on the elements of an array of messages when one element does.
 
@@ -87,11 +88,11 @@ class Condition:
         except StatementError as exc:
             raise InvalidQuery(self.text, exc.position, exc.reason) from None
 
-    def test(self, tables: Sequence[Any]) -> Test:
+    def test(self, tables: Sequence[Table]) -> Test:
         """Return a function that tells whether a stored row satisfies the condition.
 
         Args:
-            tables: The TopicTables of the topic.
+            tables: The TopicTables of the source.
 
         Raises:
             InvalidQuery: The condition names a field that no definition of the topic has, or
@@ -105,7 +106,7 @@ class Condition:
         tests = {t.name: _TableTest(self._expression, t, findings) for t in tables}
         findings.check()
 
-        def testOf(table: Any) -> _TableTest:
+        def testOf(table: Table) -> _TableTest:
             if table.name not in tests:  # made since
                 tests[table.name] = _TableTest(self._expression, table, Findings(self.text))
             return tests[table.name]
@@ -114,14 +115,14 @@ class Condition:
 
     def rows(
         self,
-        topic: Any,
+        source: Source[RowT],
         key: Optional[int] = None,
         to_key: Optional[int] = None,
         after: Optional[Position] = None,
         reverse: bool = False,
         *,
         bare: bool = False,
-    ) -> Iterator[Any]:
+    ) -> Iterator[RowT]:
         """Walk through the rows of a topic that satisfy the condition, in the order of time.
 
         Args:
@@ -132,35 +133,35 @@ class Condition:
             reverse: Newest first.
             bare: Only the keys are wanted: a row fetches its message when it is asked for.
         """
-        tables = topic.tables
+        tables = source.tables
         testOf = self._tests(tables)
         bounds = self.bounds(any(t.named for t in tables)).within(key, to_key)
         reading: Any = {"chooser": Pushdown(self._expression)}
         if bare:
             reading["columns"] = lambda table: testOf(table).columns
-        rows = boundedRows(topic, bounds, after, reverse, **reading)
+        rows = boundedRows(source, bounds, after, reverse, **reading)
         return (row for row in rows if testOf(row.table)(row))
 
 
 def boundedRows(
-    topic: Any,
+    source: Source[RowT],
     bounds: Bounds,
     after: Optional[Position] = None,
     reverse: bool = False,
     limit: Optional[int] = None,
     **reading: Any,
-) -> Iterator[Any]:
-    """Walk through the rows of a topic inside of bounds; ``reading`` goes on to topic.rows."""
+) -> Iterator[RowT]:
+    """Walk through the rows of a topic inside of bounds; ``reading`` goes on to source.rows."""
     if bounds.empty:
         return iter(())
     if bounds.name is None:
         direction: Any = {"after": after, "reverse": reverse, "limit": limit}
-        rows: Iterator[Any] = topic.rows(
+        rows: Iterator[RowT] = source.rows(
             bounds.low, bounds.high, nodeID=bounds.node, **direction, **reading
         )
         return rows
     try:
-        every = topic.versions(bounds.name, nodeID=bounds.node, reverse=reverse)
+        every = source.versions(bounds.name, nodeID=bounds.node, reverse=reverse)
     except InvalidKey:
         return iter(())  # no message can have such a name
     found = (
@@ -171,7 +172,7 @@ def boundedRows(
     return islice(found, limit)
 
 
-def readable(row: Any, values: Iterator[Sequence[Any]], width: int) -> list[Sequence[Any]]:
+def readable(row: Row, values: Iterator[Sequence[Any]], width: int) -> list[Sequence[Any]]:
     """Return the values of a row; where its bytes are no message, its fields are missing."""
     try:
         return list(values)

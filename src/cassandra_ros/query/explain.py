@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Iterator, Optional, Sequence
+from typing import Any, Iterator, Optional
 
-from cassandra_ros.query.run import execute
+from cassandra_ros.query.protocols import Row, Source
+from cassandra_ros.query.run import QueryResult
 from cassandra_ros.query.syntax import (
     All,
     Compare,
@@ -78,25 +79,23 @@ class Explanation:
         )
 
 
-def explain(
-    rosCas: Any, statement: str, params: Sequence[Any] = (), nodeID: Optional[str] = None
-) -> Explanation:
-    """Run a SELECT statement to its end, keeping no row, and say how it was answered.
-
-    Raises:
-        InvalidQuery: As execute does.
-    """
-    with execute(rosCas, statement, params, nodeID) as result:
+def explain(result: QueryResult, source: Source[Row]) -> Explanation:
+    """Read a result to its end, keeping no row, and say how it was answered."""
+    with result:
         returned = sum(1 for _ in result)
-    pushed, topic = result.pushdown, rosCas.getTopic(result.select.topic)
+    pushed = result.pushdown
     ways: dict[Leaf, list[str]] = {}
     for (_, way), leaf in pushed.used.items():
         ways.setdefault(leaf, []).append(way)
-    server = [f"{_leaf(leaf)} ({' and '.join(how)})" for leaf, how in ways.items()]
     return Explanation(
-        *(statement, topic.name, topic.countBuckets()),
-        *(pushed.indexed, pushed.filtered, pushed.whole, pushed.skipped),
-        server=tuple(server),
+        statement=result.select.text,
+        topic=source.name,
+        buckets=source.countBuckets(),
+        indexed=pushed.indexed,
+        filtered=pushed.filtered,
+        whole=pushed.whole,
+        skipped=pushed.skipped,
+        server=tuple(f"{_leaf(leaf)} ({' and '.join(how)})" for leaf, how in ways.items()),
         client=tuple(_alone(result.select.condition, set(ways))),
         rows_read=result.read,
         rows_returned=returned,

@@ -13,6 +13,7 @@ from typing import Any, Callable, Iterator, Optional, Sequence, Tuple, Union
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.plan import wirePlan
 from cassandra_ros.query.fields import FieldRef, Step
+from cassandra_ros.query.protocols import Row
 
 Get = Callable[[Any], Any]
 Array = Tuple[Step, ...]
@@ -53,11 +54,11 @@ class Extractor:
         if len(self._stored) == len(self._names):
             self.columns = [self._plan.columns[n].name for n in held]
 
-    def values(self, row: Any) -> Iterator[list[Any]]:
+    def values(self, row: Row) -> Iterator[list[Any]]:
         """Yield the values of a stored row: once, or once per element of the unnested array.
 
         Args:
-            row: A StoredRow.
+            row: A stored row.
 
         Raises:
             CorruptMessage: The bytes are no message of the type.
@@ -66,15 +67,15 @@ class Extractor:
         values = [next(found) if given else [] for given in self._given]
         return self._unnest(0, values)
 
-    def _columns(self, row: Any) -> list[Any]:
+    def _columns(self, row: Row) -> list[Any]:
         """Values of the named columns, from the row's own where it has them."""
-        if self.columns is not None and row.table.metadata.format == "ros":
+        if self.columns is not None and row.table.by_field:
             # A column that cannot give its field back is unset, also in an odd row.
             held = row.columns
             places = self._projected if len(held) == len(self.columns) else self._stored
             raw = [held[n] for n in places]
             if None not in raw:
-                return [self._plan.value(n, r) for n, r in zip(self._stored, raw)]
+                return [self._plan.value(n, r) for n, r in zip(self._stored, raw) if r is not None]
         return self._read(row.wire)
 
     def _unnest(self, level: int, values: list[Any]) -> Iterator[list[Any]]:

@@ -11,6 +11,7 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.conditions import readable
 from cassandra_ros.query.evaluate import compileCondition
+from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.scope import KEY_PLACE, NODE_PLACE, Findings, Scope
 from cassandra_ros.query.syntax import Aggregate, Column, Key, Node, Path, Select
 
@@ -47,11 +48,11 @@ class TablePlan:
         self._shown: list[Optional[_Column]] = []
         self.follow(self.names)
 
-    def columns(self, table: Any) -> Optional[Sequence[str]]:
+    def columns(self, table: Table) -> Optional[Sequence[str]]:
         """Name the columns of its table that are read; None = all."""
         if self._extractor is None:
             return ()
-        return self._extractor.columns if table.metadata.format == "ros" else None
+        return self._extractor.columns if table.by_field else None
 
     def follow(self, names: Sequence[Sequence[str]]) -> None:
         """Show these columns of each path; those that the table lacks are None."""
@@ -60,13 +61,13 @@ class TablePlan:
             known = {column[0]: column for column in group}
             self._shown.extend(known.get(name) for name in wanted)
 
-    def rows(self, row: Any) -> list[tuple[Any, ...]]:
+    def rows(self, row: Row) -> list[tuple[Any, ...]]:
         """Return the rows of the result that a stored row gives."""
         scope = self._scope
         found = readable(row, scope.rows(row, self._extractor), scope.width)
         return [self._show(row, values) for values in found if self._check(values) is True]
 
-    def _show(self, row: Any, values: Sequence[Any]) -> tuple[Any, ...]:
+    def _show(self, row: Row, values: Sequence[Any]) -> tuple[Any, ...]:
         shown: list[Any] = []
         for column in self._shown:
             if column is None:

@@ -17,6 +17,7 @@ from cassandra_ros.messages.wire.plan import Column, wirePlan
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.fields import FieldRef, fieldOf
 from cassandra_ros.query.literals import Comparable, fitToField
+from cassandra_ros.query.protocols import Bucket, Query, Table
 from cassandra_ros.query.scope import wantsArray
 from cassandra_ros.query.syntax import (
     All,
@@ -69,7 +70,7 @@ Used = Dict[Tuple[int, str], Leaf]
 
 
 class Pushdown:
-    """Decides for every bucket what the server is to check (a store.scan.Chooser).
+    """Decides for every bucket what the server is to check (a Chooser).
 
     Args:
         expression: The condition, bound; None is always true.
@@ -93,7 +94,7 @@ class Pushdown:
         self.indexed = self.filtered = self.whole = self.skipped = 0
         self.used: Used = {}
 
-    def choose(self, table: Any, bucket: Sequence[Any]) -> Optional[Sequence[Any]]:
+    def choose(self, table: Table, bucket: Sequence[Bucket]) -> Optional[Sequence[Query]]:
         """Return the queries whose rows include those that match; see Chooser."""
         chosen = self._chosen(table, bucket)
         if chosen is None:
@@ -106,11 +107,11 @@ class Pushdown:
             self.skipped += 1
         return chosen
 
-    def few(self, table: Any) -> bool:
+    def few(self, table: Table) -> bool:
         """Say whether little was found so far; see Chooser."""
         return table.name not in self._many
 
-    def learn(self, table: Any, bucket: Sequence[Any], found: int) -> None:
+    def learn(self, table: Table, bucket: Sequence[Bucket], found: int) -> None:
         """Do less in the next buckets where much was found in this one."""
         every = sum(row.rows for row in bucket)
         if found > FEW_ROWS and found > FEW_SHARE * every:
@@ -120,7 +121,7 @@ class Pushdown:
             if found > CROWDED_SHARE * every:
                 self._crowded.add(table.name)
 
-    def _chosen(self, table: Any, bucket: Sequence[Any]) -> Optional[list[Any]]:
+    def _chosen(self, table: Table, bucket: Sequence[Bucket]) -> Optional[list[Query]]:
         if self._plan == "client" or self._expression is None:
             return None
         if table.name not in self._branches:
@@ -129,7 +130,7 @@ class Pushdown:
         if branches is None:
             return None
         filled = self._filled(table, bucket)
-        queries: list[Any] = []
+        queries: list[Query] = []
         used: Used = {}
         for branch in branches:
             found = self._queries(branch, filled, used)
@@ -143,14 +144,14 @@ class Pushdown:
             queries.append(_ODD)
         return queries
 
-    def _filled(self, table: Any, bucket: Sequence[Any]) -> frozenset[str]:
+    def _filled(self, table: Table, bucket: Sequence[Bucket]) -> frozenset[str]:
         """Name the shadow columns that can be used in a bucket."""
         dense = self._plan == "auto" and table.name in self._dense
-        if self._plan == "filter" or (dense and table.metadata.format == "ros"):
+        if self._plan == "filter" or (dense and table.by_field):
             return frozenset()
         return frozenset.intersection(*(row.filled for row in bucket))
 
-    def _queries(self, branch: Branch, filled: frozenset[str], used: Used) -> Optional[list[Any]]:
+    def _queries(self, branch: Branch, filled: frozenset[str], used: Used) -> Optional[list[Query]]:
         """Return the queries for one branch; None where the server cannot check anything of it."""
         if any(NEVER in (need.filtered, need.indexed) for need in branch):
             return []
@@ -189,7 +190,7 @@ def _compatible(terms: Sequence[Term]) -> tuple[Term, ...]:
     return tuple(kept.values())
 
 
-def _branches(expression: Expression, table: Any) -> Optional[list[Branch]]:
+def _branches(expression: Expression, table: Table) -> Optional[list[Branch]]:
     """Bring a condition into the form (a AND b …) OR …, weaker where it cannot be said."""
     if isinstance(expression, Negation):
         return None
@@ -214,7 +215,7 @@ def _joined(found: Sequence[Optional[list[Branch]]]) -> Optional[list[Branch]]:
     return joined
 
 
-def _need(leaf: Leaf, table: Any) -> Need:
+def _need(leaf: Leaf, table: Table) -> Need:
     if isinstance(leaf, IsNull) or not isinstance(leaf.operand, Path) or table.definition is None:
         return Need(leaf, None, "", None)
     operator = leaf.operator if isinstance(leaf, Compare) else "="
@@ -228,7 +229,9 @@ def _need(leaf: Leaf, table: Any) -> Need:
     if ref.part:
         return Need(leaf, None, "", None)
     index = table.index_fields.get(ref.column)
-    carried = index and Held(index.shadow, index.element_type, index.many, MAX_TEXT_BYTES)
+    carried = None
+    if index is not None:
+        carried = Held(index.shadow, index.element_type, index.many, MAX_TEXT_BYTES)
     return Need(
         leaf,
         _ways(_columnOf(ref, table), operator, values, FEW_VALUES),
@@ -253,9 +256,9 @@ def _fitted(leaf: Leaf, ref: FieldRef) -> Iterator[Comparable]:
             continue  # of another kind: it equals nothing here
 
 
-def _columnOf(ref: FieldRef, table: Any) -> Optional[Held]:
+def _columnOf(ref: FieldRef, table: Table) -> Optional[Held]:
     """Return the column of format ``ros`` that holds a field, or all its elements."""
-    if table.metadata.format != "ros":
+    if not table.by_field:
         return None
     columns: dict[str, Column] = {c.name: c for c in wirePlan(table.definition).columns}
     column = columns.get(ref.column)

@@ -1,13 +1,12 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Run a statement over the stored rows of a topic."""
+"""Run a statement over the stored rows of a source."""
 
 from __future__ import annotations
 
 from typing import Any, Generator, Iterable, Iterator, Optional, Sequence, Tuple, Union
 
-from cassandra_ros.arguments import check_limit, check_nodes
-from cassandra_ros.errors import InvalidQuery, TopicNotFound
+from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.keys import Position, isBehind
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.aggregates import Totals
@@ -15,8 +14,8 @@ from cassandra_ros.query.bounds import Bounds, boundsOf, warnOfSeconds
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.conditions import boundedRows
 from cassandra_ros.query.cursor import Place, readPlace
-from cassandra_ros.query.parse import parseSelect
 from cassandra_ros.query.plan import TablePlan, uniteColumns
+from cassandra_ros.query.protocols import Row, Source, Table
 from cassandra_ros.query.pushdown import Pushdown
 from cassandra_ros.query.scope import Findings
 from cassandra_ros.query.syntax import Select
@@ -44,7 +43,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     def __init__(
         self,
         select: Select,
-        topic: Any,
+        source: Source[Row],
         bounds: Bounds,
         place: Place,
         limit: Optional[int],
@@ -53,7 +52,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         findings = Findings(select.text)
         self.select = select
         self._plans = {
-            t.name: TablePlan(select, t.definition, findings, t.named) for t in topic.tables
+            t.name: TablePlan(select, t.definition, findings, t.named) for t in source.tables
         }
         findings.check()
         self._names = uniteColumns(select, list(self._plans.values()))
@@ -68,7 +67,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         if limit is not None:
             left = limit if left is None else min(left, limit)
         read = self._aggregated if select.aggregates else self._selected
-        self._rows = read(topic, bounds, place, left)
+        self._rows = read(source, bounds, place, left)
 
     def __iter__(self) -> QueryResult:
         return self
@@ -91,12 +90,14 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     def __exit__(self, *exc_info: object) -> None:
         self.close()
 
-    def _selected(self, topic: Any, bounds: Bounds, place: Place, left: Optional[int]) -> _Rows:
+    def _selected(
+        self, source: Source[Row], bounds: Bounds, place: Place, left: Optional[int]
+    ) -> _Rows:
         given = place.given
         last = None if left is None else given + left
         if last == given:
             return
-        for row in self._stored(topic, bounds, place, left):
+        for row in self._stored(source, bounds, place, left):
             self.read += 1
             found = self._plan(row.table).rows(row)
             for number in range(place.skip if row.position == place.position else 0, len(found)):
@@ -109,45 +110,47 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
                     return
 
     def _stored(
-        self, topic: Any, bounds: Bounds, place: Place, left: Optional[int]
-    ) -> Iterator[Any]:
+        self, source: Source[Row], bounds: Bounds, place: Place, left: Optional[int]
+    ) -> Iterator[Row]:
         reverse, at = self.select.descending, place.position
         if at is None or not (place.skip or reverse):
             limit = left if self.direct else None
-            return boundedRows(topic, bounds, at, reverse, limit, **self._reading)
+            return boundedRows(source, bounds, at, reverse, limit, **self._reading)
         # Begin with the message at the cursor: some of its rows may be still to come, and the
         # store goes on behind a position only upwards.
         narrowed = bounds.within(None, at.t) if reverse else bounds.within(at.t, None)
-        rows = boundedRows(topic, narrowed, None, reverse, **self._reading)
+        rows = boundedRows(source, narrowed, None, reverse, **self._reading)
         return (
             row
             for row in rows
             if isBehind(row.position, at, reverse) or (place.skip and row.position == at)
         )
 
-    def _aggregated(self, topic: Any, bounds: Bounds, place: Place, left: Optional[int]) -> _Rows:
+    def _aggregated(
+        self, source: Source[Row], bounds: Bounds, place: Place, left: Optional[int]
+    ) -> _Rows:
         if place.position is not None or left == 0:
             return
         self._place = _ENDED
         if self.counted and not bounds.empty:
-            yield (self._countedByKey(topic, bounds),) * len(self.select.aggregates)
+            yield (self._countedByKey(source, bounds),) * len(self.select.aggregates)
             return
         totals = Totals(self.select)
-        for row in boundedRows(topic, bounds, **self._reading):
+        for row in boundedRows(source, bounds, **self._reading):
             self.read += 1
             totals.add(self._plan(row.table).rows(row))
         yield totals.values()
 
-    def _countedByKey(self, topic: Any, bounds: Bounds) -> int:
-        if any(table.named for table in topic.tables):
-            return int(topic.countTopicData(nodeID=bounds.node))
+    def _countedByKey(self, source: Source[Row], bounds: Bounds) -> int:
+        if any(table.named for table in source.tables):
+            return int(source.countTopicData(nodeID=bounds.node))
         ends = (Stamp.fromNs(bounds.low), Stamp.fromNs(bounds.high))
-        return int(topic.countTopicData(*ends, bounds.node))
+        return int(source.countTopicData(*ends, bounds.node))
 
-    def _columns(self, table: Any) -> Optional[Sequence[str]]:
+    def _columns(self, table: Table) -> Optional[Sequence[str]]:
         return self._plan(table).columns(table)
 
-    def _plan(self, table: Any) -> TablePlan:
+    def _plan(self, table: Table) -> TablePlan:
         if table.name not in self._plans:  # made since the statement was planned
             select = self.select
             findings = Findings(select.text)
@@ -156,61 +159,37 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         return self._plans[table.name]
 
 
-def execute(
-    rosCas: Any,
-    statement: Union[str, Select],
-    params: Sequence[Any] = (),
+def select_rows(
+    select: Select,
+    source: Source[Row],
+    *,
     nodeID: Optional[str] = None,
     limit: Optional[int] = None,
     after: Cursor = None,
     plan: str = "auto",
 ) -> QueryResult:
-    """Run a SELECT statement.
+    """Run a SELECT statement on the topic that it names.
 
     Args:
-        rosCas: A RosCassandra connected to a keyspace.
-        statement: Its text, or the tree that was made of it with its parameters.
-        params: Values of its ``?`` and ``%s``, in their order.
+        select: The statement, its parameters bound.
+        source: The source.
         nodeID: Only messages of this node; None = of all.
         limit: At most so many rows, besides the statement's LIMIT; None = no bound.
         after: ``cursor`` of an earlier result of the same statement: go on behind its last row.
         plan: What the server may check, one of pushdown.PLANS; the answer is always the same.
 
     Raises:
-        InvalidQuery: The statement cannot be understood, or names something unknown.
+        InvalidQuery: The statement names what the topic has not.
         InvalidKey: ``after`` is no cursor.
-        InvalidOption: ``limit`` is negative.
     """
-    check_limit(limit)
-    check_nodes(nodeID)
-    select = statement if isinstance(statement, Select) else parseSelect(statement, params)
-    topic = findTopic(rosCas, select.text, select.topic, select.topic_position)
     try:
-        named = any(table.named for table in topic.tables)
+        named = any(table.named for table in source.tables)
         bounds = boundsOf(select.condition, nodeID, named)
     except StatementError as exc:
         raise InvalidQuery(select.text, exc.position, exc.reason) from None
     if not named:
         warnOfSeconds(select.condition)
-    return QueryResult(select, topic, bounds, readPlace(after), limit, plan)
-
-
-def findTopic(rosCas: Any, text: str, topic: str, position: int) -> Any:
-    """Find the topic that a statement names.
-
-    Args:
-        rosCas: A RosCassandra connected to a keyspace.
-        text: The statement.
-        topic: The name.
-        position: Where it stands.
-
-    Raises:
-        InvalidQuery: There is none; the text gives the nearest names.
-    """
-    try:
-        return rosCas.getTopic(topic)
-    except TopicNotFound as exc:
-        raise InvalidQuery(text, position, str(exc)) from exc
+    return QueryResult(select, source, bounds, readPlace(after), limit, plan)
 
 
 class Rows(list):  # type: ignore[type-arg]

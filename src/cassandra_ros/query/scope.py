@@ -16,6 +16,7 @@ from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.extract import Array, Extractor
 from cassandra_ros.query.fields import FieldRef, allFields, fieldOf, fieldsOf
 from cassandra_ros.query.literals import Comparable, fitToField, fitToText, fitToTime
+from cassandra_ros.query.protocols import Row
 from cassandra_ros.query.syntax import Aggregate, Compare, IsNull, Key, Leaf, Literal, Node, Path
 
 KEY_PLACE, NODE_PLACE = 0, 1
@@ -126,7 +127,7 @@ class Scope:
             return None
         return Extractor(self._definition, self._refs, self._unnested)
 
-    def rows(self, row: Any, extractor: Optional[Extractor]) -> Iterator[Sequence[Any]]:
+    def rows(self, row: Row, extractor: Optional[Extractor]) -> Iterator[Sequence[Any]]:
         """Yield the values of a stored row, KEY and NODE first."""
         own = (row.name if self._named else row.t, row.node)
         if extractor is None:

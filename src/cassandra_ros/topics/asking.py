@@ -1,17 +1,26 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a RosCassandra answers with the query language, which is loaded when it is asked."""
+"""What a RosCassandra answers with the query language."""
 
 from __future__ import annotations
 
 from typing import Any, Optional, Sequence
 
 from cassandra_ros.keys import Position
+from cassandra_ros.query.explain import Explanation
+from cassandra_ros.query.run import QueryResult, Rows
 from cassandra_ros.topics.keyspace_connection import KeyspaceConnection
+from cassandra_ros.topics.statements import Statements
+from cassandra_ros.transforms.lookup import TransformFinder
 
 
 class Asking(KeyspaceConnection):
     """Questions to the stored topics; see RosCassandra."""
+
+    @property
+    def statements(self) -> Statements:
+        """Runs statements, also parsed ones and by a chosen plan."""
+        return Statements(self.parts, self._topics)
 
     def executeCQL(
         self,
@@ -20,7 +29,7 @@ class Asking(KeyspaceConnection):
         *,
         nodeID: Optional[str] = None,
         limit: Optional[int] = None,
-    ) -> Any:
+    ) -> Rows:
         """Run a statement and return all its rows: a list of tuples with ``.columns``.
 
         SELECT gives what was asked for; DELETE one row with the number of messages that it
@@ -35,9 +44,7 @@ class Asking(KeyspaceConnection):
         Raises:
             InvalidQuery: Shows the statement with a caret under the spot.
         """
-        from cassandra_ros.query import executeAll
-
-        return executeAll(self, statement, params, nodeID=nodeID, limit=limit)
+        return self.statements.run(statement, params, nodeID=nodeID, limit=limit)
 
     def iterCQL(
         self,
@@ -47,15 +54,13 @@ class Asking(KeyspaceConnection):
         nodeID: Optional[str] = None,
         limit: Optional[int] = None,
         after: Optional[Position] = None,
-    ) -> Any:
+    ) -> QueryResult:
         """Run a SELECT lazily: an iterator of tuples with ``.columns``; as executeCQL."""
-        from cassandra_ros.query import execute
-
-        return execute(self, statement, params, nodeID=nodeID, limit=limit, after=after)
+        return self.statements.select(statement, params, nodeID=nodeID, limit=limit, after=after)
 
     def explainCQL(
         self, statement: str, params: Sequence[Any] = (), *, nodeID: Optional[str] = None
-    ) -> Any:
+    ) -> Explanation:
         """Run a SELECT statement and say how it was answered; ``print`` what comes back.
 
         Returns:
@@ -66,9 +71,7 @@ class Asking(KeyspaceConnection):
         Raises:
             InvalidQuery: As executeCQL.
         """
-        from cassandra_ros.query.explain import explain
-
-        return explain(self, statement, params, nodeID)
+        return self.statements.explain(statement, params, nodeID)
 
     def lookupTransform(
         self,
@@ -113,6 +116,4 @@ class Asking(KeyspaceConnection):
             MissingDependency: tf2_py is not installed.
             InvalidKey, InvalidName.
         """
-        from cassandra_ros.transforms.lookup import lookupTransform
-
-        return lookupTransform(self, target, source, time, nodeID, tf, tf_static)
+        return TransformFinder(self._topics.get, nodeID).lookup(target, source, time, tf, tf_static)

@@ -1,12 +1,14 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The messages that a ``where=`` means. The query language is loaded when there is one."""
+"""The messages that a ``where=`` means."""
 
 from __future__ import annotations
 
 from typing import Any, Iterator, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.query.conditions import Condition
+from cassandra_ros.query.protocols import Source
 from cassandra_ros.topics.selection import LAST_NS
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -20,7 +22,7 @@ class Filter:
     A message satisfies a condition on the elements of an array of messages when one element does.
 
     Args:
-        topic: A CassandraTopic.
+        topic: Whose rows.
         where: The condition.
         nodeID: Only messages of this node; None = of all.
 
@@ -32,9 +34,9 @@ class Filter:
         InvalidQuery: It is no condition, or none on the topic's fields.
     """
 
-    def __init__(self, topic: Any, where: Where, nodeID: Optional[str] = None) -> None:
-        from cassandra_ros.query.conditions import Condition
-
+    def __init__(
+        self, topic: Source[StoredRow], where: Where, nodeID: Optional[str] = None
+    ) -> None:
         self.text, params = _parts(where)
         self._topic = topic
         self._condition = Condition(self.text, params, nodeID)

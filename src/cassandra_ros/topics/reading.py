@@ -6,28 +6,54 @@ from __future__ import annotations
 
 import heapq
 from itertools import islice
-from typing import Any, Callable, Iterable, Iterator, Optional, Sequence, Union
+from typing import Any, Callable, Iterable, Iterator, Mapping, Optional, Sequence, Union
 
 from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
 from cassandra_ros.keys import Position, RowName, isBehind
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.query.protocols import Chooser
 from cassandra_ros.store.chunks import readChunks
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.directory import Directory
+from cassandra_ros.store.directory import BucketRow, Directory
 from cassandra_ros.store.fetch import Wanted, fetchRows
 from cassandra_ros.store.index.shadow import keysByShadow
 from cassandra_ros.store.lookup import firstAt
 from cassandra_ros.store.named import listNames, versions
 from cassandra_ros.store.reader import readRows
 from cassandra_ros.store.row_table import RowTable, TableRow
-from cassandra_ros.store.scan import Chooser, Scan
+from cassandra_ros.store.scan import Query, Scan
 from cassandra_ros.topics.connections import Connections
 from cassandra_ros.topics.selection import LAST_NS, Named, Selection, Stretch, Valued
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 Nodes = Optional[Sequence[str]]
-Columns = Callable[[RowTable], Optional[Sequence[str]]]
+Columns = Callable[[TopicTable], Optional[Sequence[str]]]
+
+
+class _OfTopics:
+    """A chooser that knows topic tables, for the store, which knows only rows.
+
+    Args:
+        chooser: Decides about topic tables.
+        tables: By their names.
+    """
+
+    def __init__(self, chooser: Chooser, tables: Mapping[str, TopicTable]) -> None:
+        self._chooser = chooser
+        self._tables = tables
+
+    def choose(self, table: RowTable, bucket: Sequence[BucketRow]) -> Optional[Sequence[Query]]:
+        """Ask it about the topic table."""
+        return self._chooser.choose(self._tables[table.name], bucket)
+
+    def few(self, table: RowTable) -> bool:
+        """Ask it about the topic table."""
+        return self._chooser.few(self._tables[table.name])
+
+    def learn(self, table: RowTable, bucket: Sequence[BucketRow], found: int) -> None:
+        """Tell it about the topic table."""
+        self._chooser.learn(self._tables[table.name], bucket, found)
 
 
 class Rows:
@@ -82,8 +108,16 @@ class Rows:
                 others when its bytes are asked for.
             chooser: What the server may leave out; it may leave out less.
         """
-        scan = Scan(low, high, after, nodes, reverse, columns, chooser)
         by_name = {table.name: table for table in tables}
+        scan = Scan(
+            low,
+            high,
+            after,
+            nodes,
+            reverse,
+            None if columns is None else (lambda table: columns(by_name[table.name])),
+            None if chooser is None else _OfTopics(chooser, by_name),
+        )
         timed = [table for table in tables if not table.named]
         rows: Iterable[TableRow] = readRows(self._cassandra, self._directory, timed, scan)
         if len(timed) < len(tables):

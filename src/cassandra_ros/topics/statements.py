@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Statements of any kind; those that change the store are run here.
+"""Statements of any kind, run on the topics that they name.
 
 DELETE gives one row with the number of messages that it removed, in the column ``deleted``; the
 others give no row and no column.
@@ -15,13 +15,14 @@ from __future__ import annotations
 
 from typing import Any, Optional, Sequence, Union
 
-from cassandra_ros.arguments import check_nodes
+from cassandra_ros.arguments import check_limit, check_nodes
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, TopicNotFound
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.bounds import SECONDS_BELOW, meantAsSeconds
 from cassandra_ros.query.conditions import Condition
-from cassandra_ros.query.parse import nearest, parseStatement
-from cassandra_ros.query.run import Rows, execute, findTopic
+from cassandra_ros.query.explain import Explanation, explain
+from cassandra_ros.query.parse import nearest, parseSelect, parseStatement
+from cassandra_ros.query.run import Cursor, QueryResult, Rows, select_rows
 from cassandra_ros.query.syntax import (
     Change,
     CreateIndex,
@@ -32,52 +33,199 @@ from cassandra_ros.query.syntax import (
     Select,
     Truncate,
 )
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.indexes import checkIndexable
+from cassandra_ros.topics.keyspace import Keyspace
 
 
-def executeAll(
-    rosCas: Any,
-    statement: Union[str, Select, Change],
-    params: Sequence[Any] = (),
-    nodeID: Optional[str] = None,
-    limit: Optional[int] = None,
-) -> Rows:
-    """Run a statement of any kind and return all its rows.
+class Statements:
+    """Runs the statements of the query language on the topics of one keyspace.
 
     Args:
-        rosCas: A RosCassandra connected to a keyspace.
-        statement: Its text, or the tree that was made of it with its parameters.
-        params: Values of its ``?`` and ``%s``, in their order.
-        nodeID: SELECT and DELETE only: messages of this node; None = of all.
-        limit: SELECT only: at most so many rows, besides its LIMIT; None = no bound.
-
-    Raises:
-        InvalidQuery: The statement cannot be understood, names something unknown, or cannot be
-            run with these arguments.
+        keyspace: Its parts.
+        catalog: Finds its topics.
     """
-    check_nodes(nodeID)
-    parsed = parseStatement(statement, params) if isinstance(statement, str) else statement
-    if isinstance(parsed, Select):
-        result = execute(rosCas, parsed, nodeID=nodeID, limit=limit)
-        return Rows(result, result.columns)
-    if limit is not None:
-        raise _refused(parsed, "limit= bounds the rows of a SELECT, it does nothing here")
-    if isinstance(parsed, Delete):
-        return Rows([(_delete(rosCas, parsed, nodeID),)], ["deleted"])
-    if nodeID is not None:
-        raise _refused(
-            parsed,
-            "this is done for the messages of all nodes, not of one; DELETE with NODE = '…' "
-            "removes those of one",
+
+    def __init__(self, keyspace: Keyspace, catalog: Catalog) -> None:
+        self._keyspace = keyspace
+        self._catalog = catalog
+
+    def run(
+        self,
+        statement: Union[str, Select, Change],
+        params: Sequence[Any] = (),
+        nodeID: Optional[str] = None,
+        limit: Optional[int] = None,
+    ) -> Rows:
+        """Run a statement of any kind and return all its rows.
+
+        Args:
+            statement: Its text, or the tree that was made of it with its parameters.
+            params: Values of its ``?`` and ``%s``, in their order.
+            nodeID: SELECT and DELETE only: messages of this node; None = of all.
+            limit: SELECT only: at most so many rows, besides its LIMIT; None = no bound.
+
+        Raises:
+            InvalidQuery: The statement cannot be understood, names something unknown, or cannot
+                be run with these arguments.
+        """
+        check_nodes(nodeID)
+        parsed = parseStatement(statement, params) if isinstance(statement, str) else statement
+        if isinstance(parsed, Select):
+            result = self.select(parsed, nodeID=nodeID, limit=limit)
+            return Rows(result, result.columns)
+        if limit is not None:
+            raise _refused(parsed, "limit= bounds the rows of a SELECT, it does nothing here")
+        if isinstance(parsed, Delete):
+            return Rows([(self._delete(parsed, nodeID),)], ["deleted"])
+        if nodeID is not None:
+            raise _refused(
+                parsed,
+                "this is done for the messages of all nodes, not of one; DELETE with NODE = '…' "
+                "removes those of one",
+            )
+        if isinstance(parsed, Truncate):
+            self._catalog.truncate(self._topic(parsed).name)
+        elif isinstance(parsed, CreateIndex):
+            self._create_index(parsed)
+        else:
+            self._drop_index(parsed)
+        return Rows([], [])
+
+    def select(
+        self,
+        statement: Union[str, Select],
+        params: Sequence[Any] = (),
+        *,
+        nodeID: Optional[str] = None,
+        limit: Optional[int] = None,
+        after: Cursor = None,
+        plan: str = "auto",
+    ) -> QueryResult:
+        """Run a SELECT statement lazily; see select_rows.
+
+        Raises:
+            InvalidQuery: The statement cannot be understood, or names something unknown.
+            InvalidKey: ``after`` is no cursor.
+            InvalidOption: ``limit`` is negative.
+        """
+        check_limit(limit)
+        check_nodes(nodeID)
+        select = statement if isinstance(statement, Select) else parseSelect(statement, params)
+        topic = self._topic(select)
+        return select_rows(select, topic, nodeID=nodeID, limit=limit, after=after, plan=plan)
+
+    def explain(
+        self, statement: str, params: Sequence[Any] = (), nodeID: Optional[str] = None
+    ) -> Explanation:
+        """Run a SELECT statement to its end, keeping no row, and say how it was answered."""
+        result = self.select(statement, params, nodeID=nodeID)
+        return explain(result, self._topic(result.select))
+
+    def _topic(self, statement: Union[Select, Delete, Truncate]) -> CassandraTopic:
+        return self._find(statement.text, statement.topic, statement.topic_position)
+
+    def _find(self, text: str, topic: str, position: int) -> CassandraTopic:
+        """Find the topic that a statement names at a position."""
+        try:
+            return self._catalog.get(topic)
+        except TopicNotFound as exc:
+            raise InvalidQuery(text, position, str(exc)) from exc
+
+    def _delete(self, statement: Delete, nodeID: Optional[str]) -> int:
+        text = statement.text
+        topic = self._topic(statement)
+        named = any(table.named for table in topic.tables)
+        condition = Condition.ofStatement(text, statement.condition, nodeID)
+        bounds = condition.bounds(named)
+        if not named:
+            _refuseSeconds(topic, statement)
+        if named or not bounds.whole:
+            return self._keyspace.removal.deleteRows(condition.rows(topic))
+        if bounds.empty or not topic.tables:
+            return 0
+        ends = (Stamp.fromNs(bounds.low), Stamp.fromNs(bounds.high))
+        return topic.removeData(*ends, nodeID=bounds.node)
+
+    def _create_index(self, statement: CreateIndex) -> None:
+        text, on, name = statement.text, statement.on, statement.name
+        self._keyspace.schema.tables(fresh=True)  # others make and drop indexes, too
+        topic = self._find(text, on.topic, on.topic_position)
+        field = on.field.dotted
+        if topic.hasIndex(field) and not statement.unless_exists:
+            raise InvalidQuery(
+                text,
+                on.field.position,
+                f"topic {topic.name} has an index on {field} already; IF NOT EXISTS accepts that, "
+                "and completes one whose making was interrupted",
+            )
+        try:
+            checkIndexable(topic.name, topic.tables, field)
+        except (InvalidName, InvalidOption, TopicNotFound) as exc:
+            raise InvalidQuery(text, on.field.position, str(exc)) from exc
+        if name is not None:
+            try:
+                self._keyspace.index_names.give(topic.name, field, name.text)
+            except InvalidName as exc:
+                raise InvalidQuery(text, name.position, str(exc)) from exc
+        topic.createIndex(field)
+
+    def _drop_index(self, statement: DropIndex) -> None:
+        index = statement.index
+        found = (
+            self._index_named(statement, index)
+            if isinstance(index, IndexName)
+            else self._index_on(statement, index)
         )
-    if isinstance(parsed, Truncate):
-        topic = findTopic(rosCas, parsed.text, parsed.topic, parsed.topic_position)
-        rosCas.truncateTopic(topic.name)
-    elif isinstance(parsed, CreateIndex):
-        _createIndex(rosCas, parsed)
-    else:
-        _dropIndex(rosCas, parsed)
-    return Rows([], [])
+        if found is None:
+            return
+        topic, field = found
+        try:
+            topic.removeIndex(field)
+        except (InvalidName, InvalidOption) as exc:  # or somebody was quicker; or the key needs it
+            spot = index.position if isinstance(index, IndexName) else index.field.position
+            raise InvalidQuery(statement.text, spot, str(exc)) from exc
+
+    def _index_named(
+        self, statement: DropIndex, name: IndexName
+    ) -> Optional[tuple[CassandraTopic, str]]:
+        known = self._keyspace.index_names.known()
+        found = known.get(name.text, [])
+        if len(found) == 1:
+            return self._catalog.get(found[0][0]), found[0][1]
+        if not found and statement.if_exists:
+            return None
+        places = " and ".join(f"{topic} ({field})" for topic, field in found)
+        reason = (
+            f"several indexes are called {name.text}, on {places}"
+            if found
+            else f"no index is called {name.text}{nearest(name.text, list(known))}"
+        )
+        reason += "; DROP INDEX ON topic (field) removes an index whatever its name"
+        raise InvalidQuery(statement.text, name.position, reason)
+
+    def _index_on(
+        self, statement: DropIndex, index: Indexed
+    ) -> Optional[tuple[CassandraTopic, str]]:
+        self._keyspace.schema.tables(fresh=True)
+        try:
+            topic = self._catalog.get(index.topic)
+        except TopicNotFound as exc:
+            if statement.if_exists:
+                return None
+            raise InvalidQuery(statement.text, index.topic_position, str(exc)) from exc
+        field, known = index.field.dotted, list(topic.getMeta["indexes"])
+        if field in known:
+            return topic, field
+        if statement.if_exists:
+            return None
+        raise InvalidQuery(
+            statement.text,
+            index.field.position,
+            f"topic {topic.name} has no index on {field}{nearest(field, known)}; "
+            "its indexes are on " + (", ".join(sorted(known)) or "nothing"),
+        )
 
 
 def _refused(statement: Change, reason: str) -> InvalidQuery:
@@ -85,115 +233,14 @@ def _refused(statement: Change, reason: str) -> InvalidQuery:
     return InvalidQuery(text, len(text) - len(text.lstrip()), reason)
 
 
-# ------------------------------------------------------------------ messages
-
-
-def _delete(rosCas: Any, statement: Delete, nodeID: Optional[str]) -> int:
-    text = statement.text
-    topic = findTopic(rosCas, text, statement.topic, statement.topic_position)
-    named = any(table.named for table in topic.tables)
-    condition = Condition.ofStatement(text, statement.condition, nodeID)
-    bounds = condition.bounds(named)
-    if not named:
-        _refuseSeconds(topic, statement)
-    if named or not bounds.whole:
-        return int(rosCas.parts.removal.deleteRows(condition.rows(topic)))
-    if bounds.empty or not topic.tables:
-        return 0
-    ends = (Stamp.fromNs(bounds.low), Stamp.fromNs(bounds.high))
-    return int(topic.removeData(*ends, nodeID=bounds.node))
-
-
-def _refuseSeconds(topic: Any, statement: Delete) -> None:
+def _refuseSeconds(topic: CassandraTopic, statement: Delete) -> None:
     """Refuse integers that were meant as seconds: a lower end in 1970 removes every message."""
     for literal in meantAsSeconds(statement.condition):
         first = topic.first() if topic.tables else None
-        if first is not None and first.ns >= SECONDS_BELOW:
+        if isinstance(first, Stamp) and first.ns >= SECONDS_BELOW:
             raise InvalidQuery(
                 statement.text,
                 literal.position,
                 f"{literal.value} means nanoseconds since 1970, long before the first message of "
                 f"topic {topic.name}; seconds are written {literal.value}.0",
             )
-
-
-# ------------------------------------------------------------------ indexes
-
-
-def _createIndex(rosCas: Any, statement: CreateIndex) -> None:
-    text, on, name = statement.text, statement.on, statement.name
-    rosCas.parts.schema.tables(fresh=True)  # others make and drop indexes, too
-    topic = findTopic(rosCas, text, on.topic, on.topic_position)
-    field = on.field.dotted
-    if topic.hasIndex(field) and not statement.unless_exists:
-        raise InvalidQuery(
-            text,
-            on.field.position,
-            f"topic {topic.name} has an index on {field} already; IF NOT EXISTS accepts that, and "
-            "completes one whose making was interrupted",
-        )
-    try:
-        checkIndexable(topic.name, topic.tables, field)
-    except (InvalidName, InvalidOption, TopicNotFound) as exc:
-        raise InvalidQuery(text, on.field.position, str(exc)) from exc
-    if name is not None:
-        try:
-            rosCas.parts.index_names.give(topic.name, field, name.text)
-        except InvalidName as exc:
-            raise InvalidQuery(text, name.position, str(exc)) from exc
-    topic.createIndex(field)
-
-
-def _dropIndex(rosCas: Any, statement: DropIndex) -> None:
-    index = statement.index
-    found = (
-        _named(rosCas, statement, index)
-        if isinstance(index, IndexName)
-        else _indexed(rosCas, statement, index)
-    )
-    if found is None:
-        return
-    topic, field = found
-    try:
-        topic.removeIndex(field)
-    except (InvalidName, InvalidOption) as exc:  # or somebody was quicker; or the key needs it
-        spot = index.position if isinstance(index, IndexName) else index.field.position
-        raise InvalidQuery(statement.text, spot, str(exc)) from exc
-
-
-def _named(rosCas: Any, statement: DropIndex, name: IndexName) -> Optional[tuple[Any, str]]:
-    known = rosCas.parts.index_names.known()
-    found = known.get(name.text, [])
-    if len(found) == 1:
-        return rosCas.getTopic(found[0][0]), found[0][1]
-    if not found and statement.if_exists:
-        return None
-    places = " and ".join(f"{topic} ({field})" for topic, field in found)
-    reason = (
-        f"several indexes are called {name.text}, on {places}"
-        if found
-        else f"no index is called {name.text}{nearest(name.text, list(known))}"
-    )
-    reason += "; DROP INDEX ON topic (field) removes an index whatever its name"
-    raise InvalidQuery(statement.text, name.position, reason)
-
-
-def _indexed(rosCas: Any, statement: DropIndex, index: Indexed) -> Optional[tuple[Any, str]]:
-    rosCas.parts.schema.tables(fresh=True)
-    try:
-        topic = rosCas.getTopic(index.topic)
-    except TopicNotFound as exc:
-        if statement.if_exists:
-            return None
-        raise InvalidQuery(statement.text, index.topic_position, str(exc)) from exc
-    field, known = index.field.dotted, list(topic.getMeta["indexes"])
-    if field in known:
-        return topic, field
-    if statement.if_exists:
-        return None
-    raise InvalidQuery(
-        statement.text,
-        index.field.position,
-        f"topic {topic.name} has no index on {field}{nearest(field, known)}; its indexes are on "
-        + (", ".join(sorted(known)) or "nothing"),
-    )

@@ -8,8 +8,12 @@ from functools import partial
 from typing import Any, Callable, Iterator, Optional, Sequence, Union
 
 from cassandra_ros.arguments import check_nodes
+from cassandra_ros.arrays.frames import readFrame
+from cassandra_ros.arrays.gather import readArrays
+from cassandra_ros.query.protocols import Table
 from cassandra_ros.topics.filtering import Where
 from cassandra_ros.topics.selection import Stretch, selectMany
+from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_rows import AnyKey, Time, TopicRows
 
 Fields = Union[None, str, Sequence[str]]
@@ -62,8 +66,6 @@ class TopicArrays(TopicRows):
             InvalidQuery: A field or the condition is not one of this topic; shows the spot.
             InvalidKey: key or to_key cannot be one.
         """
-        from cassandra_ros.arrays.gather import readArrays
-
         read = partial(self._read, key, to_key, where, nodeID)
         return readArrays(self, fields, where, read)
 
@@ -92,8 +94,6 @@ class TopicArrays(TopicRows):
             MissingDependency: pandas is not installed; the text says how.
             InvalidQuery, InvalidKey: As of getArrays.
         """
-        from cassandra_ros.arrays.frames import readFrame
-
         read = partial(self._read, key, to_key, where, nodeID)
         return readFrame(self, fields, where, read)
 
@@ -103,8 +103,8 @@ class TopicArrays(TopicRows):
         to_key: Optional[Time],
         where: Optional[Where],
         nodeID: Optional[str],
-        columns: Callable[[Any], Sequence[str]],
-    ) -> Iterator[Any]:
+        columns: Callable[[Table], Sequence[str]],
+    ) -> Iterator[StoredRow]:
         """Read the rows that are meant, and of a stretch of time only these columns."""
         tables = self._stored()
         key_format = tables[0].metadata.key_format if tables else self._wish.key_format

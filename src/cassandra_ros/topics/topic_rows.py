@@ -10,6 +10,7 @@ from cassandra_ros.arguments import check_limit, check_nodes, check_text
 from cassandra_ros.errors import InvalidKey, TopicNotFound
 from cassandra_ros.keys import NAMED_FORMATS, Position
 from cassandra_ros.messages.stamps import Stamp, isIsoText, toNs
+from cassandra_ros.query.protocols import Chooser
 from cassandra_ros.topics.filtering import Filter, Where
 from cassandra_ros.topics.finding import Finder
 from cassandra_ros.topics.reading import Columns
@@ -83,7 +84,7 @@ class TopicRows(TopicFacts):
         after: Optional[Position] = None,
         reverse: bool = False,
         columns: Optional[Columns] = None,
-        chooser: Any = None,
+        chooser: Optional[Chooser] = None,
     ) -> Iterator[StoredRow]:
         """Walk through messages by their time, as items does, without making objects.
 
@@ -93,7 +94,7 @@ class TopicRows(TopicFacts):
             after: Begin behind this row (a cursor).
             columns: Gives for a table those of its columns to read, in their order, None = all;
                 a row fetches the others when its bytes are asked for.
-            chooser: Tells what the server may leave out (a store.scan.Chooser).
+            chooser: Tells what the server may leave out (a query.protocols.Chooser).
         """
         low = 0 if key is None else toNs(key)
         high = LAST_NS if to_key is None else toNs(to_key)

@@ -50,6 +50,16 @@ class TopicTable(RowTable):
         self._indexes: tuple[Mapping[str, str], dict[str, IndexField]] = ({}, {})
 
     @property
+    def msg_type(self) -> str:
+        """Type of the first connection, 'pkg/Name'."""
+        return self.metadata.msg_type
+
+    @property
+    def by_field(self) -> bool:
+        """Whether each field has a column of its own."""
+        return self.format.BY_FIELD
+
+    @property
     def valued(self) -> bool:
         """Whether rows are found by the value of a field that is no time."""
         return self.key_part is not None and not self.key_part.is_time

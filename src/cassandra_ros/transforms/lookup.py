@@ -4,12 +4,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Optional, Sequence
+from typing import Any, Callable, Optional, Sequence
 
 from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import InvalidName, TopicNotFound
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.stamps import Stamp, toNs
+from cassandra_ros.query.protocols import Row, Source
 from cassandra_ros.transforms.buffer import Buffer
 from cassandra_ros.transforms.failure import Failure
 from cassandra_ros.transforms.paths import Tree
@@ -17,28 +18,39 @@ from cassandra_ros.transforms.samples import Fixed, Nearest, Recorded, named, st
 from cassandra_ros.transforms.search import Search
 
 
-def lookupTransform(
-    rosCas: Any,
-    target: str,
-    source: str,
-    time: Any,
-    nodeID: Optional[str] = None,
-    tf: str = "/tf",
-    tf_static: str = "/tf_static",
-) -> Any:
-    """Return the transform that takes points of one frame to another; see RosCassandra."""
-    frames = (_frame(target), _frame(source))
-    check_nodes(nodeID)
-    asked = toNs(time)
-    moving, fixed = (_recorded(rosCas, name, nodeID) for name in (tf, tf_static))
-    if moving is None and fixed is None:
-        rosCas.getTopic(tf)  # raises with the nearest names
-    topics = [
-        f"topic {name}{'' if found else ' (which is not stored)'}"
-        for name, found in ((tf, moving), (tf_static, fixed))
-    ]
-    lookup = _Lookup(moving, fixed, Failure(frames, topics, nodeID, time))
-    return lookup.at(asked) if asked else lookup.newest()
+class TransformFinder:
+    """Finds transforms in the stored messages of tf's topics.
+
+    Args:
+        find: Returns a topic by its name, or raises TopicNotFound.
+        nodeID: Only transforms of this node; None = of all.
+    """
+
+    def __init__(self, find: Callable[[str], Source[Row]], nodeID: Optional[str] = None) -> None:
+        self._find = find
+        self._node = nodeID
+
+    def lookup(self, target: str, source: str, time: Any, tf: str, tf_static: str) -> Any:
+        """Return the transform that takes points of one frame to another; see RosCassandra."""
+        frames = (_frame(target), _frame(source))
+        check_nodes(self._node)
+        asked = toNs(time)
+        moving, fixed = (self._recorded(name) for name in (tf, tf_static))
+        if moving is None and fixed is None:
+            self._find(tf)  # raises with the nearest names
+        topics = [
+            f"topic {name}{'' if found else ' (which is not stored)'}"
+            for name, found in ((tf, moving), (tf_static, fixed))
+        ]
+        lookup = _Lookup(moving, fixed, Failure(frames, topics, self._node, time))
+        return lookup.at(asked) if asked else lookup.newest()
+
+    def _recorded(self, topic: str) -> Optional[Recorded]:
+        try:
+            found = self._find(topic)
+        except TopicNotFound:
+            return None
+        return Recorded(found, self._node)
 
 
 def _frame(name: Any) -> str:
@@ -50,14 +62,6 @@ def _frame(name: Any) -> str:
     except UnicodeEncodeError:
         pass
     raise InvalidName(f"{name!r:.80} is no name of a frame: give a text like 'base_link'")
-
-
-def _recorded(rosCas: Any, topic: str, nodeID: Optional[str]) -> Optional[Recorded]:
-    try:
-        found = rosCas.getTopic(topic)
-    except TopicNotFound:
-        return None
-    return Recorded(found, nodeID)
 
 
 class _Lookup:

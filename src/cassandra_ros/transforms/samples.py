@@ -15,6 +15,7 @@ from cassandra_ros.errors import CorruptMessage, TypeMismatch
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.extract import Extractor
 from cassandra_ros.query.fields import FieldRef, allFields
+from cassandra_ros.query.protocols import Row, Source, Table
 
 _log = logging.getLogger(__name__)
 
@@ -116,14 +117,14 @@ class Recorded:
     """The transforms of one topic.
 
     Args:
-        topic: A CassandraTopic.
+        topic: Whose messages.
         nodeID: Only transforms of this node; None = of all.
 
     Raises:
         TypeMismatch: The topic holds other messages.
     """
 
-    def __init__(self, topic: Any, nodeID: Optional[str]) -> None:
+    def __init__(self, topic: Source[Row], nodeID: Optional[str]) -> None:
         self.name: str = topic.name
         self._topic = topic
         self._node = nodeID
@@ -145,7 +146,7 @@ class Recorded:
             except CorruptMessage as exc:
                 _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
 
-    def _add(self, nearest: Nearest, row: Any) -> None:
+    def _add(self, nearest: Nearest, row: Row) -> None:
         heads, rests = self._extractor(row.table)
         rest: list[Any] = []
         for number, (stamp, *names) in enumerate(_elements(heads, row)):
@@ -157,12 +158,12 @@ class Recorded:
                     continue
             nearest.parents.add(parent)
 
-    def _extractor(self, table: Any) -> tuple[Extractor, Extractor]:
+    def _extractor(self, table: Table) -> tuple[Extractor, Extractor]:
         if table.name not in self._extractors:
             definition: Optional[Definition] = table.definition
             if definition is None or definition.md5sum != TRANSFORMS_MD5:
                 raise TypeMismatch(
-                    f"topic {self.name} holds {table.metadata.msg_type}, no transforms: name the "
+                    f"topic {self.name} holds {table.msg_type}, no transforms: name the "
                     "topics of tf2_msgs/TFMessage with tf= and tf_static="
                 )
             refs = {ref.name: ref for ref in allFields(definition)}
@@ -178,7 +179,7 @@ def _extractor(
     return Extractor(definition, [refs[name] for name in names], ())
 
 
-def _elements(extractor: Extractor, row: Any) -> Iterator[tuple[Any, ...]]:
+def _elements(extractor: Extractor, row: Row) -> Iterator[tuple[Any, ...]]:
     (lists,) = extractor.values(row)
     return zip(*lists)
 

@@ -99,7 +99,6 @@ def _parameter(text: str) -> Any:
 def _answer(rosCas: Any, options: argparse.Namespace, params: Sequence[Any]) -> None:
     from cassandra_ros.arrays.array_types import ArrayType
     from cassandra_ros.arrays.outputs import columnTypes
-    from cassandra_ros.query import execute
     from cassandra_ros.query.parse import parseStatement
     from cassandra_ros.query.syntax import Select
 
@@ -107,7 +106,7 @@ def _answer(rosCas: Any, options: argparse.Namespace, params: Sequence[Any]) -> 
     if not isinstance(statement, Select):
         _change(rosCas, options, statement)
         return
-    with execute(rosCas, statement, nodeID=options.node_id, limit=options.limit) as result:
+    with rosCas.statements.select(statement, nodeID=options.node_id, limit=options.limit) as result:
         kinds: list[tuple[str, ArrayType]] = []
         if options.output == "parquet":
             kinds = columnTypes(statement, rosCas.getTopic(statement.topic).tables)
@@ -116,11 +115,10 @@ def _answer(rosCas: Any, options: argparse.Namespace, params: Sequence[Any]) -> 
 
 def _change(rosCas: Any, options: argparse.Namespace, statement: Any) -> None:
     from cassandra_ros.arrays.array_types import ArrayType
-    from cassandra_ros.query import executeAll
 
     if not options.allow_writes:
         raise InvalidOption("the statement changes what is stored; to run it, add --allow-writes")
-    rows = executeAll(rosCas, statement, nodeID=options.node_id, limit=options.limit)
+    rows = rosCas.statements.run(statement, nodeID=options.node_id, limit=options.limit)
     if rows.columns:
         _write(options, rows.columns, [(name, ArrayType("int64")) for name in rows.columns], rows)
 
