@@ -13,24 +13,27 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "cassandra_ros"
 
 # Known to all; they know only each other.
-GROUND = {"arguments", "errors", "keys", "metadata"}
+GROUND = {"errors", "keys", "metadata", "arguments"}
 
 # Layer -> the layers below it that it may use.
 BELOW = {
     "errors": set(),
-    "keys": {"errors", "messages"},  # a row key is a Stamp
+    "keys": {"errors"},
     "metadata": {"errors", "keys"},
     "arguments": {"errors", "keys", "metadata"},
     "messages": set(),
     "formats": {"messages"},
     "store": set(),
-    "topics": {"store", "formats", "messages"},
-    "query": {"topics", "formats", "messages"},
-    "bag": {"query", "topics", "formats", "messages", "store"},
+    "query": {"messages"},
+    "arrays": {"query", "messages"},
+    "transforms": {"query", "messages"},
+    "topics": {"query", "arrays", "transforms", "formats", "store", "messages"},
+    "recording": {"topics", "formats", "store", "messages"},
+    "bag": {"topics", "formats", "store", "messages"},
     "local_server": set(),
-    "nodes": {"bag", "query", "topics", "formats", "messages", "store"},
+    "nodes": {"recording", "topics", "query", "formats", "store", "messages"},
     "cli": {
-        *("nodes", "bag", "query", "topics", "formats", "messages"),
+        *("nodes", "recording", "bag", "topics", "query", "arrays", "formats", "messages"),
         *("store", "local_server"),
     },
 }
@@ -48,20 +51,10 @@ DOORS = {
     "roslib": {"messages", "formats"},
     "rosbag": {"bag"},
     "roslz4": {"bag"},
-    "tf2_py": {"query"},
-    "geometry_msgs": {"query"},
+    "tf2_py": {"transforms"},
+    "geometry_msgs": {"transforms"},
     "lark": {"query"},
     "argparse": {"cli"},
-}
-
-# What points up all the same, and why.
-EXCEPTIONS = {
-    ("topics/filtering.py", "query"): "where= of every read is a condition of the query language; "
-    "it is loaded when there is one",
-    ("topics/asking.py", "query"): "executeCQL is the paper's method of RosCassandra; it "
-    "loads the query language when it is called",
-    ("topics/topic_arrays.py", "query"): "so do getArrays and toDataFrame, whose fields and "
-    "conditions are those of a statement",
 }
 
 
@@ -90,13 +83,6 @@ def imports(path):
                 yield node.module
 
 
-@pytest.mark.parametrize(("path", "used"), EXCEPTIONS)
-def test_an_exception_is_needed_and_loads_late(path, used):
-    tree = ast.parse((PACKAGE / path).read_text(encoding="utf-8"))
-    assert f"cassandra_ros.{used}" in imports(PACKAGE / path)
-    assert not [n for n in tree.body if getattr(n, "module", "") == f"cassandra_ros.{used}"]
-
-
 def test_every_folder_has_its_place_among_the_layers():
     layers = {layer_of(path) for path in modules()} - {"__init__"}
     assert layers == set(BELOW)
@@ -113,7 +99,7 @@ def test_imports_point_downwards(path):
         if not imported.startswith("cassandra_ros."):
             continue
         used = imported.split(".")[1]
-        if used in ("msg", "srv") or (name_of(path), used) in EXCEPTIONS:
+        if used in ("msg", "srv"):
             continue
         assert used in allowed, f"{name_of(path)} imports {imported}, which lies above {layer}"
 

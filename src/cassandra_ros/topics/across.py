@@ -1,111 +1,71 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages of several topics of a RosCassandra, in the order of time."""
+"""Messages of several topics of a keyspace, in the order of time."""
 
 from __future__ import annotations
 
 import heapq
-from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence
+from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
-from cassandra_ros.arguments import check_nodes, check_topics
+from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.messages.stamps import durationNs, toNs
-from cassandra_ros.topics.asking import Asking
+from cassandra_ros.keys import Position
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.filtering import Filter, Where
-from cassandra_ros.topics.nearest import Pair, nearestPairs
-from cassandra_ros.topics.selection import LAST_NS
+from cassandra_ros.topics.reading import Rows
+from cassandra_ros.topics.selection import LAST_NS, Stretch
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.topic_rows import Time
 from cassandra_ros.topics.topic_table import TopicTable
 
 Conditions = Optional[Mapping[str, Where]]
+"""Topic -> condition."""
+Pair = Tuple[StoredRow, Optional[StoredRow]]
 
 
-class AcrossTopics(Asking):
-    """Reads several topics at once; see RosCassandra."""
+class AcrossTopics:
+    """Reads several topics at once; see RosCassandra.readMessages and nearestMessages.
 
-    def readMessages(
+    Args:
+        rows: Reads the rows of the keyspace.
+        catalog: Finds its topics.
+    """
+
+    def __init__(self, rows: Rows, catalog: Catalog) -> None:
+        self._rows = rows
+        self._topics = catalog
+
+    def read(
         self,
-        topics: Optional[Iterable[str]] = None,
-        key: Optional[Time] = None,
-        to_key: Optional[Time] = None,
-        *,
-        nodeID: Optional[str] = None,
-        received: bool = False,
-        where: Conditions = None,
+        topics: Optional[Sequence[str]],
+        stretch: Stretch,
+        nodeID: Optional[str],
+        received: bool,
+        where: Conditions,
     ) -> Iterator[StoredRow]:
-        """Walk lazily through the rows of several topics, merged by time.
+        """Walk lazily through the rows of some topics, None = of all, merged by time."""
+        filters = self._filters(where, topics, nodeID)
+        return self._merged(self.tables(topics), filters, stretch, nodeID, received)
 
-        Memory: some pages of rows for all topics together, and for each that has a condition.
-
-        Args:
-            topics: Their names, or one; None = all.
-            key, to_key: Ends, both included; None = open.
-            nodeID: Only messages of this node; None = of all.
-            received: By the time of reception, as a bag has them, also where a topic's key is
-                another time.
-            where: Topic -> condition, a text or (text, parameters): of these topics only the
-                messages that satisfy it.
-
-        Raises:
-            TopicNotFound: One of the topics is not stored.
-            InvalidName: topics or nodeID are no names.
-            InvalidOption: A condition is for a topic that is not read.
-            InvalidQuery: A condition is none; shows it with a caret under the spot.
-        """
-        low = 0 if key is None else toNs(key)
-        high = LAST_NS if to_key is None else toNs(to_key)
-        names = check_topics(topics)
-        filters = self._filters(where, names, nodeID)
-        return self._merged(self._tables(names), filters, low, high, nodeID, received)
-
-    def nearestMessages(
+    def nearest(
         self,
         topic_a: str,
         topic_b: str,
-        tolerance: Any,
-        key: Optional[Time] = None,
-        to_key: Optional[Time] = None,
-        *,
-        nodeID: Optional[str] = None,
-        where: Conditions = None,
-        unpaired: bool = False,
+        reach_ns: int,
+        stretch: Stretch,
+        nodeID: Optional[str],
+        where: Conditions,
+        unpaired: bool,
     ) -> Iterator[Pair]:
-        """Pair each message of one topic with the message of another that is nearest in time.
-
-        Pairs are (row, row), lazily in the order of the first topic's key times. A message of the
-        second may be the partner of several. Of two that are equally near the earlier one is
-        taken, of equal times the first. One without a partner is left out, as by ROS's
-        ApproximateTime; with ``unpaired`` it comes with None, as by pandas' merge_asof.
-
-        Args:
-            topic_a: Each of its messages looks for a partner.
-            topic_b: Where the partners are.
-            tolerance: How far a partner may be, before or behind: seconds or a Duration.
-            key, to_key: Ends for the first topic, both included; None = open. Partners may lie
-                outside of them.
-            nodeID: Only messages of this node; None = of all: partners may be of two nodes.
-            where: Topic -> condition, as readMessages takes it: what does not satisfy it is
-                nobody's partner.
-            unpaired: Give (row, None) for messages that have no partner.
-
-        Raises:
-            TopicNotFound: One of the topics is not stored.
-            InvalidOption: A condition is for another topic.
-            InvalidKey: tolerance is no length of time, or negative.
-            InvalidQuery: A condition is none.
-        """
-        reach = durationNs(tolerance)
-        low = 0 if key is None else toNs(key)
-        high = LAST_NS if to_key is None else toNs(to_key)
+        """Pair each row of one topic with the nearest of another, at most ``reach_ns`` away."""
         first, second = self._topics.get(topic_a), self._topics.get(topic_b)
         filters = self._filters(where, (topic_a, topic_b), nodeID)
-        rows = self._merged(first.tables, filters, low, high, nodeID)
-        ends = max(0, low - reach), min(LAST_NS, high + reach)
-        partners = self._merged(second.tables, filters, *ends, nodeID)
-        return nearestPairs(rows, partners, reach, unpaired)
+        rows = self._merged(first.tables, filters, stretch, nodeID)
+        low, high = max(0, stretch.low - reach_ns), min(LAST_NS, stretch.high + reach_ns)
+        partners = self._merged(second.tables, filters, Stretch(low, high), nodeID)
+        return nearestPairs(rows, partners, reach_ns, unpaired)
 
-    def _tables(self, topics: Optional[Iterable[str]]) -> List[TopicTable]:
+    def tables(self, topics: Optional[Iterable[str]]) -> List[TopicTable]:
+        """List the tables of some topics, None = of all topics that can be read."""
         if topics is None:
             return self._topics.readableTables()
         # A topic may be named twice: with and without its leading slash.
@@ -138,33 +98,69 @@ class AcrossTopics(Asking):
         self,
         tables: Sequence[TopicTable],
         filters: Mapping[str, Filter],
-        low: int,
-        high: int,
+        stretch: Stretch,
         nodeID: Optional[str],
         received: bool = False,
     ) -> Iterator[StoredRow]:
-        rows, nodes = self.parts.rows, check_nodes(nodeID)
+        rows, nodes = self._rows, check_nodes(nodeID)
         read = rows.received if received else rows.read
         by_topic: Dict[str, List[TopicTable]] = {name: [] for name in filters}
         free: List[TopicTable] = []
         for table in tables:
             by_topic.get(table.metadata.topic, free).append(table)
         if not any(by_topic.values()):
-            return read(free, low, high, nodes=nodes)
-        streams = [read(free, low, high, nodes=nodes)] if free else []
+            return read(free, *stretch, nodes=nodes)
+        streams = [read(free, *stretch, nodes=nodes)] if free else []
         for name, own in by_topic.items():
             if received and any(t.metadata.own_time and not t.named for t in own):
                 # Read by a time that its key is not: the store cannot look for both.
-                every = rows.received(own, low, high, nodes=nodes)
+                every = rows.received(own, *stretch, nodes=nodes)
                 streams.append(filter(filters[name].test, every))
             elif own:
-                streams.append(filters[name].rows(low, high))
+                streams.append(filters[name].rows(*stretch))
         return heapq.merge(*streams, key=_arrival if received else _position)
 
 
-def _position(row: StoredRow) -> Any:
+def _position(row: StoredRow) -> Position:
     return row.position
 
 
-def _arrival(row: StoredRow) -> Any:
+def _arrival(row: StoredRow) -> Tuple[int, str, int, str]:
     return row.arrival
+
+
+def nearestPairs(
+    first: Iterator[StoredRow],
+    second: Iterator[StoredRow],
+    tolerance_ns: int,
+    unpaired: bool = False,
+) -> Iterator[Pair]:
+    """Pair each row of one stream with the nearest one of another; two of that are held.
+
+    Of two rows that are equally near the earlier one is taken, of equal times the first.
+
+    Args:
+        first, second: In the order of time.
+        tolerance_ns: The largest distance of a partner, ns.
+        unpaired: Give rows of the first that have no partner with None, else leave them out.
+    """
+    before: Optional[StoredRow] = None
+    ahead = next(second, None)
+    for row in first:
+        while ahead is not None and ahead.t <= row.t:
+            if before is None or before.t < ahead.t:
+                before = ahead
+            ahead = next(second, None)
+        partner = _nearer(row.t, before, ahead)
+        if partner is not None and abs(partner.t - row.t) <= tolerance_ns:
+            yield row, partner
+        elif unpaired:
+            yield row, None
+        elif ahead is None:
+            return  # the rows that follow are further away still
+
+
+def _nearer(t: int, before: Optional[StoredRow], ahead: Optional[StoredRow]) -> Optional[StoredRow]:
+    if before is None or ahead is None:
+        return before or ahead
+    return before if t - before.t <= ahead.t - t else ahead

@@ -4,26 +4,51 @@
 
 from __future__ import annotations
 
-from typing import Any, Iterator, Optional
+from functools import partial
+from typing import Any, Callable, Iterator, Optional, Sequence, Union
 
-from cassandra_ros.arguments import check_message_name, check_node
-from cassandra_ros.errors import InvalidKey, MessageNotFound, TypeMismatch
+from cassandra_ros.arguments import (
+    check_field,
+    check_limit,
+    check_message_name,
+    check_node,
+    check_nodes,
+    check_text,
+    check_user_keys,
+)
+from cassandra_ros.arrays.frames import readFrame
+from cassandra_ros.arrays.gather import readArrays
+from cassandra_ros.errors import (
+    InvalidKey,
+    MessageNotFound,
+    TopicNotFound,
+    TypeMismatch,
+)
+from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
+from cassandra_ros.keys import NAMED_FORMATS, Position
 from cassandra_ros.messages.definition import Definition, definitionOf
-from cassandra_ros.messages.stamps import toNs
+from cassandra_ros.messages.stamps import Stamp, isIsoText, toNs
+from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.query.protocols import Chooser, Table
 from cassandra_ros.topics.adder import Adder
-from cassandra_ros.topics.filtering import Where
+from cassandra_ros.topics.filtering import Filter, Where
+from cassandra_ros.topics.finding import Finder
+from cassandra_ros.topics.index_filling import Progress
 from cassandra_ros.topics.indexes import TopicIndexes, checkField
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.stored_row import Key
-from cassandra_ros.topics.topic_arrays import TopicArrays
-from cassandra_ros.topics.topic_rows import AnyKey, Time
+from cassandra_ros.topics.meta_view import MetaView
+from cassandra_ros.topics.reading import Columns
+from cassandra_ros.topics.selection import LAST_NS, AnyKey, Stretch, Time, selectMany, valueOfText
+from cassandra_ros.topics.stored_row import Key, StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.wish import Wish
 
+Fields = Union[None, str, Sequence[str]]
+"""Names of fields; None = all."""
 _REQUIRED: Any = object()
 
 
-class CassandraTopic(TopicIndexes, TopicArrays):
+class CassandraTopic:
     """The stored messages of one topic. Got from RosCassandra, safe to share between threads.
 
     What a key is follows from the ``key_format`` that addTopic was given:
@@ -37,13 +62,110 @@ class CassandraTopic(TopicIndexes, TopicArrays):
     * ``manual``: a name that you give; ``getData(name)`` is the newest message under it,
       ``items(name)`` all.
 
+    Fields are named as in a SELECT statement: ``linear.x``, ``ranges``, ``ranges[0]``,
+    ``header.stamp.secs``, a message (all of its fields), ``KEY``, ``NODE``, each also with
+    ``AS name``. Naming a field inside of an array of messages unnests the array: a row for each
+    of its elements, or with ``where`` for each element that satisfies the condition, the other
+    fields repeated. An array of messages that is named whole is not unnested.
+
     Attributes:
         name: The topic's name as it is stored.
     """
 
     def __init__(self, keyspace: Keyspace, adder: Adder, name: str, wish: Wish) -> None:
-        super().__init__(keyspace, name, wish)
+        self.name = name
+        self._keyspace = keyspace
         self._adder = adder
+        self._wish = wish
+        self._indexes = TopicIndexes(keyspace, adder, name)
+
+    # ---------------------------------------------------------------- what is known of it
+
+    @property
+    def tables(self) -> list[TopicTable]:
+        """The tables of the topic, one for each md5 and format; none before the first message."""
+        return self._keyspace.tables.ofTopic(self.name)
+
+    @property
+    def getMeta(self) -> MetaView:
+        """The metadata: ``getMeta['msg_type']`` or ``getMeta('msg_type')``."""
+        tables = self.tables
+        metadata = tables[0].metadata if tables else self._wish.metadata(self.name, None)
+        directory = self._keyspace.directory
+        found = {n for t in tables for _, n in directory.nodes(t.name, -(2**63), LAST_NS)}
+        indexes = {field: "" for t in tables for field in t.metadata.indexes}
+        return MetaView(metadata.with_(indexes=indexes or metadata.indexes), sorted(found))
+
+    def countBuckets(self) -> int:
+        """Count the partitions: stretches of time of a node in a table; 0 for named messages."""
+        directory = self._keyspace.directory
+        rows = [
+            (table.name, row.node, row.bucket)
+            for table in self.tables
+            for row in directory.buckets(table.name, -(2**63), LAST_NS, ttl=table.metadata.ttl)
+        ]
+        return len(set(rows))
+
+    def setMeta(self, **keys: Any) -> None:
+        """Set keys of your own in the topic's metadata: ``setMeta(site='lab')``.
+
+        Args:
+            keys: Values that JSON can hold; None removes a key. ``comment`` sets the topic's
+                comment; the other keys of getMeta are facts and cannot be set.
+
+        Raises:
+            InvalidName: A key cannot be set.
+            InvalidOption: The comment is no text.
+            TopicNotFound: The topic has no type yet, so there is no table to note it in.
+        """
+        comment = keys.pop("comment", None)
+        if comment is not None:
+            check_text("comment", comment)
+        check_user_keys(keys)
+        if not self.tables:
+            raise TopicNotFound(
+                f"topic {self.name} has no type yet: its first message fixes it; give metadata= "
+                "to addTopic"
+            )
+
+        def change(metadata: TopicMetadata) -> TopicMetadata:
+            every = {**metadata.user, **keys}
+            user = {name: value for name, value in every.items() if value is not None}
+            return metadata.with_(
+                user=user, comment=metadata.comment if comment is None else comment
+            )
+
+        self._keyspace.schema.changeTopic(self.name, change)
+
+    @property
+    def format(self) -> CassandraTopic_:
+        """The format object of the topic's first table.
+
+        Raises:
+            TopicNotFound: The type is not known before the first message.
+        """
+        tables = self.tables
+        if not tables:
+            raise TopicNotFound(f"topic {self.name} has no type yet: its first message fixes it")
+        return tables[0].format
+
+    def getColValidationClasses(self) -> dict[str, str]:
+        """Return the format's columns: name → CQL type (paper listing 3)."""
+        return self.format.getColValidationClasses()
+
+    def encode(self, msg: Any) -> EncodedMessage:
+        """Translate a message into columns (paper 3.1)."""
+        return self.format.encode(msg)
+
+    def decode(self, data: EncodedMessage) -> Any:
+        """Translate columns back into a message (paper 3.1).
+
+        Raises:
+            TypeMismatch: data is not what encode returns.
+        """
+        if not isinstance(data, EncodedMessage):
+            raise TypeMismatch(f"{data!r:.80} is no encoded message: give what encode returned")
+        return self.format.decode(data)
 
     # ---------------------------------------------------------------- adding
 
@@ -185,6 +307,109 @@ class CassandraTopic(TopicIndexes, TopicArrays):
         rows = self._finder(nodeID, where).many(key, to_key, limit=limit, reverse=reverse)
         return ((row.key, row.message()) for row in rows)
 
+    # ---------------------------------------------------------------- rows, without making objects
+
+    def getRow(
+        self,
+        key: Any,
+        *,
+        nearest: Optional[str] = None,
+        nodeID: Optional[str] = None,
+        where: Optional[Where] = None,
+    ) -> Optional[StoredRow]:
+        """Find one stored row as getData does; None where there is none."""
+        return self._finder(nodeID, where).find(key, nearest)
+
+    def _finder(self, nodeID: Optional[str], where: Optional[Where] = None) -> Finder:
+        tables = self._stored()
+        passing = None if where is None else Filter(self, where, nodeID)
+        key_format = tables[0].metadata.key_format if tables else self._wish.key_format
+        return Finder(self._keyspace, self.name, key_format, tables, nodeID, passing)
+
+    def versions(
+        self, name: str, *, nodeID: Optional[str] = None, reverse: bool = False
+    ) -> Iterator[StoredRow]:
+        """Walk through the messages under one name, by time, without making objects."""
+        check_text("name", name, error=InvalidKey)
+        return self._finder(nodeID).many(name, None, reverse=reverse)
+
+    def rows(
+        self,
+        key: Optional[Time] = None,
+        to_key: Optional[Time] = None,
+        *,
+        nodeID: Optional[str] = None,
+        limit: Optional[int] = None,
+        after: Optional[Position] = None,
+        reverse: bool = False,
+        columns: Optional[Columns] = None,
+        chooser: Optional[Chooser] = None,
+    ) -> Iterator[StoredRow]:
+        """Walk through messages by their time, as items does, without making objects.
+
+        Args:
+            key, to_key: Ends, both included, whatever the topic's keys are; None = open.
+            nodeID, limit, reverse: As items takes them.
+            after: Begin behind this row (a cursor).
+            columns: Gives for a table those of its columns to read, in their order, None = all;
+                a row fetches the others when its bytes are asked for.
+            chooser: Tells what the server may leave out (a query.protocols.Chooser).
+        """
+        low = 0 if key is None else toNs(key)
+        high = LAST_NS if to_key is None else toNs(to_key)
+        if not isinstance(after, (Position, type(None))):
+            raise InvalidKey(f"after={after!r:.80} is no place: give the position of a row")
+        return self._keyspace.rows.read(
+            *(self._stored(), low, high),
+            nodes=check_nodes(nodeID),
+            after=after,
+            reverse=reverse,
+            limit=check_limit(limit),
+            columns=columns,
+            chooser=chooser,
+        )
+
+    def _stored(self) -> list[TopicTable]:
+        tables, wish = self.tables, self._wish
+        known = (self.name, wish.format) in self._keyspace.schema.seen
+        if not tables and (known or not wish.pending):
+            raise TopicNotFound(
+                f"topic {self.name} is not stored in keyspace {self._keyspace.name} any more"
+            )
+        return tables
+
+    def first(self, nodeID: Optional[str] = None) -> Optional[Key]:
+        """Return the key of the oldest message; None when there is none."""
+        row = next(self.rows(nodeID=nodeID, limit=1), None)
+        return None if row is None else row.key
+
+    def last(self, nodeID: Optional[str] = None) -> Optional[Key]:
+        """Return the key of the newest message; None when there is none."""
+        row = next(self.rows(nodeID=nodeID, limit=1, reverse=True), None)
+        return None if row is None else row.key
+
+    def keyOfText(self, text: str) -> AnyKey:
+        """Read a key that a person typed, by what the topic's keys are.
+
+        A name is the text itself; a time is integer nanoseconds or ISO 8601; the value of a
+        field is a number, true or false, or text, as the field is. Where values are keys a time
+        is ISO 8601 only.
+
+        Raises:
+            InvalidKey: The text is no key of the topic.
+        """
+        check_text("text", text, error=InvalidKey)
+        tables = self._stored()
+        if self._wish.key_format in NAMED_FORMATS or any(table.named for table in tables):
+            return text
+        valued = [table for table in tables if table.valued]
+        if valued and not isIsoText(text):
+            return valueOfText(valued, text)
+        if valued:
+            return Stamp.fromNs(toNs(text))
+        text = text.strip()
+        return int(text) if text.isascii() and text.isdigit() and len(text) < 40 else text
+
     # ---------------------------------------------------------------- counting and removing
 
     def countTopicData(
@@ -221,6 +446,139 @@ class CassandraTopic(TopicIndexes, TopicArrays):
             InvalidQuery: where is no condition.
         """
         return self._finder(nodeID, where).remove(key, to_key)
+
+    # ---------------------------------------------------------------- arrays and tables
+
+    def getArrays(
+        self,
+        fields: Fields,
+        key: Optional[AnyKey] = None,
+        to_key: Optional[Time] = None,
+        where: Optional[Where] = None,
+        nodeID: Optional[str] = None,
+    ) -> dict[str, Any]:
+        """Return fields as numpy arrays, one each, of equal length and in the order of time.
+
+        * Numbers and bools have the field's own type (float32 stays float32).
+        * ``KEY``, times and durations are int64 nanoseconds: ``.view('datetime64[ns]')`` or
+          ``.view('timedelta64[ns]')`` shows them as such. Where messages lie under names KEY is
+          text. ``secs`` and ``nsecs`` are int64.
+        * Arrays of fixed length, as ``float64[9]``, are arrays of two dimensions (rows, 9);
+          those of any length an array of objects: an array for each row. Of arrays inside of
+          arrays of messages a row holds lists, as executeCQL returns them.
+        * Text is str, in an array of objects.
+
+        Where a message has no such value (``ranges[5]`` of four, a field that another definition
+        of the topic lacks, bytes that are no message) the array is a numpy.ma.MaskedArray that
+        masks it; arrays of objects hold None. Where definitions disagree on the type of a field,
+        it is the smallest that holds both exactly, else Python objects.
+
+        Memory is that of the result: the rows are read by pages, and no Python object is kept
+        for a number.
+
+        Args:
+            fields: Names of fields; None = all, and KEY.
+            key, to_key: Which messages, as items takes them.
+            where: A condition, or a condition and a list of values for its ``?``.
+            nodeID: Only messages of this node; None = of all.
+
+        Raises:
+            InvalidQuery: A field or the condition is not one of this topic; shows the spot.
+            InvalidKey: key or to_key cannot be one.
+        """
+        read = partial(self._read, key, to_key, where, nodeID)
+        return readArrays(self, fields, where, read)
+
+    def toDataFrame(
+        self,
+        fields: Fields = None,
+        key: Optional[AnyKey] = None,
+        to_key: Optional[Time] = None,
+        where: Optional[Where] = None,
+        nodeID: Optional[str] = None,
+    ) -> Any:
+        """Return messages as a pandas.DataFrame, one column a field.
+
+        The index, named ``KEY``, is their time, exact to the nanosecond and in UTC, without a
+        zone, so that it compares with the columns; where messages lie under names it is these.
+        Columns are as getArrays returns them, but for times (datetime64[ns], also without a
+        zone), durations (timedelta64[ns]) and arrays (an array in each cell). What is missing is
+        NaN, NaT, None, or NA in one of pandas' nullable types (Int32, UInt64, boolean), so that
+        integers stay integers.
+
+        Args:
+            fields: Names of fields; None = all of them.
+            key, to_key, where, nodeID: As getArrays takes them.
+
+        Raises:
+            MissingDependency: pandas is not installed; the text says how.
+            InvalidQuery, InvalidKey: As of getArrays.
+        """
+        read = partial(self._read, key, to_key, where, nodeID)
+        return readFrame(self, fields, where, read)
+
+    def _read(
+        self,
+        key: Optional[AnyKey],
+        to_key: Optional[Time],
+        where: Optional[Where],
+        nodeID: Optional[str],
+        columns: Callable[[Table], Sequence[str]],
+    ) -> Iterator[StoredRow]:
+        """Read the rows that are meant, and of a stretch of time only these columns."""
+        tables = self._stored()
+        key_format = tables[0].metadata.key_format if tables else self._wish.key_format
+        wanted = selectMany(self.name, key_format, tables, key, to_key)
+        if where is not None or not isinstance(wanted, Stretch):
+            return self._finder(nodeID, where).many(key, to_key)
+        nodes = check_nodes(nodeID)
+        return self._keyspace.rows.read(tables, *wanted, nodes=nodes, columns=columns)
+
+    # ---------------------------------------------------------------- indexes
+
+    def createIndex(self, field: str, progress: Optional[Progress] = None) -> int:
+        """Make an index on a field, so that conditions on it read only the rows that they find.
+
+        Others may record the topic meanwhile, and their rows are found in any case: a bucket that
+        a writer has open is read without the index. Calling again for an index that is there
+        goes on where it was interrupted, and takes in what was being written the last time.
+
+        Args:
+            field: Dotted path, as 'linear.x'; in an array of messages, as
+                'transforms.child_frame_id', or an array of numbers or texts, it finds the
+                messages that contain a value. Texts over 1 KiB, arrays over 256 elements and NaN
+                are not indexed; their messages are read besides.
+            progress: Called with (rows done, rows in all).
+
+        Returns:
+            How many stored messages were indexed.
+
+        Raises:
+            InvalidName: The type has no such field, or it cannot be indexed.
+            InvalidOption: The messages are kept under names, or the field is an array that is the
+                key.
+            StoreUnavailable: Cassandra is rewriting the files of the topic (an index made
+                meanwhile could miss rows), or is busy with other indexes; ask again later.
+            TopicNotFound: The topic is gone, or has no type yet.
+        """
+        return self._indexes.create(check_field(field), progress)
+
+    def hasIndex(self, field: str) -> bool:
+        """Say whether every table of the topic whose type has the field has an index on it."""
+        return self._indexes.has(check_field(field))
+
+    def removeIndex(self, field: str) -> None:
+        """Remove an index. The messages stay as they are.
+
+        The column that carried it stays in the table: who is recording goes on filling it until
+        its next stretch of time.
+
+        Raises:
+            InvalidName: There is no such index.
+            InvalidOption: The key of the messages needs it.
+            TopicNotFound: The topic is gone.
+        """
+        self._indexes.remove(check_field(field))
 
     def __repr__(self) -> str:
         return f"CassandraTopic({self.name!r})"

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from typing import Optional
 
-from cassandra_ros.arguments import check_field
 from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound
 from cassandra_ros.keys import NAMED_FORMATS
 from cassandra_ros.messages.definition import Definition
@@ -14,71 +13,48 @@ from cassandra_ros.messages.index_field import IndexField, nearestFields
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.index_filling import IndexFilling, Progress
-from cassandra_ros.topics.topic_facts import TopicFacts
+from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.topic_table import TopicTable, definitionIn
 
 
-class TopicIndexes(TopicFacts):
-    """Indexes of one topic; see CassandraTopic."""
+class TopicIndexes:
+    """Makes and removes the indexes of one topic; see CassandraTopic.createIndex.
 
-    _adder: Adder
-    """Writes what addData is given; CassandraTopic has it."""
+    Args:
+        keyspace: Where the topic is.
+        adder: Writes what addData is given.
+        topic: The topic's name.
+    """
 
-    def createIndex(self, field: str, progress: Optional[Progress] = None) -> int:
-        """Make an index on a field, so that conditions on it read only the rows that they find.
+    def __init__(self, keyspace: Keyspace, adder: Adder, topic: str) -> None:
+        self._keyspace = keyspace
+        self._adder = adder
+        self.name = topic
 
-        Others may record the topic meanwhile, and their rows are found in any case: a bucket that
-        a writer has open is read without the index. Calling again for an index that is there
-        goes on where it was interrupted, and takes in what was being written the last time.
+    @property
+    def _tables(self) -> list[TopicTable]:
+        return self._keyspace.tables.ofTopic(self.name)
 
-        Args:
-            field: Dotted path, as 'linear.x'; in an array of messages, as
-                'transforms.child_frame_id', or an array of numbers or texts, it finds the
-                messages that contain a value. Texts over 1 KiB, arrays over 256 elements and NaN
-                are not indexed; their messages are read besides.
-            progress: Called with (rows done, rows in all).
-
-        Returns:
-            How many stored messages were indexed.
-
-        Raises:
-            InvalidName: The type has no such field, or it cannot be indexed.
-            InvalidOption: The messages are kept under names, or the field is an array that is the
-                key.
-            StoreUnavailable: Cassandra is rewriting the files of the topic (an index made
-                meanwhile could miss rows), or is busy with other indexes; ask again later.
-            TopicNotFound: The topic is gone, or has no type yet.
-        """
-        check_field(field)
+    def create(self, field: str, progress: Optional[Progress] = None) -> int:
+        """Make an index, or complete it; return how many stored messages were indexed."""
         space = self._keyspace
         space.schema.tables(fresh=True)
-        checkIndexable(self.name, self.tables, field)
+        checkIndexable(self.name, self._tables, field)
         space.indexes.add(self.name, field, lambda metadata: _typeOf(metadata, field))
         self._adder.close()  # what it holds open could not be filled
         filling = IndexFilling(space.cassandra, space.directory, space.rows, field, progress)
-        return filling.fill(self.tables)
+        return filling.fill(self._tables)
 
-    def hasIndex(self, field: str) -> bool:
-        """Say whether every table of the topic whose type has the field has an index on it."""
-        check_field(field)
-        able = [table for table in self.tables if _typeOf(table.metadata, field) is not None]
+    def has(self, field: str) -> bool:
+        """Say whether every table whose type has the field has an index on it."""
+        able = [table for table in self._tables if _typeOf(table.metadata, field) is not None]
         return bool(able) and all(field in table.metadata.indexes for table in able)
 
-    def removeIndex(self, field: str) -> None:
-        """Remove an index. The messages stay as they are.
-
-        The column that carried it stays in the table: who is recording goes on filling it until
-        its next stretch of time.
-
-        Raises:
-            InvalidName: There is no such index.
-            InvalidOption: The key of the messages needs it.
-            TopicNotFound: The topic is gone.
-        """
-        check_field(field)
+    def remove(self, field: str) -> None:
+        """Remove an index."""
         space = self._keyspace
         space.schema.tables(fresh=True)
-        tables = self.tables
+        tables = self._tables
         if any(table.valued and table.keyPart().field == field for table in tables):
             raise InvalidOption(
                 f"the index on {field} cannot be removed: it is the key_part of topic {self.name}, "

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Iterable, Mapping, Optional, Sequence
+from typing import Any, Iterable, Iterator, Mapping, Optional, Sequence
 
 from cassandra_ros.arguments import (
     MAX_TOPIC_BYTES,
@@ -20,21 +20,50 @@ from cassandra_ros.arguments import (
     check_user_keys,
     check_writer_id,
 )
-from cassandra_ros.errors import InvalidKey, InvalidName, InvalidOption
+from cassandra_ros.errors import InvalidKey, InvalidName, InvalidOption, KeyspaceNotFound
 from cassandra_ros.formats.table import DEFAULT_FORMAT
-from cassandra_ros.keys import newWriterId
+from cassandra_ros.keys import Position, newWriterId
 from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.stamps import durationNs
+from cassandra_ros.query.explain import Explanation
+from cassandra_ros.query.run import QueryResult, Rows
+from cassandra_ros.store.address import from_environment
+from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.write_stats import LossCallback
 from cassandra_ros.store.writer import RowWriter
-from cassandra_ros.topics.across import AcrossTopics
+from cassandra_ros.topics.across import AcrossTopics, Conditions, Pair
+from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.clock import Clock
+from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import MessageWriter
+from cassandra_ros.topics.selection import Time, stretchOf
+from cassandra_ros.topics.statements import Statements
+from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.totals import TopicInfo
 from cassandra_ros.topics.wish import Wish
+from cassandra_ros.transforms.lookup import TransformFinder
 
 
-class RosCassandra(AcrossTopics):
+class _Open:
+    """What a RosCassandra works with in one keyspace.
+
+    Args:
+        parts: The keyspace.
+        clock: Tells the time for messages without a key.
+    """
+
+    def __init__(self, parts: Keyspace, clock: Optional[Clock]) -> None:
+        self.parts = parts
+        self.adder = Adder(parts, clock)
+        self.catalog = Catalog(parts, self.adder)
+        self.statements = Statements(parts, self.catalog)
+        self.across = AcrossTopics(parts.rows, self.catalog)
+
+
+class RosCassandra:
     """Keeps ROS topics in a Cassandra cluster. Safe to share between threads.
 
     Args:
@@ -52,6 +81,93 @@ class RosCassandra(AcrossTopics):
         ConnectionFailed: Nobody answers there; the text says how to start a server.
         InvalidOption: The port cannot be one.
     """
+
+    def __init__(
+        self,
+        host: Optional[str] = None,
+        port: Optional[int] = None,
+        *,
+        keyspace: Optional[str] = None,
+        clock: Optional[Clock] = None,
+        consistency: str = "LOCAL_QUORUM",
+        username: Optional[str] = None,
+        password: Optional[str] = None,
+        ssl_context: Any = None,
+    ) -> None:
+        login: Any = {"username": username, "password": password, "ssl_context": ssl_context}
+        self.cassandra = Cassandra(host, port, consistency=consistency, **login)
+        self._clock = clock
+        self._opened: Optional[_Open] = None
+        keyspace = from_environment("KEYSPACE") or None if keyspace is None else keyspace
+        if keyspace is not None:
+            try:
+                self._work_in(Keyspace(self.cassandra, keyspace))
+            except BaseException:
+                self.cassandra.close()
+                raise
+
+    # ---------------------------------------------------------------- keyspace
+
+    def connectToKeyspace(self, keyspace: str, make: bool = True) -> None:
+        """Work in this keyspace from now on.
+
+        Tables are made in it by what first writes, never by reading. Topics that were got before
+        stay in theirs until the next call or close.
+
+        Args:
+            keyspace: 1 to 48 letters, digits and underscores; case matters.
+            make: Make it where it is missing, with a replication factor of min(3, nodes).
+
+        Raises:
+            InvalidName: It is not a keyspace name.
+            KeyspaceNotFound: It is missing and make is false; the text gives the nearest names.
+        """
+        parts = Keyspace(self.cassandra, keyspace)
+        if make:
+            parts.side_tables.make_keyspace()
+        else:
+            parts.side_tables.require_keyspace()
+        self._work_in(parts)
+
+    def _work_in(self, parts: Keyspace) -> None:
+        if self._opened is not None:
+            self._opened.adder.close()
+        self._opened = _Open(parts, self._clock)
+
+    @property
+    def keyspace(self) -> Optional[str]:
+        """The connected keyspace's name, or None."""
+        return None if self._opened is None else self._opened.parts.name
+
+    @property
+    def parts(self) -> Keyspace:
+        """The connected keyspace: schema, directory, registry, rows."""
+        return self._open.parts
+
+    @property
+    def _open(self) -> _Open:
+        self.cassandra.require_open()
+        if self._opened is None:
+            raise KeyspaceNotFound("no keyspace is connected: call connectToKeyspace('ros') first")
+        return self._opened
+
+    @property
+    def _topics(self) -> Catalog:
+        return self._open.catalog
+
+    def close(self) -> None:
+        """Store what is on its way and close the connection. Twice is harmless."""
+        try:
+            if self._opened is not None:
+                self._opened.adder.close()
+        finally:
+            self.cassandra.close()
+
+    def __enter__(self) -> RosCassandra:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
 
     # ---------------------------------------------------------------- topics
 
@@ -223,8 +339,182 @@ class RosCassandra(AcrossTopics):
 
     def info(self, topics: Optional[Iterable[str]] = None) -> list[TopicInfo]:
         """Describe what is stored: counts, sizes and times by topic, table and node."""
-        return self.parts.totals.info(self._tables(check_topics(topics)))
+        return self.parts.totals.info(self._open.across.tables(check_topics(topics)))
 
     def runs(self) -> list[Run]:
         """List the recordings and imports of the keyspace."""
         return self.parts.registry.runs()
+
+    def readMessages(
+        self,
+        topics: Optional[Iterable[str]] = None,
+        key: Optional[Time] = None,
+        to_key: Optional[Time] = None,
+        *,
+        nodeID: Optional[str] = None,
+        received: bool = False,
+        where: Conditions = None,
+    ) -> Iterator[StoredRow]:
+        """Walk lazily through the rows of several topics, merged by time.
+
+        Memory: some pages of rows for all topics together, and for each that has a condition.
+
+        Args:
+            topics: Their names, or one; None = all.
+            key, to_key: Ends, both included; None = open.
+            nodeID: Only messages of this node; None = of all.
+            received: By the time of reception, as a bag has them, also where a topic's key is
+                another time.
+            where: Topic -> condition, a text or (text, parameters): of these topics only the
+                messages that satisfy it.
+
+        Raises:
+            TopicNotFound: One of the topics is not stored.
+            InvalidName: topics or nodeID are no names.
+            InvalidOption: A condition is for a topic that is not read.
+            InvalidQuery: A condition is none; shows it with a caret under the spot.
+        """
+        names, stretch = check_topics(topics), stretchOf(key, to_key)
+        return self._open.across.read(names, stretch, nodeID, received, where)
+
+    def nearestMessages(
+        self,
+        topic_a: str,
+        topic_b: str,
+        tolerance: Any,
+        key: Optional[Time] = None,
+        to_key: Optional[Time] = None,
+        *,
+        nodeID: Optional[str] = None,
+        where: Conditions = None,
+        unpaired: bool = False,
+    ) -> Iterator[Pair]:
+        """Pair each message of one topic with the message of another that is nearest in time.
+
+        Pairs are (row, row), lazily in the order of the first topic's key times. A message of the
+        second may be the partner of several. Of two that are equally near the earlier one is
+        taken, of equal times the first. One without a partner is left out, as by ROS's
+        ApproximateTime; with ``unpaired`` it comes with None, as by pandas' merge_asof.
+
+        Args:
+            topic_a: Each of its messages looks for a partner.
+            topic_b: Where the partners are.
+            tolerance: How far a partner may be, before or behind: seconds or a Duration.
+            key, to_key: Ends for the first topic, both included; None = open. Partners may lie
+                outside of them.
+            nodeID: Only messages of this node; None = of all: partners may be of two nodes.
+            where: Topic -> condition, as readMessages takes it: what does not satisfy it is
+                nobody's partner.
+            unpaired: Give (row, None) for messages that have no partner.
+
+        Raises:
+            TopicNotFound: One of the topics is not stored.
+            InvalidOption: A condition is for another topic.
+            InvalidKey: tolerance is no length of time, or negative.
+            InvalidQuery: A condition is none.
+        """
+        reach, stretch = durationNs(tolerance), stretchOf(key, to_key)
+        return self._open.across.nearest(topic_a, topic_b, reach, stretch, nodeID, where, unpaired)
+
+    # ---------------------------------------------------------------- questions
+
+    @property
+    def statements(self) -> Statements:
+        """Runs statements, also parsed ones and by a chosen plan."""
+        return self._open.statements
+
+    def executeCQL(
+        self,
+        statement: str,
+        params: Sequence[Any] = (),
+        *,
+        nodeID: Optional[str] = None,
+        limit: Optional[int] = None,
+    ) -> Rows:
+        """Run a statement and return all its rows: a list of tuples with ``.columns``.
+
+        SELECT gives what was asked for; DELETE one row with the number of messages that it
+        removed; TRUNCATE, CREATE INDEX and DROP INDEX give no row.
+
+        Args:
+            statement: CQL with topic names, dotted fields and KEY (paper 3.2).
+            params: Values for its ``?`` and ``%s`` markers.
+            nodeID: Only messages of this node, for SELECT and DELETE; None = of all.
+            limit: At most so many rows, for SELECT.
+
+        Raises:
+            InvalidQuery: Shows the statement with a caret under the spot.
+        """
+        return self.statements.run(statement, params, nodeID=nodeID, limit=limit)
+
+    def iterCQL(
+        self,
+        statement: str,
+        params: Sequence[Any] = (),
+        *,
+        nodeID: Optional[str] = None,
+        limit: Optional[int] = None,
+        after: Optional[Position] = None,
+    ) -> QueryResult:
+        """Run a SELECT lazily: an iterator of tuples with ``.columns``; as executeCQL."""
+        return self.statements.select(statement, params, nodeID=nodeID, limit=limit, after=after)
+
+    def explainCQL(
+        self, statement: str, params: Sequence[Any] = (), *, nodeID: Optional[str] = None
+    ) -> Explanation:
+        """Run a SELECT statement and say how it was answered; ``print`` what comes back.
+
+        Returns:
+            An Explanation: how many buckets were read of how many and in which way (by an index,
+            filtered by the server, whole), what the server checked, what was left to this side,
+            rows read and returned.
+
+        Raises:
+            InvalidQuery: As executeCQL.
+        """
+        return self.statements.explain(statement, params, nodeID)
+
+    def lookupTransform(
+        self,
+        target: str,
+        source: str,
+        time: Any,
+        *,
+        nodeID: Optional[str] = None,
+        tf: str = "/tf",
+        tf_static: str = "/tf_static",
+    ) -> Any:
+        """Return the transform between two frames at any past time, as tf2 computes it.
+
+        The time is that of the stamps in the headers, whenever the transforms were received. What
+        tf2 knows live, the last ten seconds, is here all that was recorded. A slash in front of a
+        frame's name is ignored on both sides. A frame that is on tf_static is fixed: what was
+        recorded of it last holds at every time. As soon as both frames are connected and the time
+        lies between two transforms of each frame on the way, no more is read (one that was received
+        over 2 s out of order may be missed then); an error comes when everything was read.
+
+        Args:
+            target: Frame to which the transform takes points.
+            source: Frame from which it takes them.
+            time: As a key: genpy.Time, int (ns), float (s) or ISO 8601 text. 0 means, as in tf2,
+                the newest time that is recorded for all frames on the way.
+            nodeID: Only transforms of this node, of both topics; None = of all.
+            tf: Topic of the moving transforms.
+            tf_static: Topic of the fixed ones. One of the two may be missing.
+
+        Returns:
+            A geometry_msgs/TransformStamped: ``header.frame_id`` is target, ``child_frame_id``
+            source, and ``header.stamp`` the time that was asked for (of 0 the one that was found,
+            0 where all frames are fixed).
+
+        Raises:
+            LookupException: A frame is in no transform.
+            ConnectivityException: Nothing connects the frames.
+            ExtrapolationException: The time lies outside of what is recorded of a frame.
+            TransformException: Any of these three; the errors are this package's, with tf2's names.
+            TopicNotFound: Neither topic is stored.
+            TypeMismatch: A topic holds no transforms.
+            MissingDependency: tf2_py is not installed.
+            InvalidKey, InvalidName.
+        """
+        return TransformFinder(self._topics.get, nodeID).lookup(target, source, time, tf, tf_static)

@@ -15,6 +15,12 @@ from cassandra_ros.topics.topic_table import TopicTable
 LAST_NS = 2**63 - 1
 
 
+Time = Any
+"""genpy.Time or Stamp, int (ns), float (s) or ISO 8601 text."""
+AnyKey = Any
+"""A Time, or what else is the topic's key: a name, or the value of a field."""
+
+
 class Stretch(NamedTuple):
     """All messages of a stretch of time, ns, both ends included."""
 
@@ -88,6 +94,11 @@ def selectMany(
             "order of time: a stretch goes from one genpy.Time to another; ask for a range of "
             "values with executeCQL"
         )
+    return stretchOf(key, to_key)
+
+
+def stretchOf(key: Optional[Time], to_key: Optional[Time]) -> Stretch:
+    """Return the stretch between two times, both included; None = open."""
     low = 0 if key is None else toNs(key)
     return Stretch(low, LAST_NS if to_key is None else toNs(to_key))
 
