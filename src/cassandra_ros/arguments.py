@@ -12,7 +12,7 @@ import json
 from typing import Any, Iterable, Mapping, Optional, Type
 
 from cassandra_ros.errors import CassandraRosError, InvalidKey, InvalidName, InvalidOption
-from cassandra_ros.keys import KEY_FORMATS, WRITER_BITS
+from cassandra_ros.keys import KEY_FORMATS, MAX_WRITER
 from cassandra_ros.metadata import FACTS
 
 MAX_TOPIC_BYTES = 65_535
@@ -232,7 +232,7 @@ def check_writer_id(writer_id: Any) -> int:
     Raises:
         InvalidKey: It is none.
     """
-    return check_integer("writer_id", writer_id, 1, 2**WRITER_BITS - 1, InvalidKey)
+    return check_integer("writer_id", writer_id, 1, MAX_WRITER, InvalidKey)
 
 
 def check_user_keys(keys: Any) -> dict[str, Any]:

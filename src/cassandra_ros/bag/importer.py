@@ -9,6 +9,7 @@ import os
 from dataclasses import dataclass, field
 from typing import AbstractSet, Callable, Dict, Iterable, List, Set
 
+from cassandra_ros.arguments import check_new_topic
 from cassandra_ros.bag.identity import (
     CONTENT,
     BagContent,
@@ -24,7 +25,6 @@ from cassandra_ros.bag.verify import Import, holdsNothingElse
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import DEFAULT_FORMAT
 from cassandra_ros.keys import MAX_WRITER
-from cassandra_ros.metadata import checkTopicName
 from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.ros_cassandra import RosCassandra
@@ -147,7 +147,7 @@ def _refuseNames(reader: BagReader, numbers: AbstractSet[int], report: ImportRep
     for number in sorted(numbers):
         topic = reader.connections[number].topic
         try:
-            checkTopicName(topic)
+            check_new_topic(topic)
             kept.add(number)
         except InvalidName as exc:
             count = reader.totals[number].count
