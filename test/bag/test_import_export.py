@@ -26,6 +26,7 @@ from cassandra_ros.errors import (
     BagUnindexed,
     InvalidKey,
     InvalidQuery,
+    MessageNotFound,
     TopicExists,
     TopicNotFound,
 )
@@ -227,7 +228,10 @@ def test_an_empty_bag_is_an_import_of_nothing(rosCas, tmp_path):
     BagWriter(tmp_path / "a.bag").close()
     assert importBag(rosCas, tmp_path / "a.bag").messages == 0
     assert verifyBag(rosCas, tmp_path / "a.bag").equal
-    exportBag(rosCas, tmp_path / "out.bag")
+    with pytest.raises(MessageNotFound, match="holds none of these topics"):
+        exportBag(rosCas, tmp_path / "out.bag")
+    assert not (tmp_path / "out.bag").exists()
+    exportBag(rosCas, tmp_path / "out.bag", empty=True)
     assert read_with_rosbag(tmp_path / "out.bag") == ([], [])
 
 
