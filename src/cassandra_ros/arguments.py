@@ -9,6 +9,7 @@ argument, its value, and what to give instead. Nothing is stored or asked before
 from __future__ import annotations
 
 import json
+from numbers import Integral
 from typing import Any, Iterable, Mapping, Optional, Type
 
 from cassandra_ros.errors import CassandraRosError, InvalidKey, InvalidName, InvalidOption
@@ -22,6 +23,7 @@ MAX_NODE_BYTES = 61_411
 """Beside a name, a time and a counter in a partition key, which has 65,535 bytes in all."""
 MAX_TEXT_BYTES = 1 << 20
 """Each client reads every comment: a topic's metadata are no place for files."""
+MAX_LIMIT = 2**63 - 1
 MAX_TTL_SEC = 18 * 365 * 86400
 """What keeps chunks and directory longer than the rows must stay below Cassandra's 20 years."""
 
@@ -178,11 +180,14 @@ def check_limit(limit: Any) -> Optional[int]:
     Raises:
         InvalidOption: It is no number of them.
     """
-    if limit is not None and (isinstance(limit, bool) or not isinstance(limit, int) or limit < 0):
-        raise InvalidOption(
-            f"limit={_shown(limit)} is no number of messages: give 0 or more, or None"
-        )
-    return limit
+    if limit is None:
+        return None
+    whole = isinstance(limit, Integral) and not isinstance(limit, bool)
+    if whole and 0 <= int(limit) <= MAX_LIMIT:
+        return int(limit)
+    raise InvalidOption(
+        f"limit={_shown(limit)} is no number of messages: give 0 to {MAX_LIMIT}, or None for all"
+    )
 
 
 def check_ttl(ttl_sec: Any) -> int:

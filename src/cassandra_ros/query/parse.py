@@ -13,6 +13,7 @@ from typing import Any, Iterator, Optional, Sequence, Union
 from lark import Lark, UnexpectedInput
 from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 
+from cassandra_ros.arguments import MAX_LIMIT
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.builder import BUILDER, Parsed, StatementError
 from cassandra_ros.query.syntax import (
@@ -212,14 +213,16 @@ def _of_limit(limit: Optional[Value]) -> list[Placeholder]:
 
 
 def _limit(text: str, most: Literal) -> int:
-    if not isinstance(most.value, Integral) or isinstance(most.value, bool) or most.value < 1:
-        raise InvalidQuery(text, most.position, "LIMIT takes a whole number of at least 1")
+    whole = isinstance(most.value, Integral) and not isinstance(most.value, bool)
+    if not whole or not 1 <= most.value <= MAX_LIMIT:
+        reason = f"LIMIT takes a whole number of at least 1 and at most {MAX_LIMIT}"
+        raise InvalidQuery(text, most.position, reason)
     return int(most.value)
 
 
 def _parse(text: str, start: str) -> Any:
     if not isinstance(text, str):
-        raise InvalidQuery(repr(text)[:200], 0, "a statement is text")
+        raise InvalidQuery(f"{text!r:.200}", 0, f"a statement is text, not {type(text).__name__}")
     if len(text) > MAX_STATEMENT:
         raise InvalidQuery(text[:200], 0, f"a statement has at most {MAX_STATEMENT} characters")
     try:

@@ -87,6 +87,11 @@ class CassandraTopic(TopicIndexes, TopicArrays):
         return table
 
     def _tableFor(self, msg: Any) -> TopicTable:
+        if not hasattr(type(msg), "_md5sum"):  # nor has a class, in place of its object
+            raise TypeMismatch(
+                f"{msg!r:.80} is no message: give topic {self.name} a message object, as "
+                "std_msgs.msg.String(data='x'); nothing was stored"
+            )
         definition = definitionOf(type(msg))
         tables = self.tables
         fitting = [t for t in tables if t.metadata.md5sum == definition.md5sum]
