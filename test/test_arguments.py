@@ -182,6 +182,34 @@ def test_what_is_no_statement_and_no_message(filled):
     assert topic.countTopicData() == 1 and filled.getTopic("/pending").tables == []
 
 
+@pytest.mark.parametrize(
+    ("params", "remedy"),
+    [
+        *((273, r"give \[273\]"), (0.9, r"give \[0\.9\]"), ("x", r"give \['x'\]")),
+        *((b"x", r"give \[b'x'\]"), (None, "give"), ({"a": 1}, "not a dict")),
+        *(({1}, "not a set"), (iter([1]), "not a list_iterator")),
+    ],
+)
+def test_parameters_that_are_no_list(filled, params, remedy):
+    topic, condition = filled.getTopic("/n"), "linear.x > ?"
+    where = (condition, params)
+    for ask in (
+        lambda: filled.executeCQL(f"select * from n where {condition}", params),
+        lambda: filled.executeCQL(f"delete from n where {condition}", params),
+        lambda: filled.iterCQL(f"select * from n where {condition}", params),
+        lambda: filled.explainCQL(f"select * from n where {condition}", params),
+        lambda: topic.getData(0, 8.0, where=where),
+        lambda: topic.items(where=where),
+        lambda: topic.getArrays("linear.x", where=where),
+        lambda: filled.readMessages("/n", where={"/n": where}),
+    ):
+        with pytest.raises(
+            InvalidQuery, match=f"a list of values in the order .*{remedy}"
+        ) as caught:
+            ask()
+        assert caught.value.statement[caught.value.position] == "?"
+
+
 def test_options_of_a_writer(rosCas):
     def writer(name):
         return lambda value: rosCas.messageWriter(**{name: value})

@@ -8,7 +8,17 @@ import difflib
 from dataclasses import replace
 from functools import lru_cache
 from numbers import Integral
-from typing import Any, Iterator, Optional, Sequence, Union
+from typing import (
+    AbstractSet,
+    Any,
+    Collection,
+    Iterable,
+    Iterator,
+    Mapping,
+    Optional,
+    Sequence,
+    Union,
+)
 
 from lark import Lark, UnexpectedInput
 from lark.exceptions import UnexpectedCharacters, UnexpectedToken
@@ -163,8 +173,7 @@ class _Binding:
     """Puts the values of parameters where their placeholders stand."""
 
     def __init__(self, text: str, found: list[Placeholder], params: Sequence[Any]) -> None:
-        if isinstance(params, (str, bytes)):
-            raise InvalidQuery(text, 0, "the parameters are a list of values, not one text")
+        _check_params(text, found, params)
         if len(found) != len(params):
             ordered = sorted(p.position for p in found)
             at = ordered[len(params)] if len(params) < len(found) else len(text)
@@ -201,6 +210,19 @@ class _Binding:
             raise InvalidQuery(self._text, whole.position, "IN ? takes a list as its value")
         for element in whole.value:
             yield Literal(element, whole.position)
+
+
+def _check_params(text: str, found: list[Placeholder], params: Any) -> None:
+    unordered = (str, bytes, Mapping, AbstractSet)
+    if isinstance(params, Collection) and not isinstance(params, unordered):
+        return
+    if isinstance(params, (str, bytes)) or not isinstance(params, Iterable):
+        reason = f"one value: give [{params!r:.80}]"
+    else:
+        reason = f"a {type(params).__name__}"
+    at = min((placeholder.position for placeholder in found), default=0)
+    reason = f"the parameters are a list of values in the order of their ?, not {reason}"
+    raise InvalidQuery(text, at, reason)
 
 
 def _placeholders(comparisons: list[Leaf]) -> Iterator[Placeholder]:
