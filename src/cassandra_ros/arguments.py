@@ -241,22 +241,30 @@ def check_writer_id(writer_id: Any) -> int:
 
 
 def check_user_keys(keys: Any) -> dict[str, Any]:
-    """Return metadata of the user's own as JSON gives them back (a tuple becomes a list).
+    """Return metadata of the user's own if JSON gives them back as they are.
 
     Raises:
-        InvalidName: A key is taken by a fact, or JSON cannot hold a key or value.
+        InvalidName: A key is taken by a fact, or JSON gives back another value or none: of a tuple,
+            a set, bytes, NaN, of keys that are no texts, of what is no valid Unicode.
     """
     if not isinstance(keys, Mapping):
         raise InvalidName(f"metadata={_shown(keys)} is no mapping: give one like {{'site': 'lab'}}")
-    for name in keys:
+    found: dict[str, Any] = {}
+    for name, value in keys.items():
         if not isinstance(name, str) or not name or name in FACTS:
             raise InvalidName(
-                f"{name!r} cannot be set as metadata: it is no text, or one of {', '.join(FACTS)}"
+                f"{name!r:.80} cannot be set as metadata: it is no text, or one of "
+                + ", ".join(FACTS)
             )
-    try:
-        text = json.dumps(dict(keys), allow_nan=False)
-        text.encode("utf-8")
-    except (TypeError, ValueError, RecursionError) as exc:
-        raise InvalidName(f"metadata {dict(keys)!r:.200} cannot be kept as JSON: {exc}") from exc
-    found: dict[str, Any] = json.loads(text)
+        try:
+            text = json.dumps({name: value}, allow_nan=False, ensure_ascii=False)
+            found.update(json.loads(text.encode("utf-8")))
+            reason = "" if found[name] == value else "it comes back changed"
+        except (TypeError, ValueError, RecursionError) as exc:
+            reason = str(exc)
+        if reason:
+            raise InvalidName(
+                f"metadata {name!r:.80}={_shown(value)} cannot be kept as JSON: {reason}; give "
+                "texts, finite numbers, true, false, None, lists, and dicts whose keys are texts"
+            )
     return found

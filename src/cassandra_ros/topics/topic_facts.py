@@ -54,11 +54,12 @@ class TopicFacts:
         """Set keys of your own in the topic's metadata: ``setMeta(site='lab')``.
 
         Args:
-            keys: Values that JSON can hold; None removes a key. ``comment`` sets the topic's
+            keys: Values that JSON gives back as they are (texts, finite numbers, bools, lists,
+                dicts whose keys are texts); None removes a key. ``comment`` sets the topic's
                 comment; the other keys of getMeta are facts and cannot be set.
 
         Raises:
-            InvalidName: A key cannot be set.
+            InvalidName: A key cannot be set, or not to this value.
             InvalidOption: The comment is no text.
             TopicNotFound: The topic has no type yet, so there is no table to note it in.
         """
