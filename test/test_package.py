@@ -171,6 +171,30 @@ def test_every_file_is_syntax_of_python_3_8(folder):
         ast.parse(path.read_text(encoding="utf-8"), str(path), feature_version=(3, 8))
 
 
+def read_yaml(name):
+    return yaml.safe_load((ROOT / name).read_text(encoding="utf-8"))
+
+
+def test_a_commit_and_a_change_are_checked_by_the_commands_of_the_project():
+    (repo,) = read_yaml(".pre-commit-config.yaml")["repos"]
+    assert [(hook["entry"], hook["pass_filenames"]) for hook in repo["hooks"]] == [
+        ("make lint", False)
+    ]
+    (job,) = read_yaml(".github/workflows/checks.yml")["jobs"].values()
+    assert job["steps"][-1] == {"run": ".ci/run"}
+    assert os.access(ROOT / ".ci/run", os.X_OK)
+
+
+def test_the_paper_is_cited():
+    cited = read_yaml("CITATION.cff")
+    manifest = ElementTree.parse(ROOT / "package.xml").getroot()  # noqa: S314 (our own file)
+    assert cited["version"] == manifest.find("version").text
+    assert cited["license"] == manifest.find("license").text
+    paper = cited["preferred-citation"]
+    assert paper["title"].startswith("ROS meets Cassandra")
+    assert len(paper["authors"]) == 4
+
+
 def test_public_names_are_what_is_said():
     import cassandra_ros
 
