@@ -422,7 +422,8 @@ def test_of_many_topics_the_nearest_are_named():
     text = str(raised.value)
     assert text.startswith("there is no topic /robot7/scam in a.bag; it has /robot7/scan, /robot")
     assert text.endswith(" and 14 more (24 topics)")
-    with pytest.raises(TopicNotFound, match="/x in a.bag; it has /c, /b, .* and 14 more .24 topics.$"):
+    wanted = "/x in a.bag; it has /c, /b, .* and 14 more .24 topics.$"
+    with pytest.raises(TopicNotFound, match=wanted):
         matchTopics(["/x"], present, "a.bag")
     with pytest.raises(TopicNotFound, match="/x in a.bag; it has none$"):
         matchTopics(["/x"], set(), "a.bag")

@@ -9,7 +9,7 @@ import re
 from decimal import Decimal
 from typing import TYPE_CHECKING, Sequence
 
-from cassandra_ros.errors import InvalidKey, InvalidOption, KeyspaceNotFound
+from cassandra_ros.errors import InvalidKey, InvalidOption
 from cassandra_ros.store.address import (
     DEFAULT_HOST,
     DEFAULT_KEYSPACE,
