@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import genpy
+import numpy as np
 import pytest
 from geometry_msgs.msg import Twist
 from std_msgs.msg import String, UInt8MultiArray
@@ -15,6 +16,7 @@ from cassandra_ros.errors import (
     InvalidKey,
     InvalidName,
     InvalidOption,
+    InvalidQuery,
     TypeMismatch,
     UnknownFormat,
 )
@@ -143,6 +145,69 @@ def test_fields_keys_and_places(filled):
     manual = filled.addTopic("/m", key_format="manual")
     bad = (*UNFIT, None, "", LONG)
     refused(lambda key: manual.addData(String(), key=key), bad, InvalidKey, "kept under names")
+
+
+def test_limits(filled):
+    topic = filled.getTopic("/n")
+    for call in (
+        lambda limit: topic.getData(0, 8.0, limit=limit),
+        lambda limit: topic.items(limit=limit),
+        lambda limit: topic.items(where="linear.x = 0", limit=limit),
+        lambda limit: topic.rows(limit=limit),
+        lambda limit: filled.executeCQL("select * from n", limit=limit),
+        lambda limit: filled.iterCQL("select * from n", limit=limit),
+    ):
+        unfit = (2**63, 10**5000, -1, True, 1.0, 0.5, float("nan"), "1", b"1", [1])
+        refused(call, unfit, InvalidOption, f"limit=.* 0 to {2**63 - 1}, or None")
+        assert [len(list(call(most))) for most in (None, 0, 1, np.int64(1), 2**63 - 1)] == [
+            *(1, 0, 1, 1, 1)
+        ]
+    for most in (2**63, 10**30, 0):
+        with pytest.raises(InvalidQuery, match="LIMIT takes .* at most"):
+            filled.executeCQL(f"select * from n limit {most}")
+    for most in (2**63, -1, True, 1.0, "1", None):
+        with pytest.raises(InvalidQuery, match="LIMIT takes .* at most"):
+            filled.executeCQL("select * from n limit ?", [most])
+    assert len(filled.executeCQL(f"select * from n limit {2**63 - 1}")) == 1
+
+
+def test_what_is_no_statement_and_no_message(filled):
+    for statement in (None, 5, b"select * from n", ["select * from n"], {}):
+        for ask in (filled.executeCQL, filled.iterCQL, filled.explainCQL):
+            with pytest.raises(InvalidQuery, match="a statement is text, not"):
+                ask(statement)
+    topic = filled.getTopic("/n")
+    for method in (topic.addData, filled.addTopic("/pending").addData):
+        refused(method, (None, 5, "x", b"", {}, Twist), TypeMismatch, "is no message")
+    assert topic.countTopicData() == 1 and filled.getTopic("/pending").tables == []
+
+
+@pytest.mark.parametrize(
+    ("params", "remedy"),
+    [
+        *((273, r"give \[273\]"), (0.9, r"give \[0\.9\]"), ("x", r"give \['x'\]")),
+        *((b"x", r"give \[b'x'\]"), (None, "give"), ({"a": 1}, "not a dict")),
+        *(({1}, "not a set"), (iter([1]), "not a list_iterator")),
+    ],
+)
+def test_parameters_that_are_no_list(filled, params, remedy):
+    topic, condition = filled.getTopic("/n"), "linear.x > ?"
+    where = (condition, params)
+    for ask in (
+        lambda: filled.executeCQL(f"select * from n where {condition}", params),
+        lambda: filled.executeCQL(f"delete from n where {condition}", params),
+        lambda: filled.iterCQL(f"select * from n where {condition}", params),
+        lambda: filled.explainCQL(f"select * from n where {condition}", params),
+        lambda: topic.getData(0, 8.0, where=where),
+        lambda: topic.items(where=where),
+        lambda: topic.getArrays("linear.x", where=where),
+        lambda: filled.readMessages("/n", where={"/n": where}),
+    ):
+        with pytest.raises(
+            InvalidQuery, match=f"a list of values in the order .*{remedy}"
+        ) as caught:
+            ask()
+        assert caught.value.statement[caught.value.position] == "?"
 
 
 def test_options_of_a_writer(rosCas):

@@ -4,19 +4,26 @@
 
 from __future__ import annotations
 
+import ast
+import importlib.metadata
 import os
 import re
 import stat
 import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
 import yaml
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = sorted(path.name for path in (ROOT / "scripts").iterdir())
 LAUNCH = ROOT / "launch" / "cassandra_ros.launch"
+REQUIREMENTS = ("requirements.txt", "requirements-tables.txt", "requirements-dev.txt")
+PYTHONS = ("3.8", "3.9", "3.10", "3.11", "3.12")
 
 
 def files_of_the_checkout():
@@ -110,14 +117,82 @@ def test_the_licence_is_the_same_everywhere():
     assert (ROOT / "LICENSE").read_text().startswith("BSD 3-Clause License")
 
 
+def requirements(name):
+    """Lines of a requirements file, as (pin, the line before it)."""
+    before = ""
+    for line in (ROOT / name).read_text().splitlines():
+        if line and not line.startswith(("#", "-r")):
+            yield Requirement(line), before
+        before = line
+
+
+def pins_for(version):
+    """What is pinned for a Python, by the package's name."""
+    found = {}
+    for name in REQUIREMENTS:
+        for pin, _ in requirements(name):
+            if pin.marker is None or pin.marker.evaluate({"python_version": version}):
+                found.setdefault(pin.name, []).append(pin)
+    return found
+
+
 def test_every_dependency_is_pinned_with_a_reason():
-    for name in ("requirements.txt", "requirements-tables.txt", "requirements-dev.txt"):
-        before = ""
-        for line in (ROOT / name).read_text().splitlines():
-            if line and not line.startswith(("#", "-r")):
-                assert re.match(r"[\w-]+==[\w.]+(; python_version [<>]=? \"3\.9\")?$", line), line
-                assert before.startswith("#") or before.split("==")[0] == line.split("==")[0], line
-            before = line
+    for name in REQUIREMENTS:
+        for pin, before in requirements(name):
+            assert re.fullmatch(r"==[\w.]+", str(pin.specifier)), pin
+            assert re.fullmatch(r'(python_version (<|>=) "3\.\d+")?', str(pin.marker or "")), pin
+            assert before.startswith("#") or Requirement(before).name == pin.name, pin
+
+
+@pytest.mark.parametrize("version", PYTHONS)
+def test_each_python_has_one_pin_of_each_package(version):
+    names = {pin.name for name in REQUIREMENTS for pin, _ in requirements(name)}
+    found = pins_for(version)
+    assert set(found) == names
+    assert [pins for pins in found.values() if len(pins) != 1] == []
+
+
+@pytest.mark.parametrize("version", PYTHONS)
+def test_no_python_is_given_a_release_that_refuses_it(version):
+    """Of the releases that are installed here we know it; test_other_pythons installs others."""
+    here = pins_for(f"{sys.version_info[0]}.{sys.version_info[1]}")
+    for name, (pin,) in pins_for(version).items():
+        if pin.specifier == here[name][0].specifier:
+            needed = importlib.metadata.metadata(name)["Requires-Python"]
+            assert version in SpecifierSet(needed or ""), f"{pin} needs Python {needed}"
+
+
+@pytest.mark.parametrize("folder", ["src", "scripts", "examples", "benchmark", "test"])
+def test_every_file_is_syntax_of_python_3_8(folder):
+    files = [path for path in (ROOT / folder).rglob("*") if path.suffix == ".py"]
+    files += (ROOT / folder).iterdir() if folder == "scripts" else []
+    assert files
+    for path in files:
+        ast.parse(path.read_text(encoding="utf-8"), str(path), feature_version=(3, 8))
+
+
+def read_yaml(name):
+    return yaml.safe_load((ROOT / name).read_text(encoding="utf-8"))
+
+
+def test_a_commit_and_a_change_are_checked_by_the_commands_of_the_project():
+    (repo,) = read_yaml(".pre-commit-config.yaml")["repos"]
+    assert [(hook["entry"], hook["pass_filenames"]) for hook in repo["hooks"]] == [
+        ("make lint", False)
+    ]
+    (job,) = read_yaml(".github/workflows/checks.yml")["jobs"].values()
+    assert job["steps"][-1] == {"run": ".ci/run"}
+    assert os.access(ROOT / ".ci/run", os.X_OK)
+
+
+def test_the_paper_is_cited():
+    cited = read_yaml("CITATION.cff")
+    manifest = ElementTree.parse(ROOT / "package.xml").getroot()  # noqa: S314 (our own file)
+    assert cited["version"] == manifest.find("version").text
+    assert cited["license"] == manifest.find("license").text
+    paper = cited["preferred-citation"]
+    assert paper["title"].startswith("ROS meets Cassandra")
+    assert len(paper["authors"]) == 4
 
 
 def test_public_names_are_what_is_said():

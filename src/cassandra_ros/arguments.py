@@ -9,6 +9,7 @@ argument, its value, and what to give instead. Nothing is stored or asked before
 from __future__ import annotations
 
 import json
+from numbers import Integral
 from typing import Any, Iterable, Mapping, Optional, Type
 
 from cassandra_ros.errors import CassandraRosError, InvalidKey, InvalidName, InvalidOption
@@ -22,6 +23,7 @@ MAX_NODE_BYTES = 61_411
 """Beside a name, a time and a counter in a partition key, which has 65,535 bytes in all."""
 MAX_TEXT_BYTES = 1 << 20
 """Each client reads every comment: a topic's metadata are no place for files."""
+MAX_LIMIT = 2**63 - 1
 MAX_TTL_SEC = 18 * 365 * 86400
 """What keeps chunks and directory longer than the rows must stay below Cassandra's 20 years."""
 
@@ -178,11 +180,14 @@ def check_limit(limit: Any) -> Optional[int]:
     Raises:
         InvalidOption: It is no number of them.
     """
-    if limit is not None and (isinstance(limit, bool) or not isinstance(limit, int) or limit < 0):
-        raise InvalidOption(
-            f"limit={_shown(limit)} is no number of messages: give 0 or more, or None"
-        )
-    return limit
+    if limit is None:
+        return None
+    whole = isinstance(limit, Integral) and not isinstance(limit, bool)
+    if whole and 0 <= int(limit) <= MAX_LIMIT:
+        return int(limit)
+    raise InvalidOption(
+        f"limit={_shown(limit)} is no number of messages: give 0 to {MAX_LIMIT}, or None for all"
+    )
 
 
 def check_ttl(ttl_sec: Any) -> int:
@@ -236,22 +241,30 @@ def check_writer_id(writer_id: Any) -> int:
 
 
 def check_user_keys(keys: Any) -> dict[str, Any]:
-    """Return metadata of the user's own as JSON gives them back (a tuple becomes a list).
+    """Return metadata of the user's own if JSON gives them back as they are.
 
     Raises:
-        InvalidName: A key is taken by a fact, or JSON cannot hold a key or value.
+        InvalidName: A key is taken by a fact, or JSON gives back another value or none: of a tuple,
+            a set, bytes, NaN, of keys that are no texts, of what is no valid Unicode.
     """
     if not isinstance(keys, Mapping):
         raise InvalidName(f"metadata={_shown(keys)} is no mapping: give one like {{'site': 'lab'}}")
-    for name in keys:
+    found: dict[str, Any] = {}
+    for name, value in keys.items():
         if not isinstance(name, str) or not name or name in FACTS:
             raise InvalidName(
-                f"{name!r} cannot be set as metadata: it is no text, or one of {', '.join(FACTS)}"
+                f"{name!r:.80} cannot be set as metadata: it is no text, or one of "
+                + ", ".join(FACTS)
             )
-    try:
-        text = json.dumps(dict(keys), allow_nan=False)
-        text.encode("utf-8")
-    except (TypeError, ValueError, RecursionError) as exc:
-        raise InvalidName(f"metadata {dict(keys)!r:.200} cannot be kept as JSON: {exc}") from exc
-    found: dict[str, Any] = json.loads(text)
+        try:
+            text = json.dumps({name: value}, allow_nan=False, ensure_ascii=False)
+            found.update(json.loads(text.encode("utf-8")))
+            reason = "" if found[name] == value else "it comes back changed"
+        except (TypeError, ValueError, RecursionError) as exc:
+            reason = str(exc)
+        if reason:
+            raise InvalidName(
+                f"metadata {name!r:.80}={_shown(value)} cannot be kept as JSON: {reason}; give "
+                "texts, finite numbers, true, false, None, lists, and dicts whose keys are texts"
+            )
     return found

@@ -19,6 +19,7 @@ from cassandra_ros.bag.exporter import exportBag
 from cassandra_ros.bag.identity import earlierWriterId, readContent
 from cassandra_ros.bag.importer import importBag
 from cassandra_ros.bag.reader import BagReader
+from cassandra_ros.bag.topics import matchTopics
 from cassandra_ros.bag.verify import verifyBag
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import (
@@ -26,6 +27,7 @@ from cassandra_ros.errors import (
     BagUnindexed,
     InvalidKey,
     InvalidQuery,
+    MessageNotFound,
     TopicExists,
     TopicNotFound,
 )
@@ -227,7 +229,10 @@ def test_an_empty_bag_is_an_import_of_nothing(rosCas, tmp_path):
     BagWriter(tmp_path / "a.bag").close()
     assert importBag(rosCas, tmp_path / "a.bag").messages == 0
     assert verifyBag(rosCas, tmp_path / "a.bag").equal
-    exportBag(rosCas, tmp_path / "out.bag")
+    with pytest.raises(MessageNotFound, match="holds none of these topics"):
+        exportBag(rosCas, tmp_path / "out.bag")
+    assert not (tmp_path / "out.bag").exists()
+    exportBag(rosCas, tmp_path / "out.bag", empty=True)
     assert read_with_rosbag(tmp_path / "out.bag") == ([], [])
 
 
@@ -400,7 +405,28 @@ def test_two_nodes_keep_two_copies(rosCas, bags, tmp_path):
 def test_unknown_topics_are_named(rosCas, bags):
     with pytest.raises(TopicNotFound, match="no topic /turtle1/poze in .*; it has /turtle1/pose"):
         importBag(rosCas, bags / "turtlesim_tf.bag", topics=["/turtle1/poze"])
+    with pytest.raises(TopicNotFound) as raised:
+        importBag(rosCas, bags / "turtlesim_tf.bag", topics=["/nope"])
+    listing = str(raised.value).partition("; it has ")[2]
+    with BagReader(bags / "turtlesim_tf.bag") as reader:
+        names = {connection.topic for connection in reader.connections.values()}
+    assert listing.endswith(" (9 topics)")
+    assert set(listing[: -len(" (9 topics)")].split(", ")) == names
     assert rosCas.getAllTopics() == []
+
+
+def test_of_many_topics_the_nearest_are_named():
+    present = {f"/robot{i}/scan" for i in range(20)} | {"/a", "/b", "/c", "/tf"}
+    with pytest.raises(TopicNotFound) as raised:
+        matchTopics(["/robot7/scam"], present, "a.bag")
+    text = str(raised.value)
+    assert text.startswith("there is no topic /robot7/scam in a.bag; it has /robot7/scan, /robot")
+    assert text.endswith(" and 14 more (24 topics)")
+    wanted = "/x in a.bag; it has /c, /b, .* and 14 more .24 topics.$"
+    with pytest.raises(TopicNotFound, match=wanted):
+        matchTopics(["/x"], present, "a.bag")
+    with pytest.raises(TopicNotFound, match="/x in a.bag; it has none$"):
+        matchTopics(["/x"], set(), "a.bag")
 
 
 # ------------------------------------------------------------------ export

@@ -164,6 +164,43 @@ def test_parts_of_a_bag(call, bags, tmp_path):
     assert len(read_with_rosbag(target)[1]) == 190
 
 
+def test_times_as_rosbag_users_write_them(call, bags, tmp_path):
+    path, out = bags / "husky_gps_data.bag", tmp_path / "out.bag"
+    assert call("import", path, "--topics", "/fix")[0] == 0
+    messages = [m for m in read_with_rosbag(path)[1] if m.topic == "/fix"]
+    first = 1368021990
+    expected = [m for m in messages if first * 10**9 <= m.t_ns <= (first + 5) * 10**9]
+    assert 0 < len(expected) < len(messages)
+    for start in (first, f"{first}.0", first * 10**9, "2013-05-08T14:06:30", " 1368021990"):
+        for end in (first + 5, (first + 5) * 10**9, "2013-05-08T16:06:35+02:00"):
+            assert call("export", out, "-f", "-q", "--start", start, "--end", end) == (0, "", "")
+            assert read_with_rosbag(out)[1] == expected
+
+
+def test_an_empty_export_is_an_error_and_leaves_the_old_bag(call, bags, tmp_path):
+    path, out = bags / "primitive_arrays.bag", tmp_path / "out.bag"
+    call("import", path, "--node-id", "r1")
+    out.write_bytes(b"precious")
+    cases = [
+        (("--start", "1368021980"), "reach from 1970-01-01T00:00:00.000000000Z to 1970-01-01"),
+        (("--end", "5", "--start", "5.000000001"), "--start 5.000000001 lies behind --end 5"),
+        (("--node-id", "r2"), "none is of node 'r2', but of 'r1'"),
+        (("--start", "4294967296"), "--start '4294967296' is not a time of ROS: write seconds"),
+        (("--end", "99999999999999999999"), "nanoseconds, which are taken for such from 13 digits"),
+        (("--end", ""), "--end '' is not a time"),
+    ]
+    for words, text in cases:
+        status, _, err = call("export", out, "-f", *words)
+        assert (status, err.count("\n")) == (1, 1), (words, err)
+        assert text in err
+        assert out.read_bytes() == b"precious"
+        assert [p.name for p in tmp_path.iterdir()] == ["out.bag"]
+    status, _, err = call("verify", path, "--content", "--start", "6", "--end", "5")
+    assert (status, err) == (1, "cassandra_bag: --start 6 lies behind --end 5\n")
+    assert call("verify", path, "--content", "--start", "0", "--end", "19")[0] == 0
+    assert call("verify", path, "--content", "--start", "0", "--end", "18.999")[0] == 1
+
+
 # ------------------------------------------------------------------ errors
 
 

@@ -88,6 +88,18 @@ def test_errors_are_one_line_on_stderr_and_status_1(type_in):
     assert "loopback" in done.stderr
 
 
+def test_a_start_that_is_refused_leaves_no_directory(type_in, env, tmp_path):
+    folder = tmp_path / "made/for/nothing"
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        done = type_in("start", "--dir", str(folder), "--port", str(port))
+    assert (done.returncode, f"port {port} " in done.stderr) == (1, True), done.stderr
+    env.update(JAVA_HOME="", PATH=str(tmp_path), CASSANDRA_ROS_JARS=str(tmp_path / "jars"))
+    done = type_in("start", "--dir", str(folder), "--port", str(free_port()))
+    assert done.returncode == 1, done.stdout
+    assert not (tmp_path / "made").exists()
+
+
 def test_a_python_without_the_driver_is_told_what_to_do(env, tmp_path):
     """The plain system Python has no database driver."""
     program = "from cassandra_ros.cli.script import run_script; run_script('needs_the_driver')"

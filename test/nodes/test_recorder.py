@@ -70,8 +70,7 @@ def test_a_played_bag_is_recorded_message_for_message(bags, roscore, recorder, r
             found = expected.setdefault(RENAMED.get(topic, topic), [])
             found.append((raw[0], raw[2], raw[1]))
     child = recorder(*expected, "--format", fmt, "--node-id", "turtle")
-    assert child.lines[0] == "services under /recorder"
-    assert child.lines[1] == f"recording {len(expected)} topics"
+    assert child.lines[0] == f"recording {len(expected)} topics"
     play = ["rosbag", "play", "-q", "-r", "40", "-d", "0.5", "--wait-for-subscribers"]
     maps = [f"{old}:={new}" for old, new in RENAMED.items()]
     total = sum(map(len, expected.values()))
@@ -303,7 +302,6 @@ def test_a_message_that_never_comes_to_its_end_is_told(roscore, recorder, rosCas
 
 def test_rosnode_kill_drains(roscore, recorder, rosCas):
     child = recorder("/killed", "__name:=to_be_killed")
-    assert child.lines[0] == "services under /to_be_killed"
     with publisher(roscore, "/killed") as one:
         one.await_subscribers().publish(*[text(n) for n in range(100)])
         time.sleep(0.5)
@@ -385,11 +383,7 @@ def test_regular_expressions(roscore, recorder, rosCas):
 def test_no_name_of_a_living_node_is_taken(roscore, recorder, rosCas):
     first = recorder("/x")
     second = recorder("/x")
-    assert first.lines[0] == "services under /recorder"
-    assert second.lines[0].startswith("services under /recorder_") or any(
-        line.startswith("services under /recorder_") for line in second.lines
-    )
-    assert "a node /recorder runs already" in second.output
+    assert "a node /recorder runs already; this one is /recorder_" in second.output
     with publisher(roscore, "/x") as one:
         one.await_subscribers(2).publish(text(1))
         time.sleep(0.3)

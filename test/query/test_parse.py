@@ -334,7 +334,7 @@ def test_text_that_is_no_text():
     for statement in (None, b"select * from t", 5, ["select"]):
         with pytest.raises(InvalidQuery):
             parseSelect(statement)
-    with pytest.raises(InvalidQuery, match="not one text"):
+    with pytest.raises(InvalidQuery, match="not one value: give"):
         parseSelect("select a from t where a = ?", "x")
 
 

@@ -414,17 +414,45 @@ def test_rename(rosCas):
     assert [type(m) for _, m in rosCas.getTopic("/a").items()] == [TFMessage]
 
 
+def test_a_topic_is_not_renamed_to_itself(rosCas):
+    rosCas.addTopic("/n").addData(String(data="1"), key=T0)
+    rosCas.addTopic("pending")
+    for topic, same in (("/n", "n"), ("pending", "/pending")):
+        for old, new in ((topic, topic), (topic, same), (same, topic), (same, same)):
+            with pytest.raises(TopicExists, match="give another name"):
+                rosCas.renameTopic(old, new)
+    assert sorted(topic.name for topic in rosCas.getAllTopics()) == ["/n", "pending"]
+
+
 def test_own_metadata(rosCas):
-    topic = rosCas.addTopic("/a", msg_type="std_msgs/String", metadata={"site": "lab", "n": (1, 2)})
+    topic = rosCas.addTopic("/a", msg_type="std_msgs/String", metadata={"site": "lab", "n": [1, 2]})
     assert (topic.getMeta["site"], topic.getMeta["n"]) == ("lab", [1, 2])
     topic.setMeta(site="it's", floor={"level": 3}, n=None, comment="changed")
     meta = rosCas.getTopic("/a").getMeta
     assert (meta["site"], meta["floor"], meta["comment"]) == ("it's", {"level": 3}, "changed")
     assert "n" not in meta
     topic.addData(String(data="x"))
-    for bad in ({"topic": "/b"}, {"x": object()}, {"x": float("nan")}, {"ttl": 3}):
-        with pytest.raises(InvalidName):
-            topic.setMeta(**bad)
+    bad = [
+        object(),
+        float("nan"),
+        [{"a": -float("inf")}],
+        (1, 2),
+        [[(1,)]],
+        {1: 2},
+        {"a": {True: 1}},
+    ]
+    bad += [{None: 1}, {1, 2}, b"x", 1j, "a\ud800", {"a\ud800": 1}, 10**5000, {1: "a", "1": "b"}]
+    for keys in ({"topic": "/b"}, {"ttl": 3}, *({"x": value} for value in bad)):
+        with pytest.raises(InvalidName, match="cannot be"):
+            topic.setMeta(**keys)
+        with pytest.raises(InvalidName, match="cannot be"):
+            rosCas.addTopic("/b", metadata=keys)
+    with pytest.raises(InvalidName, match=r"metadata 'x'=\{1: 2\} .* dicts whose keys are texts"):
+        topic.setMeta(x={1: 2})
+    good = {"text": "✓", "many": [1, -0.5, True, None, [], {"a": {"b": [2**70]}}]}
+    topic.setMeta(**good)
+    assert {name: topic.getMeta[name] for name in good} == good
+    assert "x" not in topic.getMeta and not rosCas.existTopic("/b")
     with pytest.raises(InvalidName):
         rosCas.addTopic("/b", metadata={"md5sum": "x"})
     assert topic.getMeta["site"] == "it's"

@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field, replace
-from typing import Any, Callable, Dict, Iterable, Tuple
+from typing import Any, Callable, Dict, Iterable, Sequence, Tuple
 
 from cassandra_ros.bag.writer import BagWriter
-from cassandra_ros.errors import BagError
+from cassandra_ros.errors import BagError, MessageNotFound
 from cassandra_ros.keys import splitSeq
+from cassandra_ros.messages.stamps import isoTime
 from cassandra_ros.topics.across import Conditions
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.stored_row import StoredRow
@@ -44,6 +45,7 @@ def exportBag(
     force: bool = False,
     progress: Progress | None = None,
     where: Conditions = None,
+    empty: bool = False,
 ) -> ExportReport:
     """Write stored messages into a bag of format 2.0.
 
@@ -63,8 +65,10 @@ def exportBag(
         progress: Called with the messages and bytes written since the last call.
         where: Topic -> condition, as readMessages takes it: of these topics only the messages
             that satisfy it; the others are written whole.
+        empty: Write a bag also where there is no message for it.
 
     Raises:
+        MessageNotFound: There is no message for it; a file that was there before stays.
         BagError: The file exists, or cannot be written.
         TopicNotFound: One of the topics is not stored.
         InvalidOption, InvalidQuery: where is none.
@@ -90,9 +94,27 @@ def exportBag(
             if progress is not None and messages == _REPORT_EACH:
                 progress(messages, size)
                 messages = size = 0
+        if not report.messages and not empty:
+            raise MessageNotFound(_nothing(rosCas, report.path, names, nodeID))
         if progress is not None:
             progress(messages, size)
     return report
+
+
+def _nothing(
+    rosCas: RosCassandra, path: str, topics: Sequence[str] | None, nodeID: str | None
+) -> str:
+    """Say why there is nothing to write."""
+    text, infos = f"{path} is not written, for there is no such message: ", rosCas.info(topics)
+    if not infos:
+        return text + f"keyspace {rosCas.keyspace} holds none of these topics"
+    nodes = sorted({info.node for info in infos})
+    if nodeID is not None and nodeID not in nodes:
+        return text + f"none is of node {nodeID!r}, but of {', '.join(map(repr, nodes))}"
+    times = [ns for info in infos for ns in (info.first_ns, info.last_ns) if ns is not None]
+    if not times:
+        return text + "these topics are empty"
+    return text + f"these topics reach from {isoTime(min(times))} to {isoTime(max(times))}"
 
 
 class ConnectionNumbers:

@@ -10,6 +10,9 @@ from typing import AbstractSet, Iterable, Set
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.errors import TopicNotFound
 
+LISTED = 10
+"""Topics that an error names."""
+
 
 def matchTopics(names: Iterable[str], present: AbstractSet[str], where: str) -> Set[str]:
     """Find topics by name, with or without the leading slash.
@@ -20,17 +23,24 @@ def matchTopics(names: Iterable[str], present: AbstractSet[str], where: str) -> 
         where: Where they should be, for the error's sentence.
 
     Raises:
-        TopicNotFound: One of the names is not there; the text gives the nearest ones.
+        TopicNotFound: One of the names is not there; the text lists what is, the nearest first.
     """
     found: Set[str] = set()
     for name in names:
         matches = {name} & present or {t for t in present if t.strip("/") == name.strip("/")}
         if not matches:
-            near = get_close_matches(name, sorted(present), n=3, cutoff=0.4) or sorted(present)[:3]
-            hint = f"; it has {', '.join(near)}" if near else ""
-            raise TopicNotFound(f"there is no topic {name} in {where}{hint}")
+            raise TopicNotFound(f"there is no topic {name} in {where}; {_listing(name, present)}")
         found |= matches
     return found
+
+
+def _listing(name: str, present: AbstractSet[str]) -> str:
+    if not present:
+        return "it has none"
+    near = get_close_matches(name, sorted(present), n=LISTED, cutoff=0.4)
+    every = [*near, *sorted(present - set(near))]
+    more = f" and {len(every) - LISTED} more" if len(every) > LISTED else ""
+    return f"it has {', '.join(every[:LISTED])}{more} ({len(every)} topics)"
 
 
 def chosenConnections(reader: BagReader, topics: Iterable[str] | None) -> Set[int]:

@@ -6,9 +6,10 @@ from __future__ import annotations
 
 import argparse
 import re
+from decimal import Decimal
 from typing import TYPE_CHECKING, Sequence
 
-from cassandra_ros.errors import InvalidOption
+from cassandra_ros.errors import InvalidKey, InvalidOption
 from cassandra_ros.store.address import (
     DEFAULT_HOST,
     DEFAULT_KEYSPACE,
@@ -78,6 +79,45 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
             rosCas.close()
             raise
     return rosCas
+
+
+def add_time_options(parser: argparse.ArgumentParser, what: str = "") -> None:
+    """Add --start and --end; read_times reads them.
+
+    Args:
+        what: Stands before their help texts.
+    """
+    parser.add_argument("--start", metavar="T", help=f"{what}first time (default: that of all)")
+    parser.add_argument("--end", metavar="T", help=f"{what}last time, included")
+
+
+def read_times(options: argparse.Namespace) -> tuple[int | None, int | None]:
+    """Return --start and --end in nanoseconds since 1970; None = open.
+
+    Raises:
+        InvalidOption: One is no time, or the start lies behind the end.
+    """
+    start, end = (_time_ns(name, getattr(options, name)) for name in ("start", "end"))
+    if start is not None and end is not None and start > end:
+        raise InvalidOption(f"--start {options.start} lies behind --end {options.end}")
+    return start, end
+
+
+def _time_ns(option: str, text: str | None) -> int | None:
+    from cassandra_ros.messages.stamps import toNs
+
+    if text is None:
+        return None
+    whole = re.fullmatch(r"\s*([0-9]{1,40})\s*", text)
+    try:
+        # As rosbag users write them; what is larger lies far behind the end of ROS time as seconds.
+        return toNs(Decimal(whole[1]) if whole and int(whole[1]) < 10**12 else text)
+    except InvalidKey as exc:
+        raise InvalidOption(
+            f"--{option} {text!r} is not a time of ROS: write seconds since 1970 (1368021980 or "
+            "1368021980.25), ISO 8601 (2013-05-08T14:06:20Z, no zone means UTC), or nanoseconds, "
+            "which are taken for such from 13 digits on"
+        ) from exc
 
 
 def add_where_option(parser: argparse.ArgumentParser) -> None:

@@ -110,6 +110,8 @@ class LocalCluster:
         Raises:
             ServerError: They cannot be started; the text has the cause and what to do.
         """
+        if not self.directory.exists():
+            self._check(self.nodes)  # a start that is refused leaves nothing behind
         preflight.make_directory(self.directory, self.settings.nodes)
         with locked(self.directory / "lock"):
             self._load()  # somebody else may just have made the cluster
@@ -118,9 +120,7 @@ class LocalCluster:
                 running = len(asleep) < self.settings.nodes
                 preflight.check_change(self.directory, self._stored, self.settings, running)
             if asleep:
-                java = find_java()
-                install_jars(self._say)
-                self._prepare([self._node(number) for number in asleep])
+                java = self._prepare([self._node(number) for number in asleep])
             offsets = {node.number: log_size(node) for node in self.nodes}
             for number in asleep:
                 self._start_node(self._node(number), java, die_with_us)
@@ -219,13 +219,21 @@ class LocalCluster:
             return remembered
         return processes.find_server(node.config)
 
-    def _prepare(self, asleep: list[Node]) -> None:
-        """Check what a start needs, choose the storage port, remember the settings."""
+    def _check(self, asleep: list[Node]) -> str:
+        """Check what a start needs, fetch the jars; return the path of Java."""
+        java = find_java()
+        install_jars(self._say)
+        for node in asleep:
+            preflight.check_port(node)
+        return java
+
+    def _prepare(self, asleep: list[Node]) -> str:
+        """Check what a start needs, choose the storage port, remember the settings; as _check."""
         for node in asleep:
             note = preflight.remove_stale_pid_file(node)
             if note:
                 self._say(note)
-            preflight.check_port(node)
+        java = self._check(asleep)
         addresses = [node.address for node in asleep]
         storage_port = preflight.choose_storage_port(self.settings, addresses)
         self.settings = replace(self.settings, storage_port=storage_port)
@@ -234,6 +242,7 @@ class LocalCluster:
         except OSError as exc:
             raise ServerError(f"{self.directory} cannot be written: {exc}") from exc
         self._stored = self.settings
+        return java
 
     def _start_node(self, node: Node, java: str, die_with_us: bool) -> None:
         # C.UTF-8: Java opens files by names in the locale's encoding.

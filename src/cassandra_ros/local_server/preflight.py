@@ -24,18 +24,18 @@ def make_directory(directory: Path, nodes: int) -> None:
         ServerError: It cannot be made, or the disk is nearly full.
     """
     try:
+        there = next(path for path in (directory, *directory.parents) if path.is_dir())
+        free, needed = shutil.disk_usage(there).free, _NEEDED_BYTES * nodes
+        if free < needed:
+            raise ServerError(
+                f"no space: {directory} has {free >> 20} MiB free, Cassandra needs "
+                f"{needed >> 20} MiB; make room, or choose another directory with --dir"
+            )
         directory.mkdir(parents=True, exist_ok=True)
-        free = shutil.disk_usage(directory).free
     except OSError as exc:
         raise ServerError(
             f"{directory} cannot be made: {exc}; choose another directory with --dir"
         ) from exc
-    needed = _NEEDED_BYTES * nodes
-    if free < needed:
-        raise ServerError(
-            f"no space: {directory} has {free >> 20} MiB free, Cassandra needs "
-            f"{needed >> 20} MiB; make room, or choose another directory with --dir"
-        )
 
 
 def check_change(directory: Path, old: Settings, new: Settings, running: bool) -> None:

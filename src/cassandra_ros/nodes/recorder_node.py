@@ -82,7 +82,6 @@ def record(
         What became of the messages of each topic.
     """
     name = _startNode(argv)
-    say(f"services under {name}")
     recorder = Recorder(
         rosCas,
         clock=nowNs,

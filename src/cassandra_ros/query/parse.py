@@ -8,11 +8,22 @@ import difflib
 from dataclasses import replace
 from functools import lru_cache
 from numbers import Integral
-from typing import Any, Iterator, Optional, Sequence, Union
+from typing import (
+    AbstractSet,
+    Any,
+    Collection,
+    Iterable,
+    Iterator,
+    Mapping,
+    Optional,
+    Sequence,
+    Union,
+)
 
 from lark import Lark, UnexpectedInput
 from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 
+from cassandra_ros.arguments import MAX_LIMIT
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.builder import BUILDER, Parsed, StatementError
 from cassandra_ros.query.syntax import (
@@ -162,8 +173,7 @@ class _Binding:
     """Puts the values of parameters where their placeholders stand."""
 
     def __init__(self, text: str, found: list[Placeholder], params: Sequence[Any]) -> None:
-        if isinstance(params, (str, bytes)):
-            raise InvalidQuery(text, 0, "the parameters are a list of values, not one text")
+        _check_params(text, found, params)
         if len(found) != len(params):
             ordered = sorted(p.position for p in found)
             at = ordered[len(params)] if len(params) < len(found) else len(text)
@@ -202,6 +212,19 @@ class _Binding:
             yield Literal(element, whole.position)
 
 
+def _check_params(text: str, found: list[Placeholder], params: Any) -> None:
+    unordered = (str, bytes, Mapping, AbstractSet)
+    if isinstance(params, Collection) and not isinstance(params, unordered):
+        return
+    if isinstance(params, (str, bytes)) or not isinstance(params, Iterable):
+        reason = f"one value: give [{params!r:.80}]"
+    else:
+        reason = f"a {type(params).__name__}"
+    at = min((placeholder.position for placeholder in found), default=0)
+    reason = f"the parameters are a list of values in the order of their ?, not {reason}"
+    raise InvalidQuery(text, at, reason)
+
+
 def _placeholders(comparisons: list[Leaf]) -> Iterator[Placeholder]:
     for item in comparisons:
         yield from (value for value in given(item) if isinstance(value, Placeholder))
@@ -212,14 +235,16 @@ def _of_limit(limit: Optional[Value]) -> list[Placeholder]:
 
 
 def _limit(text: str, most: Literal) -> int:
-    if not isinstance(most.value, Integral) or isinstance(most.value, bool) or most.value < 1:
-        raise InvalidQuery(text, most.position, "LIMIT takes a whole number of at least 1")
+    whole = isinstance(most.value, Integral) and not isinstance(most.value, bool)
+    if not whole or not 1 <= most.value <= MAX_LIMIT:
+        reason = f"LIMIT takes a whole number of at least 1 and at most {MAX_LIMIT}"
+        raise InvalidQuery(text, most.position, reason)
     return int(most.value)
 
 
 def _parse(text: str, start: str) -> Any:
     if not isinstance(text, str):
-        raise InvalidQuery(repr(text)[:200], 0, "a statement is text")
+        raise InvalidQuery(f"{text!r:.200}", 0, f"a statement is text, not {type(text).__name__}")
     if len(text) > MAX_STATEMENT:
         raise InvalidQuery(text[:200], 0, f"a statement has at most {MAX_STATEMENT} characters")
     try:

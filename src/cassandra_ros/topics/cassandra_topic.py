@@ -110,11 +110,12 @@ class CassandraTopic:
         """Set keys of your own in the topic's metadata: ``setMeta(site='lab')``.
 
         Args:
-            keys: Values that JSON can hold; None removes a key. ``comment`` sets the topic's
+            keys: Values that JSON gives back as they are (texts, finite numbers, bools, lists,
+                dicts whose keys are texts); None removes a key. ``comment`` sets the topic's
                 comment; the other keys of getMeta are facts and cannot be set.
 
         Raises:
-            InvalidName: A key cannot be set.
+            InvalidName: A key cannot be set, or not to this value.
             InvalidOption: The comment is no text.
             TopicNotFound: The topic has no type yet, so there is no table to note it in.
         """
@@ -209,6 +210,11 @@ class CassandraTopic:
         return table
 
     def _tableFor(self, msg: Any) -> TopicTable:
+        if not hasattr(type(msg), "_md5sum"):  # nor has a class, in place of its object
+            raise TypeMismatch(
+                f"{msg!r:.80} is no message: give topic {self.name} a message object, as "
+                "std_msgs.msg.String(data='x'); nothing was stored"
+            )
         definition = definitionOf(type(msg))
         tables = self.tables
         fitting = [t for t in tables if t.metadata.md5sum == definition.md5sum]

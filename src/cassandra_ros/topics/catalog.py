@@ -157,6 +157,11 @@ class Catalog:
     def rename(self, topic: str, new_name: str) -> None:
         """Give a topic another name."""
         name = self.get(topic).name
+        if name in _spellings(new_name):
+            raise TopicExists(
+                f"topic {name} is found as {new_name} already, for the leading slash may be left "
+                "out: give another name"
+            )
 
         def check(tables: Mapping[str, TopicMetadata]) -> None:
             taken = new_name in self._pending or any(m.topic == new_name for m in tables.values())
@@ -184,8 +189,7 @@ class Catalog:
     def _find(self, topic: str, fresh: bool) -> Optional[str]:
         check_topic(topic)
         names = self.names(fresh=fresh)
-        other = topic[1:] if topic.startswith("/") else "/" + topic
-        return next((name for name in (topic, other) if name in names), None)
+        return next((name for name in _spellings(topic) if name in names), None)
 
     def _topic(self, name: str) -> CassandraTopic:
         with self._mutex:
@@ -203,3 +207,8 @@ class Catalog:
             )
         wish = replace(wish, pending=not tables)
         return CassandraTopic(self._keyspace, self._adder, name, wish)
+
+
+def _spellings(topic: str) -> tuple[str, str]:
+    """Return the names that a topic is looked for by: the given one first."""
+    return topic, topic[1:] if topic.startswith("/") else "/" + topic

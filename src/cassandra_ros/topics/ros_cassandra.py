@@ -199,7 +199,7 @@ class RosCassandra:
                 of it), 'hash' (its content) or 'manual' (a name that you give); None = as the
                 topic is stored, else 'time'. See CassandraTopic.
             key_part: The field of 'msg_part', as 'header.stamp'.
-            metadata: Keys of your own, for getMeta; values that JSON can hold.
+            metadata: Keys of your own, for getMeta; values that JSON gives back as they are.
             index: Fields that are to have an index, as 'linear.x'; see createIndex. Those that a
                 stored topic lacks are made.
 
@@ -276,7 +276,8 @@ class RosCassandra:
 
         Raises:
             TopicNotFound: There is none.
-            TopicExists: A topic has the new name already.
+            TopicExists: A topic has the new name already, or it is the topic's own, with or without
+                the leading slash.
             InvalidName: The new name is not one.
         """
         self._topics.rename(topic, check_new_topic(new_name))

@@ -71,7 +71,10 @@ class Statements:
                 be run with these arguments.
         """
         check_nodes(nodeID)
-        parsed = parseStatement(statement, params) if isinstance(statement, str) else statement
+        if isinstance(statement, (Select, Delete, Truncate, CreateIndex, DropIndex)):
+            parsed: Union[Select, Change] = statement
+        else:
+            parsed = parseStatement(statement, params)
         if isinstance(parsed, Select):
             result = self.select(parsed, nodeID=nodeID, limit=limit)
             return Rows(result, result.columns)

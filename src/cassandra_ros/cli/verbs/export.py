@@ -3,8 +3,9 @@
 """Write stored messages into a bag of format 2.0.
 
 The messages stand in the order of their times; connections keep topic, header and number, so what
-was imported from a bag reads back in the same order. Times are nanoseconds (digits only), seconds
-(with a point) or ISO 8601, where no zone means UTC.
+was imported from a bag reads back in the same order. Times are seconds (1368021980 or
+1368021980.25), ISO 8601, where no zone means UTC, or nanoseconds (from 13 digits on). Where nothing
+is found no bag is written, and an old one stays.
 """
 
 from __future__ import annotations
@@ -14,8 +15,10 @@ import time
 
 from cassandra_ros.cli.options import (
     add_store_options,
+    add_time_options,
     add_where_option,
     open_store,
+    read_times,
     read_where,
 )
 from cassandra_ros.cli.progress import MessageBar
@@ -28,8 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--topics", nargs="+", metavar="TOPIC", help="only these topics (after OUT.bag)"
     )
-    parser.add_argument("--start", metavar="T", help="first time (default: the first message's)")
-    parser.add_argument("--end", metavar="T", help="last time, included (default: the last one's)")
+    add_time_options(parser)
     parser.add_argument(
         "--node-id", metavar="N", help="only messages of this node (default: of all)"
     )
@@ -50,15 +52,15 @@ def run(options: argparse.Namespace) -> int:
     """Export, and say what was written."""
     from cassandra_ros.bag.exporter import exportBag
 
-    where = read_where(options)
+    where, (start, end) = read_where(options), read_times(options)
     begun = time.monotonic()
     with open_store(options) as rosCas, MessageBar(f"exporting {options.bag}") as bar:
         report = exportBag(
             rosCas,
             options.bag,
             topics=options.topics,
-            start=options.start,
-            end=options.end,
+            start=start,
+            end=end,
             nodeID=options.node_id,
             compression=options.compression or "none",
             force=options.force,

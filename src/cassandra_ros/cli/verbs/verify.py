@@ -7,7 +7,8 @@ Where the store holds an import of this very bag, exactly its messages are compa
 and recordings of the same topics do not matter; else all stored messages of the bag's topics are.
 
 With --content each topic's messages are compared in their order by type, md5sum and bytes alone:
-for a live recording of a bag that was played, where times and connections differ.
+for a live recording of a bag that was played, where times and connections differ. --start and --end
+are times in the store: seconds (1368021980.25), ISO 8601 or nanoseconds (from 13 digits on).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.cli.options import add_store_options, add_time_options, open_store, read_times
 from cassandra_ros.cli.progress import MessageBar
 from cassandra_ros.cli.table import shown
 
@@ -39,8 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="with --content: topic FROM of the bag was recorded as TO; may be repeated",
     )
-    parser.add_argument("--start", metavar="T", help="with --content: first time in the store")
-    parser.add_argument("--end", metavar="T", help="with --content: last time in the store")
+    add_time_options(parser, "with --content: ")
     parser.add_argument("-q", "--quiet", action="store_true", help="print differences only")
     add_store_options(parser)
 
@@ -76,6 +76,7 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
     from cassandra_ros.bag.verify import verifyBag
     from cassandra_ros.bag.verify_content import verifyContent
 
+    start, end = read_times(options)
     with BagReader(options.bag) as reader:
         count = reader.message_count
     first = MessageBar(f"reading {options.bag}", count)
@@ -91,8 +92,8 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
             topics=options.topics,
             nodeID=options.node_id,
             mapping=dict(options.map),
-            start=options.start,
-            end=options.end,
+            start=start,
+            end=end,
             progress=bar.add,
         )
 
