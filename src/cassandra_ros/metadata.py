@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Mapping
+from typing import Any, Iterator, Mapping
 
 from cassandra_ros.errors import UnsupportedSchema
 from cassandra_ros.keys import NAMED_FORMATS
@@ -96,6 +96,12 @@ class TopicMetadata:
         values["columns"] = list(self.columns)
         return json.dumps({"cassandra_ros": values}, sort_keys=True)
 
+    def with_user(self, keys: Mapping[str, Any], comment: str | None) -> TopicMetadata:
+        """Return a copy with keys of the user's own set, None = removed, and the comment."""
+        every = {**self.user, **keys}
+        user = {name: value for name, value in every.items() if value is not None}
+        return self.with_(user=user, comment=self.comment if comment is None else comment)
+
     def with_(self, **changes: Any) -> TopicMetadata:
         """Return a copy with some values changed."""
         return replace(self, **changes)
@@ -145,3 +151,50 @@ FACTS = (
     "nodeIDs comment date ttl indexes"
 ).split()
 """Keys of getMeta that are not the user's own."""
+
+
+class MetaView(Mapping[str, Any]):
+    """Metadata of a topic: ``getMeta['msg_class']`` and ``getMeta('msg_class')`` are the same.
+
+    Args:
+        metadata: What the topic's table says.
+        nodes: The nodeIDs that have stored messages.
+    """
+
+    def __init__(self, metadata: TopicMetadata, nodes: list[str]) -> None:
+        package, _, name = metadata.msg_type.rpartition("/")
+        only = nodes[0] if len(nodes) == 1 else ""
+        self._values: dict[str, Any] = {
+            **metadata.user,
+            "topic": metadata.topic,
+            "msg_type": metadata.msg_type,
+            "msg_class": name,
+            "msg_package": package,
+            "md5sum": metadata.md5sum,
+            "definition": metadata.definition,
+            "key_format": metadata.key_format,
+            "key_part": metadata.key_part,
+            "format": metadata.format,
+            "nodeID": metadata.nodeID or only,
+            "nodeIDs": nodes,
+            "comment": metadata.comment,
+            "date": metadata.date,
+            "ttl": metadata.ttl,
+            "indexes": list(metadata.indexes),
+        }
+
+    def __call__(self, key: str) -> Any:
+        """Return one value, as the paper's getMeta(key) does."""
+        return self._values[key]
+
+    def __getitem__(self, key: str) -> Any:
+        return self._values[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __repr__(self) -> str:
+        return f"MetaView({self._values!r})"

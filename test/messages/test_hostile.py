@@ -16,7 +16,7 @@ from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import deserialize, messageClass, serialize
 from cassandra_ros.messages.connection import liveConnection
 from cassandra_ros.messages.definition import definitionOf, parseDefinition, renderDefinition
-from cassandra_ros.topics.usable import FALLBACK_FORMAT, usableDefinition
+from cassandra_ros.topics.message_writer import FALLBACK_FORMAT, usableDefinition
 
 EVIL = "open('ran','w')"
 

@@ -25,6 +25,7 @@ from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
 from cassandra_ros.store import writer as writer_module
 from cassandra_ros.store.directory import Directory
+from cassandra_ros.topics import indexes
 
 SEC = 10**9
 NAN = float("nan")
@@ -237,8 +238,6 @@ def test_a_bucket_is_marked_whose_transaction_has_no_answer(rosCas, monkeypatch,
 
 
 def test_a_writer_that_died_is_filled_and_may_come_back(rosCas, unhurried, monkeypatch):
-    from cassandra_ros.topics import index_filling
-
     writer = rosCas.messageWriter(writer_id=5)
     handle = writer.connect(apiConnection("/t", definitionOf(String), "/w"))
     wire = [serialize(message) for message in texts(20)]
@@ -247,7 +246,7 @@ def test_a_writer_that_died_is_filled_and_may_come_back(rosCas, unhurried, monke
     writer.flush()
     topic = rosCas.getTopic("/t")
     assert topic.createIndex("data") == 0
-    monkeypatch.setattr(index_filling, "STALE_SEC", -1.0)
+    monkeypatch.setattr(indexes, "STALE_SEC", -1.0)
     assert topic.createIndex("data") == 10
     (row,) = directory_rows(rosCas, handle.table)
     assert row.closed and row.filled == {"_ix0"} and (row.rows, row.odd) == (10, 2)

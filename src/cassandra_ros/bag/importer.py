@@ -26,9 +26,13 @@ from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import DEFAULT_FORMAT
 from cassandra_ros.keys import MAX_WRITER
 from cassandra_ros.store.registry import Run
-from cassandra_ros.topics.message_writer import Handle, MessageWriter
+from cassandra_ros.topics.message_writer import (
+    FALLBACK_FORMAT,
+    Handle,
+    MessageWriter,
+    usableDefinition,
+)
 from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.topics.usable import FALLBACK_FORMAT, usableDefinition
 
 _log = logging.getLogger(__name__)
 

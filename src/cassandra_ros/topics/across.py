@@ -11,7 +11,7 @@ from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import Position
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.filtering import Filter, Where
+from cassandra_ros.topics.finding import Filter, Where
 from cassandra_ros.topics.reading import Rows
 from cassandra_ros.topics.selection import LAST_NS, Stretch
 from cassandra_ros.topics.stored_row import StoredRow
@@ -109,12 +109,12 @@ class AcrossTopics:
         for table in tables:
             by_topic.get(table.metadata.topic, free).append(table)
         if not any(by_topic.values()):
-            return read(free, *stretch, nodes=nodes)
-        streams = [read(free, *stretch, nodes=nodes)] if free else []
+            return read(free, stretch, nodes=nodes)
+        streams = [read(free, stretch, nodes=nodes)] if free else []
         for name, own in by_topic.items():
             if received and any(t.metadata.own_time and not t.named for t in own):
                 # Read by a time that its key is not: the store cannot look for both.
-                every = rows.received(own, *stretch, nodes=nodes)
+                every = rows.received(own, stretch, nodes=nodes)
                 streams.append(filter(filters[name].test, every))
             elif own:
                 streams.append(filters[name].rows(*stretch))

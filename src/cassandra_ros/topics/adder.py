@@ -7,18 +7,18 @@ from __future__ import annotations
 import itertools
 import sys
 import threading
-from typing import Any, Optional
+import time
+from typing import Any, Callable, Optional
 
-from cassandra_ros.errors import WriteFailed
+from cassandra_ros.errors import ClockNotSet, WriteFailed
 from cassandra_ros.keys import Position, RowName, joinSeq, newWriterId
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
-from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.store.writer import RowWriter
-from cassandra_ros.topics.clock import Clock, nowNs
+from cassandra_ros.messages.stamps import Stamp, toNs
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import MessageWriter
+from cassandra_ros.topics.selection import Time
 from cassandra_ros.topics.stored_row import Key
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -70,11 +70,7 @@ class Adder:
 
     def _open(self) -> MessageWriter:
         if self._writer is None:
-            space, writer_id = self._keyspace, newWriterId()
-            rows = RowWriter(
-                *(space.cassandra, space.schema, space.directory, writer_id), linger_sec=0.0
-            )
-            self._writer = MessageWriter(space, rows, writer_id, ttl=None)
+            self._writer = MessageWriter(self._keyspace, newWriterId(), linger_sec=0.0, ttl=None)
             self._counter = itertools.count()
         return self._writer
 
@@ -90,3 +86,33 @@ def _callerid() -> str:
     # Not imported: a program without a node must not need rospy.
     rospy = sys.modules.get("rospy")
     return str(rospy.get_name()) if rospy and rospy.core.is_initialized() else ""
+
+
+Clock = Callable[[], Time]
+
+
+def nowNs(clock: Optional[Clock]) -> int:
+    """Tell the time: the given clock's, else rospy's where a node runs here, else wall time.
+
+    Args:
+        clock: Returns a time of any kind that toNs takes, or None.
+
+    Returns:
+        Nanoseconds since 1970.
+
+    Raises:
+        ClockNotSet: The node uses simulated time and no /clock message has come.
+    """
+    if clock is not None:
+        return toNs(clock())
+    # Not imported: a program without a node must not need rospy.
+    rospy = sys.modules.get("rospy")
+    if rospy is None or not rospy.core.is_initialized():
+        return time.time_ns()
+    now = int(rospy.rostime.get_rostime().to_nsec())
+    if not now:
+        raise ClockNotSet(
+            "simulated time is in use (/use_sim_time) and no /clock message has come yet: start "
+            "the simulator or player, or give a key"
+        )
+    return now

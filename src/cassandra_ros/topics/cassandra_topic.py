@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Callable, Iterator, Optional, Sequence, Union
+from typing import Any, Iterator, Optional, Sequence, Union
 
 from cassandra_ros.arguments import (
     check_field,
@@ -25,27 +25,22 @@ from cassandra_ros.errors import (
     TypeMismatch,
 )
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
-from cassandra_ros.keys import NAMED_FORMATS, Position
-from cassandra_ros.messages.definition import Definition, definitionOf
-from cassandra_ros.messages.stamps import Stamp, isIsoText, toNs
-from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.query.protocols import Chooser, Table
+from cassandra_ros.keys import Position
+from cassandra_ros.messages.stamps import toNs
+from cassandra_ros.metadata import MetaView
+from cassandra_ros.query.protocols import Chooser
 from cassandra_ros.topics.adder import Adder
-from cassandra_ros.topics.filtering import Filter, Where
-from cassandra_ros.topics.finding import Finder
-from cassandra_ros.topics.index_filling import Progress
-from cassandra_ros.topics.indexes import TopicIndexes, checkField
-from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.meta_view import MetaView
+from cassandra_ros.topics.finding import Filter, Finder, Where
+from cassandra_ros.topics.indexes import Progress, TopicIndexes
+from cassandra_ros.topics.keyspace import Keyspace, Wish
 from cassandra_ros.topics.reading import Columns
-from cassandra_ros.topics.selection import LAST_NS, AnyKey, Stretch, Time, selectMany, valueOfText
+from cassandra_ros.topics.selection import AnyKey, Time, key_of_text, stretchOf
 from cassandra_ros.topics.stored_row import Key, StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
-from cassandra_ros.topics.wish import Wish
 
 Fields = Union[None, str, Sequence[str]]
 """Names of fields; None = all."""
-_REQUIRED: Any = object()
+_REQUIRED = object()
 
 
 class CassandraTopic:
@@ -79,8 +74,6 @@ class CassandraTopic:
         self._wish = wish
         self._indexes = TopicIndexes(keyspace, adder, name)
 
-    # ---------------------------------------------------------------- what is known of it
-
     @property
     def tables(self) -> list[TopicTable]:
         """The tables of the topic, one for each md5 and format; none before the first message."""
@@ -91,20 +84,14 @@ class CassandraTopic:
         """The metadata: ``getMeta['msg_type']`` or ``getMeta('msg_type')``."""
         tables = self.tables
         metadata = tables[0].metadata if tables else self._wish.metadata(self.name, None)
-        directory = self._keyspace.directory
-        found = {n for t in tables for _, n in directory.nodes(t.name, -(2**63), LAST_NS)}
         indexes = {field: "" for t in tables for field in t.metadata.indexes}
-        return MetaView(metadata.with_(indexes=indexes or metadata.indexes), sorted(found))
+        return MetaView(
+            metadata.with_(indexes=indexes or metadata.indexes), self._keyspace.nodes(tables)
+        )
 
     def countBuckets(self) -> int:
         """Count the partitions: stretches of time of a node in a table; 0 for named messages."""
-        directory = self._keyspace.directory
-        rows = [
-            (table.name, row.node, row.bucket)
-            for table in self.tables
-            for row in directory.buckets(table.name, -(2**63), LAST_NS, ttl=table.metadata.ttl)
-        ]
-        return len(set(rows))
+        return self._keyspace.totals.count_buckets(self.tables)
 
     def setMeta(self, **keys: Any) -> None:
         """Set keys of your own in the topic's metadata: ``setMeta(site='lab')``.
@@ -129,14 +116,7 @@ class CassandraTopic:
                 "to addTopic"
             )
 
-        def change(metadata: TopicMetadata) -> TopicMetadata:
-            every = {**metadata.user, **keys}
-            user = {name: value for name, value in every.items() if value is not None}
-            return metadata.with_(
-                user=user, comment=metadata.comment if comment is None else comment
-            )
-
-        self._keyspace.schema.changeTopic(self.name, change)
+        self._keyspace.schema.changeTopic(self.name, lambda m: m.with_user(keys, comment))
 
     @property
     def format(self) -> CassandraTopic_:
@@ -168,8 +148,6 @@ class CassandraTopic:
             raise TypeMismatch(f"{data!r:.80} is no encoded message: give what encode returned")
         return self.format.decode(data)
 
-    # ---------------------------------------------------------------- adding
-
     def addData(self, msg: Any, key: Optional[AnyKey] = None, nodeID: Optional[str] = None) -> Key:
         """Store one message; return when it is acknowledged.
 
@@ -188,7 +166,7 @@ class CassandraTopic:
             InvalidKey, InvalidName, ClockNotSet, WriteFailed.
         """
         node = self._wish.nodeID if nodeID is None else check_node(nodeID)
-        table = self._tableFor(msg)
+        table = self._keyspace.table_for(self.name, self._wish, msg)
         kind = table.metadata.key_format
         if kind == "manual":
             name = check_message_name(self.name, key)
@@ -199,37 +177,6 @@ class CassandraTopic:
                 f"(key_format {kind}): leave key out"
             )
         return self._adder.add(table, msg, self._adder.now() if key is None else toNs(key), node)
-
-    def makeTable(self, definition: Definition) -> TopicTable:
-        """Find or make the table for messages of this definition, in the topic's format."""
-        for field in self._wish.index:
-            checkField(definition, field)
-        table = self._keyspace.makeTable(self._wish.metadata(self.name, definition), definition)
-        if self._wish.asked:
-            self._wish.check(table.metadata, None)  # another client may have been quicker
-        return table
-
-    def _tableFor(self, msg: Any) -> TopicTable:
-        if not hasattr(type(msg), "_md5sum"):  # nor has a class, in place of its object
-            raise TypeMismatch(
-                f"{msg!r:.80} is no message: give topic {self.name} a message object, as "
-                "std_msgs.msg.String(data='x'); nothing was stored"
-            )
-        definition = definitionOf(type(msg))
-        tables = self.tables
-        fitting = [t for t in tables if t.metadata.md5sum == definition.md5sum]
-        wished = [t for t in fitting if t.metadata.format == self._wish.format]
-        if wished or (fitting and not self._wish.asked):
-            return (wished or fitting)[0]
-        if tables and not fitting:
-            stored = tables[0].metadata
-            raise TypeMismatch(
-                f"topic {self.name} holds {stored.msg_type} [{stored.md5sum}], the message is "
-                f"{definition.type} [{definition.md5sum}]; nothing was stored"
-            )
-        return self.makeTable(definition)
-
-    # ---------------------------------------------------------------- getting
 
     def getData(
         self,
@@ -313,11 +260,9 @@ class CassandraTopic:
         rows = self._finder(nodeID, where).many(key, to_key, limit=limit, reverse=reverse)
         return ((row.key, row.message()) for row in rows)
 
-    # ---------------------------------------------------------------- rows, without making objects
-
     def getRow(
         self,
-        key: Any,
+        key: AnyKey,
         *,
         nearest: Optional[str] = None,
         nodeID: Optional[str] = None,
@@ -329,8 +274,11 @@ class CassandraTopic:
     def _finder(self, nodeID: Optional[str], where: Optional[Where] = None) -> Finder:
         tables = self._stored()
         passing = None if where is None else Filter(self, where, nodeID)
-        key_format = tables[0].metadata.key_format if tables else self._wish.key_format
-        return Finder(self._keyspace, self.name, key_format, tables, nodeID, passing)
+        return Finder(self._keyspace, self.name, self._key_format(), tables, nodeID, passing)
+
+    def _key_format(self) -> str:
+        tables = self.tables
+        return tables[0].metadata.key_format if tables else self._wish.key_format or "time"
 
     def versions(
         self, name: str, *, nodeID: Optional[str] = None, reverse: bool = False
@@ -357,16 +305,15 @@ class CassandraTopic:
             key, to_key: Ends, both included, whatever the topic's keys are; None = open.
             nodeID, limit, reverse: As items takes them.
             after: Begin behind this row (a cursor).
-            columns: Gives for a table those of its columns to read, in their order, None = all;
-                a row fetches the others when its bytes are asked for.
-            chooser: Tells what the server may leave out (a query.protocols.Chooser).
+            columns: Which columns of a table to read, None = all; a row fetches the others when
+                its bytes are asked for.
+            chooser: Tells what the server may leave out.
         """
-        low = 0 if key is None else toNs(key)
-        high = LAST_NS if to_key is None else toNs(to_key)
         if not isinstance(after, (Position, type(None))):
             raise InvalidKey(f"after={after!r:.80} is no place: give the position of a row")
         return self._keyspace.rows.read(
-            *(self._stored(), low, high),
+            self._stored(),
+            stretchOf(key, to_key),
             nodes=check_nodes(nodeID),
             after=after,
             reverse=reverse,
@@ -386,37 +333,23 @@ class CassandraTopic:
 
     def first(self, nodeID: Optional[str] = None) -> Optional[Key]:
         """Return the key of the oldest message; None when there is none."""
-        row = next(self.rows(nodeID=nodeID, limit=1), None)
-        return None if row is None else row.key
+        return next((row.key for row in self.rows(nodeID=nodeID, limit=1)), None)
 
     def last(self, nodeID: Optional[str] = None) -> Optional[Key]:
         """Return the key of the newest message; None when there is none."""
-        row = next(self.rows(nodeID=nodeID, limit=1, reverse=True), None)
-        return None if row is None else row.key
+        return next((row.key for row in self.rows(nodeID=nodeID, limit=1, reverse=True)), None)
 
     def keyOfText(self, text: str) -> AnyKey:
-        """Read a key that a person typed, by what the topic's keys are.
+        """Read a key that a person typed.
 
-        A name is the text itself; a time is integer nanoseconds or ISO 8601; the value of a
-        field is a number, true or false, or text, as the field is. Where values are keys a time
-        is ISO 8601 only.
+        A name is the text itself; a time is integer nanoseconds or ISO 8601, where values of a
+        field are keys ISO 8601 only; such a value is a number, true, false or text, as the field.
 
         Raises:
             InvalidKey: The text is no key of the topic.
         """
         check_text("text", text, error=InvalidKey)
-        tables = self._stored()
-        if self._wish.key_format in NAMED_FORMATS or any(table.named for table in tables):
-            return text
-        valued = [table for table in tables if table.valued]
-        if valued and not isIsoText(text):
-            return valueOfText(valued, text)
-        if valued:
-            return Stamp.fromNs(toNs(text))
-        text = text.strip()
-        return int(text) if text.isascii() and text.isdigit() and len(text) < 40 else text
-
-    # ---------------------------------------------------------------- counting and removing
+        return key_of_text(self._key_format(), self._stored(), text)
 
     def countTopicData(
         self,
@@ -453,8 +386,6 @@ class CassandraTopic:
         """
         return self._finder(nodeID, where).remove(key, to_key)
 
-    # ---------------------------------------------------------------- arrays and tables
-
     def getArrays(
         self,
         fields: Fields,
@@ -465,22 +396,18 @@ class CassandraTopic:
     ) -> dict[str, Any]:
         """Return fields as numpy arrays, one each, of equal length and in the order of time.
 
-        * Numbers and bools have the field's own type (float32 stays float32).
+        * Numbers and bools keep the field's type (float32 stays float32); text is str in an
+          array of objects.
         * ``KEY``, times and durations are int64 nanoseconds: ``.view('datetime64[ns]')`` or
-          ``.view('timedelta64[ns]')`` shows them as such. Where messages lie under names KEY is
-          text. ``secs`` and ``nsecs`` are int64.
-        * Arrays of fixed length, as ``float64[9]``, are arrays of two dimensions (rows, 9);
-          those of any length an array of objects: an array for each row. Of arrays inside of
-          arrays of messages a row holds lists, as executeCQL returns them.
-        * Text is str, in an array of objects.
+          ``.view('timedelta64[ns]')`` shows them as such. KEY is text where messages lie under
+          names. ``secs`` and ``nsecs`` are int64.
+        * Arrays of fixed length, as ``float64[9]``, have two dimensions (rows, 9); others give an
+          array of objects, an array a row; arrays inside of arrays of messages give lists.
 
-        Where a message has no such value (``ranges[5]`` of four, a field that another definition
-        of the topic lacks, bytes that are no message) the array is a numpy.ma.MaskedArray that
-        masks it; arrays of objects hold None. Where definitions disagree on the type of a field,
-        it is the smallest that holds both exactly, else Python objects.
-
-        Memory is that of the result: the rows are read by pages, and no Python object is kept
-        for a number.
+        What a message lacks (``ranges[5]`` of four, a field that another definition of the topic
+        has not, bytes that are no message) is masked by a numpy.ma.MaskedArray, or None in an
+        array of objects. Where definitions disagree on a field's type, it is the smallest that
+        holds both exactly, else Python objects. No Python object is kept for a number.
 
         Args:
             fields: Names of fields; None = all, and KEY.
@@ -492,7 +419,7 @@ class CassandraTopic:
             InvalidQuery: A field or the condition is not one of this topic; shows the spot.
             InvalidKey: key or to_key cannot be one.
         """
-        read = partial(self._read, key, to_key, where, nodeID)
+        read = partial(self._finder(nodeID, where).columns, key, to_key)
         return readArrays(self, fields, where, read)
 
     def toDataFrame(
@@ -505,12 +432,10 @@ class CassandraTopic:
     ) -> Any:
         """Return messages as a pandas.DataFrame, one column a field.
 
-        The index, named ``KEY``, is their time, exact to the nanosecond and in UTC, without a
-        zone, so that it compares with the columns; where messages lie under names it is these.
-        Columns are as getArrays returns them, but for times (datetime64[ns], also without a
-        zone), durations (timedelta64[ns]) and arrays (an array in each cell). What is missing is
-        NaN, NaT, None, or NA in one of pandas' nullable types (Int32, UInt64, boolean), so that
-        integers stay integers.
+        The index ``KEY`` is their time, exact to the nanosecond, in UTC and without a zone; or
+        their names. Columns are as getArrays returns them, but times are datetime64[ns] without a
+        zone, durations timedelta64[ns], and arrays lie in cells. What is missing is NaN, NaT,
+        None, or NA in a nullable type (Int32, UInt64, boolean), so that integers stay integers.
 
         Args:
             fields: Names of fields; None = all of them.
@@ -520,27 +445,8 @@ class CassandraTopic:
             MissingDependency: pandas is not installed; the text says how.
             InvalidQuery, InvalidKey: As of getArrays.
         """
-        read = partial(self._read, key, to_key, where, nodeID)
+        read = partial(self._finder(nodeID, where).columns, key, to_key)
         return readFrame(self, fields, where, read)
-
-    def _read(
-        self,
-        key: Optional[AnyKey],
-        to_key: Optional[Time],
-        where: Optional[Where],
-        nodeID: Optional[str],
-        columns: Callable[[Table], Sequence[str]],
-    ) -> Iterator[StoredRow]:
-        """Read the rows that are meant, and of a stretch of time only these columns."""
-        tables = self._stored()
-        key_format = tables[0].metadata.key_format if tables else self._wish.key_format
-        wanted = selectMany(self.name, key_format, tables, key, to_key)
-        if where is not None or not isinstance(wanted, Stretch):
-            return self._finder(nodeID, where).many(key, to_key)
-        nodes = check_nodes(nodeID)
-        return self._keyspace.rows.read(tables, *wanted, nodes=nodes, columns=columns)
-
-    # ---------------------------------------------------------------- indexes
 
     def createIndex(self, field: str, progress: Optional[Progress] = None) -> int:
         """Make an index on a field, so that conditions on it read only the rows that they find.
@@ -561,8 +467,7 @@ class CassandraTopic:
 
         Raises:
             InvalidName: The type has no such field, or it cannot be indexed.
-            InvalidOption: The messages are kept under names, or the field is an array that is the
-                key.
+            InvalidOption: Messages are kept under names, or the field is an array and the key.
             StoreUnavailable: Cassandra is rewriting the files of the topic (an index made
                 meanwhile could miss rows), or is busy with other indexes; ask again later.
             TopicNotFound: The topic is gone, or has no type yet.
@@ -570,14 +475,13 @@ class CassandraTopic:
         return self._indexes.create(check_field(field), progress)
 
     def hasIndex(self, field: str) -> bool:
-        """Say whether every table of the topic whose type has the field has an index on it."""
+        """Say whether every table whose type has the field has an index on it."""
         return self._indexes.has(check_field(field))
 
     def removeIndex(self, field: str) -> None:
         """Remove an index. The messages stay as they are.
 
-        The column that carried it stays in the table: who is recording goes on filling it until
-        its next stretch of time.
+        Its column stays: who is recording fills it until its next stretch of time.
 
         Raises:
             InvalidName: There is no such index.

@@ -27,9 +27,8 @@ from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.indexes import checkUnnamed
-from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.keyspace import Keyspace, Wish
 from cassandra_ros.topics.topic_table import TopicTable
-from cassandra_ros.topics.wish import Wish
 
 _log = logging.getLogger(__name__)
 
@@ -63,7 +62,7 @@ class Catalog:
                 self._pending[topic] = wish
         if definition is not None:
             try:
-                found.makeTable(definition)
+                self._keyspace.wished_table(topic, wish, definition)
             except CassandraRosError:
                 with self._mutex:
                     self._pending.pop(topic, None)
@@ -201,8 +200,13 @@ class Catalog:
         if wish is None:
             stored = tables[0]
             wish = Wish(
-                *(stored.format, stored.nodeID, stored.ttl, stored.comment),
-                *(stored.key_format, stored.key_part, stored.user),
+                format=stored.format,
+                nodeID=stored.nodeID,
+                ttl=stored.ttl,
+                comment=stored.comment,
+                key_format=stored.key_format,
+                key_part=stored.key_part,
+                user=stored.user,
                 asked=False,
             )
         wish = replace(wish, pending=not tables)

@@ -40,8 +40,12 @@ class Connections:
                 return number
         header, offset, definition = cutDefinition(connection.header)
         row = ConnectionRow(
-            *(connection.topic, connection.number, header, offset),
-            *(connection.md5sum, definition),
+            topic=connection.topic,
+            number=connection.number,
+            header=header,
+            def_offset=offset,
+            md5sum=connection.md5sum,
+            definition=definition,
         )
         self._registry.putConnection(table, number, row)
         self._keep(table, number, connection)

@@ -5,17 +5,18 @@
 from __future__ import annotations
 
 from itertools import islice
-from typing import Any, Iterator, Optional, Sequence
+from typing import Any, Callable, Iterator, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_limit, check_nodes
-from cassandra_ros.errors import InvalidKey, MessageNotFound
+from cassandra_ros.errors import InvalidKey, InvalidQuery, MessageNotFound
 from cassandra_ros.keys import RowName
-from cassandra_ros.messages.stamps import Stamp, toNs
-from cassandra_ros.topics.absence import absentName, absentText
-from cassandra_ros.topics.filtering import Filter
+from cassandra_ros.messages.stamps import Stamp, isoTime, toNs
+from cassandra_ros.query.conditions import Condition
+from cassandra_ros.query.protocols import Source, Table
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.selection import (
     LAST_NS,
+    AnyKey,
     Named,
     Selection,
     Stretch,
@@ -51,14 +52,19 @@ class Finder:
     ) -> None:
         self._keyspace = keyspace
         self._topic = topic
-        self._key_format = key_format or "time"
+        self._key_format = key_format
         self._tables = tables
         self._node = nodeID
         self._where = where
         self._nodes = check_nodes(nodeID)
 
     def many(
-        self, key: Any, to_key: Any, *, limit: Optional[int] = None, reverse: bool = False
+        self,
+        key: AnyKey,
+        to_key: AnyKey,
+        *,
+        limit: Optional[int] = None,
+        reverse: bool = False,
     ) -> Iterator[StoredRow]:
         """Walk through the rows that key and to_key mean, as the ends of a stretch or alone."""
         return self._select(self._several(key, to_key), limit=limit, reverse=reverse)
@@ -81,14 +87,23 @@ class Finder:
         rows = self._keyspace.rows.select(self._tables, wanted, nodes=self._nodes, reverse=reverse)
         return islice(filter(self._where.test, rows), limit)
 
-    def count(self, key: Any, to_key: Any) -> int:
+    def columns(
+        self, key: AnyKey, to_key: AnyKey, columns: Callable[[Table], Sequence[str]]
+    ) -> Iterator[StoredRow]:
+        """Walk through the rows of ``many``; of a stretch of time only these columns are read."""
+        wanted = self._several(key, to_key)
+        if self._where is not None or not isinstance(wanted, Stretch):
+            return self._select(wanted)
+        return self._keyspace.rows.read(self._tables, wanted, nodes=self._nodes, columns=columns)
+
+    def count(self, key: AnyKey, to_key: AnyKey) -> int:
         """Count the rows of ``many``, of a whole stretch of time without reading them."""
         wanted = self._several(key, to_key)
         if isinstance(wanted, Stretch) and self._where is None:
             return self._keyspace.totals.count(self._tables, *wanted, self._nodes)
         return sum(1 for _ in self._select(wanted, bare=True))
 
-    def remove(self, key: Any, to_key: Any) -> int:
+    def remove(self, key: AnyKey, to_key: AnyKey) -> int:
         """Delete the rows at key, or those of ``many`` without key or with to_key.
 
         Returns:
@@ -109,7 +124,7 @@ class Finder:
             raise MessageNotFound(self.absent(key, None))
         return count
 
-    def _remove(self, key: Any, to_key: Any, single: bool) -> int:
+    def _remove(self, key: AnyKey, to_key: AnyKey, single: bool) -> int:
         removal = self._keyspace.removal
         if single and self.isExact(key):
             row = self._exact(key)  # and no other of the same time
@@ -119,13 +134,13 @@ class Finder:
             return removal.delete(self._tables, *wanted, self._nodes)
         return removal.deleteRows(self._select(wanted, bare=True))
 
-    def _one(self, key: Any) -> Selection:
+    def _one(self, key: AnyKey) -> Selection:
         return selectOne(self._topic, self._key_format, self._tables, key)
 
-    def _several(self, key: Any, to_key: Any) -> Selection:
+    def _several(self, key: AnyKey, to_key: AnyKey) -> Selection:
         return selectMany(self._topic, self._key_format, self._tables, key, to_key)
 
-    def find(self, key: Any, nearest: Optional[str]) -> Optional[StoredRow]:
+    def find(self, key: AnyKey, nearest: Optional[str]) -> Optional[StoredRow]:
         """Find the one row that getData means by a key; None where there is none."""
         if nearest is not None:
             return self._near(key, nearest)
@@ -143,12 +158,12 @@ class Finder:
             return self._keyspace.rows.at(self._tables, t, self._nodes)
         return next(self._select(Stretch(t, t), limit=1), None)
 
-    def _tableOf(self, key: Any) -> Optional[TopicTable]:
+    def _tableOf(self, key: AnyKey) -> Optional[TopicTable]:
         """Return the table in which a key of ours lies; None where it is gone."""
         table = self._keyspace.tables.byName(key.table)
         return table if table is not None and table.metadata.topic == self._topic else None
 
-    def _exact(self, key: Any) -> Optional[StoredRow]:
+    def _exact(self, key: AnyKey) -> Optional[StoredRow]:
         table = self._tableOf(key)
         return None if table is None else self._passing(self._keyspace.rows.exact(table, key))
 
@@ -157,12 +172,12 @@ class Finder:
             return row
         return None
 
-    def isExact(self, key: Any) -> bool:
+    def isExact(self, key: AnyKey) -> bool:
         """Say whether a key is one that the store gave: it knows its row."""
         known = isinstance(key, (RowName, Stamp)) and bool(key.table)
         return known and self._node in (None, key.node)
 
-    def _near(self, key: Any, nearest: str) -> Optional[StoredRow]:
+    def _near(self, key: AnyKey, nearest: str) -> Optional[StoredRow]:
         if nearest not in NEAREST:
             raise InvalidKey(f"nearest={nearest!r} is none of {', '.join(NEAREST)}")
         wanted = self._one(key)
@@ -183,7 +198,7 @@ class Finder:
         # Backwards the last of equal stamps comes first.
         return after if before is None else self._at(before.t) or before
 
-    def absent(self, key: Any, nearest: Optional[str]) -> str:
+    def absent(self, key: AnyKey, nearest: Optional[str]) -> str:
         """Say that there is no message at a key, and what lies near."""
         wanted = self._one(key)
         which = _which(self._node, self._where)
@@ -199,3 +214,105 @@ def _which(nodeID: Optional[str], where: Optional[Filter]) -> str:
     """Say which messages were asked for, besides their key."""
     whose = "" if nodeID is None else f" of node {nodeID}"
     return whose if where is None else f"{whose} that satisfies {where.text!r:.200}"
+
+
+_SECONDS_BELOW = 10**12
+_NEAR_NS = 256
+"""Nanoseconds that a time of today may lose on its way through a float."""
+
+
+def absentText(
+    topic: str, key: AnyKey, nearest: Optional[str], which: str, near_ns: Optional[int]
+) -> str:
+    """Say that a topic has no message at a key.
+
+    Args:
+        topic: Its name.
+        key: The time as it was asked for.
+        nearest: The direction that was asked for, or None.
+        which: Which messages were asked for, as ' of node r1'; '' = any.
+        near_ns: Time of the nearest message where that is known, ns.
+    """
+    t = toNs(key)
+    text = f"topic {topic} has no message{which} {nearest or 'at'} {isoTime(t)} ({t} ns)"
+    if isinstance(key, int) and 0 < t < _SECONDS_BELOW:
+        return text + "; integers are nanoseconds; did you mean seconds (a float)?"
+    if near_ns is None:
+        return text
+    if abs(near_ns - t) <= _NEAR_NS:
+        secs, nsecs = divmod(near_ns, 10**9)
+        return text + (
+            f"; one lies {abs(near_ns - t)} ns away: write the time as "
+            f"{{secs: {secs}, nsecs: {nsecs}}}, for a number goes through a float"
+        )
+    return text + f"; the nearest lies at {isoTime(near_ns)} ({near_ns} ns)"
+
+
+def absentName(topic: str, key: AnyKey, which: str, named: bool) -> str:
+    """Say that a topic has no message under a name, or none with a value.
+
+    Args:
+        topic: Its name.
+        key: As it was asked for.
+        which: Which messages were asked for, as ' of node r1'; '' = any.
+        named: Whether it is a name.
+    """
+    if not named:
+        return f"topic {topic} has no message{which} whose key field is {key!r:.80}"
+    return (
+        f"topic {topic} has no message{which} under the name {str(key)[:80]!r}; "
+        "items() lists the names that there are"
+    )
+
+
+Where = Union[str, Tuple[str, Sequence[Any]]]
+"""A condition: what stands behind WHERE in CQL, or that and the values of its ``?``."""
+
+
+class Filter:
+    """The rows of one topic that satisfy a condition.
+
+    A message satisfies a condition on the elements of an array of messages when one element does.
+
+    Args:
+        topic: Whose rows.
+        where: The condition.
+        nodeID: Only messages of this node; None = of all.
+
+    Attributes:
+        text: The condition as it was given.
+        test: Tells whether a row of the topic satisfies it, whatever its node.
+
+    Raises:
+        InvalidQuery: It is no condition, or none on the topic's fields.
+    """
+
+    def __init__(
+        self, topic: Source[StoredRow], where: Where, nodeID: Optional[str] = None
+    ) -> None:
+        self.text, params = _parts(where)
+        self._topic = topic
+        self._condition = Condition(self.text, params, nodeID)
+        self.test = self._condition.test(topic.tables)
+
+    def rows(
+        self, low: int = 0, high: int = LAST_NS, *, reverse: bool = False, bare: bool = False
+    ) -> Iterator[StoredRow]:
+        """Walk through the rows with t in [low, high], ns, that satisfy it, in order of time.
+
+        Args:
+            low, high: Both included.
+            reverse: Newest first.
+            bare: Only keys are wanted, no messages.
+        """
+        return self._condition.rows(self._topic, low, high, reverse=reverse, bare=bare)
+
+
+def _parts(where: object) -> Tuple[str, Sequence[Any]]:
+    if isinstance(where, str):
+        return where, ()
+    if isinstance(where, (tuple, list)) and len(where) == 2 and isinstance(where[0], str):
+        return where[0], where[1]
+    raise InvalidQuery(
+        repr(where)[:200], 0, "where= takes a condition as text, or a pair (text, parameters)"
+    )

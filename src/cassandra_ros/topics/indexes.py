@@ -4,16 +4,25 @@
 
 from __future__ import annotations
 
-from typing import Optional
+import logging
+from typing import Callable, Dict, Iterable, Iterator, List, Optional, Tuple
 
-from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound
-from cassandra_ros.keys import NAMED_FORMATS
-from cassandra_ros.messages.definition import Definition
+from cassandra_ros.errors import (
+    CorruptMessage,
+    InvalidName,
+    InvalidOption,
+    StoreUnavailable,
+    TopicNotFound,
+)
+from cassandra_ros.keys import NAMED_FORMATS, splitSeq
 from cassandra_ros.messages.index_field import IndexField, nearestFields
 from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.directory import STALE_SEC, BucketRow, Directory, Totals
+from cassandra_ros.store.index.backfill import Backfill, Update, Written
 from cassandra_ros.topics.adder import Adder
-from cassandra_ros.topics.index_filling import IndexFilling, Progress
 from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.reading import Rows
 from cassandra_ros.topics.topic_table import TopicTable, definitionIn
 
 
@@ -84,7 +93,8 @@ def checkIndexable(topic: str, tables: list[TopicTable], field: str) -> None:
             )
     if not any(_typeOf(table.metadata, field) for table in tables):
         for table in tables:
-            checkField(table.definition, field)
+            if table.definition is not None:
+                IndexField(table.definition, field, "")  # names the nearest field
         raise InvalidName(
             f"topic {topic} has no usable definition to find a field {field!r} in: an index "
             "cannot be made"
@@ -104,16 +114,6 @@ def checkUnnamed(topic: str, key_format: str) -> None:
         )
 
 
-def checkField(definition: Optional[Definition], field: str) -> None:
-    """Check that a type has a field that can be indexed.
-
-    Raises:
-        InvalidName: It has not; the text gives the nearest.
-    """
-    if definition is not None:
-        IndexField(definition, field, "")
-
-
 def _typeOf(metadata: TopicMetadata, field: str) -> Optional[str]:
     definition = definitionIn(metadata)
     if definition is None:
@@ -122,3 +122,130 @@ def _typeOf(metadata: TopicMetadata, field: str) -> Optional[str]:
         return IndexField(definition, field, "").cql_type
     except InvalidName:
         return None
+
+
+_log = logging.getLogger(__name__)
+
+Progress = Callable[[int, int], None]
+"""Called with rows that are done and rows in all."""
+MAX_ROUNDS = 8
+MAX_TRIES = 3
+"""Of a transaction that gets no answer."""
+UNKNOWN_ROW_BYTES = 32 * 1024
+"""Assumed of the rows of writers that have a bucket open."""
+
+_Bucket = Tuple[TopicTable, IndexField, List[BucketRow]]
+
+
+class IndexFilling:
+    """Fills one index of a topic.
+
+    Args:
+        cassandra: The connection.
+        directory: Tells which buckets lack the index.
+        rows: Reads messages.
+        field: The indexed field.
+        progress: Called now and then.
+    """
+
+    def __init__(
+        self,
+        cassandra: Cassandra,
+        directory: Directory,
+        rows: Rows,
+        field: str,
+        progress: Optional[Progress],
+    ) -> None:
+        self._cassandra = cassandra
+        self._directory = directory
+        self._rows = rows
+        self._field = field
+        self._progress = progress or (lambda done, total: None)
+        self._done = self._total = 0
+
+    def fill(self, tables: Iterable[TopicTable]) -> int:
+        """Fill what lacks the index in the tables; return the number of rows that did."""
+        filled, every = 0, list(tables)
+        for _ in range(MAX_ROUNDS):
+            # Buckets that were closed meanwhile are found in another round.
+            buckets = list(self._lacking(every))
+            self._total = self._done + sum(row.rows for _, _, rows in buckets for row in rows)
+            marked = [self._fillBucket(*bucket) for bucket in buckets]
+            filled += sum(rows for rows, _ in marked)
+            if not any(count for _, count in marked):
+                break
+        self._progress(self._done, self._done)
+        return filled
+
+    def _lacking(self, tables: Iterable[TopicTable]) -> Iterator[_Bucket]:
+        for table in tables:
+            index = table.index_fields.get(self._field)
+            if index is None:
+                continue
+            found: Dict[Tuple[str, int], List[BucketRow]] = {}
+            ends = (-(2**63), 2**63 - 1)
+            for row in self._directory.buckets(table.name, *ends, ttl=table.metadata.ttl):
+                # One that is open is its writer's; after a silence of a minute that is dead.
+                if index.shadow not in row.filled and (row.closed or row.age_sec > STALE_SEC):
+                    found.setdefault((row.node, row.bucket), []).append(row)
+            for key in sorted(found):
+                yield table, index, found[key]
+
+    def _fillBucket(
+        self, table: TopicTable, index: IndexField, writers: List[BucketRow]
+    ) -> Tuple[int, int]:
+        """Return the rows that were filled, and for how many writers the bucket is done."""
+        totals = {row.writer: Totals() for row in writers}
+        backfill = Backfill(self._cassandra, table, index.shadow)
+        place = writers[0].node, writers[0].bucket
+        every = self._directory.find(table.name, *place)
+        largest = max((r.largest if r.closed else UNKNOWN_ROW_BYTES for r in every), default=0)
+        for page in backfill.pages(*place, largest):
+            backfill.write(list(self._updates(table, index, page, totals)))
+            self._progress(self._done, max(self._done, self._total))
+        rows = done = 0
+        for row in writers:
+            if self._mark(table, row, index.shadow, totals[row.writer]):
+                rows += totals[row.writer].rows
+                done += 1
+        return rows, done
+
+    def _updates(
+        self,
+        table: TopicTable,
+        index: IndexField,
+        page: List[Written],
+        totals: Dict[int, Totals],
+    ) -> Iterator[Update]:
+        for written in page:
+            row = written.row
+            counted = totals.get(splitSeq(row.seq)[0])
+            if counted is None:
+                continue
+            try:
+                value, odd = index.value(self._rows.wire(table, row))
+            except CorruptMessage as exc:
+                topic = table.metadata.topic
+                _log.warning("a message of topic %s cannot be indexed: %s", topic, exc)
+                value, odd = None, True
+            counted.count(row.t, row.size, row.nchunks > 0, odd or row.odd)
+            self._done += 1
+            if value is not None or (odd and not row.odd):
+                yield Update(written, value)
+
+    def _mark(self, table: TopicTable, row: BucketRow, shadow: str, totals: Totals) -> bool:
+        wanted = row._replace(filled=row.filled | {shadow})
+        uncertain = False
+        for _ in range(MAX_TRIES):
+            try:
+                done = self._directory.putRecount(table.name, wanted, totals, table.metadata.ttl)
+                return done or (uncertain and self._isMarked(table, row, shadow))
+            except StoreUnavailable as exc:
+                # Another transaction was in the way; this one may be done or not.
+                _log.debug("a bucket of topic %s is not marked: %s", table.metadata.topic, exc)
+                uncertain = True
+        return False
+
+    def _isMarked(self, table: TopicTable, row: BucketRow, shadow: str) -> bool:
+        found = self._directory.find(table.name, row.node, row.bucket)
+        return any(one.writer == row.writer and shadow in one.filled for one in found)

@@ -5,12 +5,13 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass, field
 from datetime import datetime, timezone
-from typing import Optional, Sequence
+from typing import Any, Mapping, Optional, Sequence
 
-from cassandra_ros.errors import InvalidKey, InvalidName, WriteFailed
+from cassandra_ros.errors import InvalidKey, InvalidName, TopicExists, TypeMismatch, WriteFailed
 from cassandra_ros.formats.table import formatClass
-from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.definition import Definition, definitionOf
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata, shadowColumn
@@ -22,7 +23,6 @@ from cassandra_ros.store.registry import Registry
 from cassandra_ros.store.schema import Planned, Schema
 from cassandra_ros.store.side_tables import SideTables
 from cassandra_ros.topics.connections import Connections
-from cassandra_ros.topics.index_names import IndexNames
 from cassandra_ros.topics.reading import Rows
 from cassandra_ros.topics.removal import Removal
 from cassandra_ros.topics.topic_table import TopicTable, TopicTables
@@ -47,7 +47,6 @@ class Keyspace:
         rows: Reads messages.
         totals: Counts and describes them.
         removal: Deletes them.
-        index_names: What indexes are called.
 
     Raises:
         InvalidName: The name is not 1 to 48 letters, digits and underscores.
@@ -66,7 +65,6 @@ class Keyspace:
         self.rows = Rows(cassandra, self.directory, self.connections)
         self.totals = TopicTotals(cassandra, self.directory)
         self.removal = Removal(cassandra, self.directory)
-        self.index_names = IndexNames(self.schema)
 
     def makeTable(self, metadata: TopicMetadata, definition: Optional[Definition]) -> TopicTable:
         """Find the table for a topic, md5 and format, or make it.
@@ -105,6 +103,45 @@ class Keyspace:
             )
         return found
 
+    def wished_table(self, topic: str, wish: Wish, definition: Definition) -> TopicTable:
+        """Find or make the table for messages of this definition, in the format asked for."""
+        for path in wish.index:
+            IndexField(definition, path, "")  # raises InvalidName where there is none
+        table = self.makeTable(wish.metadata(topic, definition), definition)
+        if wish.asked:
+            wish.check(table.metadata, None)  # another client may have been quicker
+        return table
+
+    def table_for(self, topic: str, wish: Wish, msg: Any) -> TopicTable:
+        """Find or make the table for a message.
+
+        Raises:
+            TypeMismatch: It is none, or of another type than the topic.
+        """
+        if not hasattr(type(msg), "_md5sum"):  # nor has a class, in place of its object
+            raise TypeMismatch(
+                f"{msg!r:.80} is no message: give topic {topic} a message object, as "
+                "std_msgs.msg.String(data='x'); nothing was stored"
+            )
+        definition = definitionOf(type(msg))
+        tables = self.tables.ofTopic(topic)
+        fitting = [t for t in tables if t.metadata.md5sum == definition.md5sum]
+        wished = [t for t in fitting if t.metadata.format == wish.format]
+        if wished or (fitting and not wish.asked):
+            return (wished or fitting)[0]
+        if tables and not fitting:
+            stored = tables[0].metadata
+            raise TypeMismatch(
+                f"topic {topic} holds {stored.msg_type} [{stored.md5sum}], the message is "
+                f"{definition.type} [{definition.md5sum}]; nothing was stored"
+            )
+        return self.wished_table(topic, wish, definition)
+
+    def nodes(self, tables: Sequence[TopicTable]) -> list[str]:
+        """List the nodeIDs that have stored messages in some tables."""
+        ends = (-(2**63), 2**63 - 1)
+        return sorted({node for t in tables for _, node in self.directory.nodes(t.name, *ends)})
+
 
 def _beside(metadata: TopicMetadata, others: Sequence[TopicMetadata]) -> TopicMetadata:
     """Return the metadata of a table beside others of its topic: what they say holds for it."""
@@ -115,7 +152,11 @@ def _beside(metadata: TopicMetadata, others: Sequence[TopicMetadata]) -> TopicMe
         _log.warning(
             "topic %s was stored with type %s [%s] and goes on with %s [%s] in a table of its own; "
             "reading merges both",
-            *(metadata.topic, first.msg_type, first.md5sum, metadata.msg_type, metadata.md5sum),
+            metadata.topic,
+            first.msg_type,
+            first.md5sum,
+            metadata.msg_type,
+            metadata.md5sum,
         )
     return metadata.with_(
         key_format=first.key_format,
@@ -135,15 +176,15 @@ def _indexed(
     wished = list(metadata.indexes)
     metadata = metadata.with_(own_time=metadata.key_format == "hash", indexes={}, index_count=0)
     metadata, shadows = _keyIndexed(metadata, definition, new)
-    for field in wished:
-        if definition is None or metadata.named or field in metadata.indexes:
+    for path in wished:
+        if definition is None or metadata.named or path in metadata.indexes:
             continue
         try:
-            index = IndexField(definition, field, shadowColumn(metadata.nextShadow))
+            index = IndexField(definition, path, shadowColumn(metadata.nextShadow))
         except InvalidName as exc:
             _log.info("messages of topic %s are stored without an index: %s", metadata.topic, exc)
             continue
-        metadata = metadata.withIndex(field, metadata.nextShadow)
+        metadata = metadata.withIndex(path, metadata.nextShadow)
         shadows[index.shadow] = index.cql_type
     return metadata, shadows
 
@@ -174,3 +215,61 @@ def defaultBucket(definition: Optional[Definition]) -> int:
         field.is_array for spec in definition.specs.values() for field in spec.fields
     )
     return (60 if arrays else 600) * SECOND_NS
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What addTopic asked for; kept until the first message tells the type."""
+
+    format: str
+    nodeID: str = ""
+    ttl: int = 0
+    comment: str = ""
+    key_format: str = ""
+    """'' = as it is stored, else 'time'."""
+    key_part: str = ""
+    user: Mapping[str, Any] = field(default_factory=dict)
+    index: tuple[str, ...] = ()
+    """Fields that are to have an index."""
+    asked: bool = True
+    """addTopic named the format; else it is the one that is stored."""
+    pending: bool = True
+    """Added in this process, perhaps without a table yet."""
+
+    def check(self, metadata: TopicMetadata, definition: Optional[Definition]) -> None:
+        """Compare with what is stored.
+
+        Raises:
+            TopicExists: The topic is stored in another way than asked for.
+        """
+        wrong = []
+        if definition is not None and definition.md5sum != metadata.md5sum:
+            wrong.append(f"type {metadata.msg_type} [{metadata.md5sum}]")
+        key = (self.key_format, self.key_part)
+        if self.key_format and key != (metadata.key_format, metadata.key_part):
+            wrong.append(f"key_format {metadata.key_format} {metadata.key_part}".rstrip())
+        if self.ttl and self.ttl != metadata.ttl:
+            wrong.append(f"ttl {metadata.ttl} s")
+        if wrong:
+            raise TopicExists(
+                f"topic {metadata.topic} is stored already with {', '.join(wrong)}; give the "
+                "same, or remove the topic first"
+            )
+
+    def metadata(self, topic: str, definition: Optional[Definition]) -> TopicMetadata:
+        """Return what the comment of the topic's table is to say."""
+        return TopicMetadata(
+            topic=topic,
+            msg_type=definition.type if definition else "",
+            md5sum=definition.md5sum if definition else "",
+            definition=definition.text if definition else "",
+            format=self.format,
+            bucket_ns=defaultBucket(definition),
+            ttl=self.ttl,
+            nodeID=self.nodeID,
+            comment=self.comment,
+            key_format=self.key_format or "time",
+            key_part=self.key_part,
+            user=self.user,
+            indexes=dict.fromkeys(self.index, ""),
+        )

@@ -6,18 +6,23 @@ from __future__ import annotations
 
 import logging
 import threading
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Mapping, Optional
 
 from cassandra_ros.arguments import check_new_topic, check_node
 from cassandra_ros.errors import (
     CassandraRosError,
+    CorruptMessage,
+    DefinitionError,
     InvalidKey,
     TopicNotFound,
 )
 from cassandra_ros.formats.table import DEFAULT_FORMAT, formatClass
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, joinSeq
+from cassandra_ros.messages.classes import installedDefinition
 from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.definition import Definition, parseDefinition
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.new_row import NewRow
 from cassandra_ros.store.registry import Run
@@ -25,7 +30,6 @@ from cassandra_ros.store.write_stats import LossCallback, WriteStats
 from cassandra_ros.store.writer import RowWriter
 from cassandra_ros.topics.keyspace import Keyspace, defaultBucket
 from cassandra_ros.topics.topic_table import TopicTable
-from cassandra_ros.topics.usable import FALLBACK_FORMAT, usableDefinition
 
 _log = logging.getLogger(__name__)
 
@@ -62,21 +66,21 @@ class MessageWriter:
 
     Args:
         keyspace: The connected keyspace.
-        rows: Writes the rows; owned and closed by this object.
         writer_id: 31 bits, never 0.
+        linger_sec, give_up_after_sec, on_loss: As in RowWriter.
         format: Name of the format for topics that are not stored yet.
         nodeID: The entity that produces the messages; '' = nobody says.
         ttl: Seconds until a row expires; 0 = never; None = as the topic was made.
         run: The recording or import that this is; stored at once and with counts at close.
-        on_loss: As in RowWriter.
     """
 
     def __init__(
         self,
         keyspace: Keyspace,
-        rows: RowWriter,
         writer_id: int,
         *,
+        linger_sec: float = 0.2,
+        give_up_after_sec: float = 60.0,
         format: str = DEFAULT_FORMAT,
         nodeID: str = "",
         ttl: Optional[int] = 0,
@@ -87,7 +91,6 @@ class MessageWriter:
         keyspace.side_tables.make()
         self.writer_id = writer_id
         self._keyspace = keyspace
-        self._rows = rows
         self._format = format
         self._node = nodeID
         self._ttl = ttl
@@ -101,6 +104,15 @@ class MessageWriter:
         self._run = run
         if run is not None:
             keyspace.registry.putRun(run, started=True)
+        self._rows = RowWriter(
+            keyspace.cassandra,
+            keyspace.schema,
+            keyspace.directory,
+            writer_id,
+            linger_sec=linger_sec,
+            give_up_after_sec=give_up_after_sec,
+            on_loss=on_loss,
+        )
 
     # ---------------------------------------------------------------- connections
 
@@ -185,7 +197,8 @@ class MessageWriter:
                 self._keyspace.schema.tables(fresh=True)
                 bucket_ns = handle.table.metadata.bucket_ns
                 found = self.connect(
-                    *(handle.connection, bucket_ns),
+                    handle.connection,
+                    bucket_ns,
                     format=handle.asked,
                     nodeID=handle.node,
                     like=handle.table.metadata,
@@ -293,3 +306,34 @@ class MessageWriter:
 
     def __exit__(self, *exc_info: object) -> None:
         self.close()
+
+
+FALLBACK_FORMAT = "binary"
+"""Format of topics whose definition cannot be trusted: it needs none."""
+
+
+def usableDefinition(
+    connection: Connection, format_name: str
+) -> tuple[Optional[Definition], Optional[str]]:
+    """Return the definition of a connection that a format can work with, or why there is none."""
+    try:
+        definition = _definition(connection)
+        fmt = formatClass(format_name)(connection.type, connection.md5sum, definition)
+        if format_name != FALLBACK_FORMAT:
+            fmt.requireClass()
+        return definition, None
+    except (DefinitionError, CorruptMessage) as exc:
+        return None, (
+            f"topic {connection.topic} is kept as binary, its fields cannot be queried: {exc}"
+        )
+
+
+def _definition(connection: Connection) -> Definition:
+    text, md5sum = connection.definition_text, connection.md5sum
+    if not text.strip():
+        # Some publishers leave the definition out; an installed type of the md5 is as good.
+        with suppress(DefinitionError):
+            installed = installedDefinition(connection.type)
+            if installed.md5sum == md5sum:
+                return installed
+    return parseDefinition(connection.type, text, md5sum)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import heapq
 from itertools import islice
-from typing import Any, Callable, Iterable, Iterator, Mapping, Optional, Sequence, Union
+from typing import Callable, Iterable, Iterator, Mapping, Optional, Sequence, Union
 
 from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
 from cassandra_ros.keys import Position, RowName, isBehind
@@ -23,7 +23,7 @@ from cassandra_ros.store.reader import readRows
 from cassandra_ros.store.row_table import RowTable, TableRow
 from cassandra_ros.store.scan import Query, Scan
 from cassandra_ros.topics.connections import Connections
-from cassandra_ros.topics.selection import LAST_NS, Named, Selection, Stretch, Valued
+from cassandra_ros.topics.selection import LAST_NS, AnyKey, Named, Selection, Stretch, Valued
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -79,7 +79,7 @@ class Rows:
     ) -> Iterator[StoredRow]:
         """Yield the rows that a selection means, in the order of time or newest first."""
         if isinstance(wanted, Stretch):
-            return self.read(tables, *wanted, nodes=nodes, reverse=reverse, limit=limit)
+            return self.read(tables, wanted, nodes=nodes, reverse=reverse, limit=limit)
         if isinstance(wanted, Named):
             rows = self._versions(tables, wanted.name, nodes, reverse)
         else:
@@ -89,8 +89,7 @@ class Rows:
     def read(
         self,
         tables: Sequence[TopicTable],
-        low: int,
-        high: int,
+        stretch: Stretch,
         *,
         nodes: Nodes = None,
         after: Optional[Position] = None,
@@ -99,7 +98,7 @@ class Rows:
         columns: Optional[Columns] = None,
         chooser: Optional[Chooser] = None,
     ) -> Iterator[StoredRow]:
-        """Yield rows with t in [low, high] in the order (t, node, seq, table), lazily.
+        """Yield rows with a time in a stretch in the order (t, node, seq, table), lazily.
 
         Of topics whose messages lie under names all keys are listed first, and all rows are read.
 
@@ -110,8 +109,8 @@ class Rows:
         """
         by_name = {table.name: table for table in tables}
         scan = Scan(
-            low,
-            high,
+            stretch.low,
+            stretch.high,
             after,
             nodes,
             reverse,
@@ -169,26 +168,26 @@ class Rows:
             yield from keysByShadow(*place, shadow, index, nodes)
             return
         # A text that is too long for the index: its rows are marked, but not by a value.
-        for row in self.read([table], *Stretch(), nodes=nodes):
+        for row in self.read([table], Stretch(), nodes=nodes):
             if row.odd and part.value(row.wire) == wanted:
                 yield Wanted(table, row.position)
 
     def received(
-        self, tables: Sequence[TopicTable], low: int, high: int, *, nodes: Nodes = None
+        self, tables: Sequence[TopicTable], stretch: Stretch, *, nodes: Nodes = None
     ) -> Iterator[StoredRow]:
-        """Yield the rows that were received in [low, high], ns, in the order of their reception.
+        """Yield the rows that were received in a stretch, in the order of their reception.
 
         Of topics whose key is a time in the message all keys are listed first.
         """
         by_name = {table.name: table for table in tables}
         foreign = [t for t in tables if t.metadata.own_time and not t.named]
-        own = self.read([t for t in tables if t not in foreign], low, high, nodes=nodes)
+        own = self.read([t for t in tables if t not in foreign], stretch, nodes=nodes)
         scan = Scan(0, LAST_NS, None, nodes, columns=lambda table: ())
         found = readRows(self._cassandra, self._directory, foreign, scan)
         keys = [
             (r.received, r.node, r.seq, r.table, r.position)
             for r in found
-            if low <= r.received <= high
+            if stretch.low <= r.received <= stretch.high
         ]
         keys.sort()
         wanted = (Wanted(by_name[position.table], position) for *_, position in keys)
@@ -248,7 +247,7 @@ class Rows:
         return found
 
 
-def encoded(tables: Sequence[TopicTable], value: Any) -> list[tuple[TopicTable, bytes]]:
+def encoded(tables: Sequence[TopicTable], value: AnyKey) -> list[tuple[TopicTable, bytes]]:
     """Return the tables whose key field can have a value, each with the value for its index.
 
     Raises:

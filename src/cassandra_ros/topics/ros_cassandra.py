@@ -31,29 +31,21 @@ from cassandra_ros.store.address import from_environment
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.write_stats import LossCallback
-from cassandra_ros.store.writer import RowWriter
 from cassandra_ros.topics.across import AcrossTopics, Conditions, Pair
-from cassandra_ros.topics.adder import Adder
+from cassandra_ros.topics.adder import Adder, Clock
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.clock import Clock
-from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.keyspace import Keyspace, Wish
 from cassandra_ros.topics.message_writer import MessageWriter
 from cassandra_ros.topics.selection import Time, stretchOf
 from cassandra_ros.topics.statements import Statements
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.totals import TopicInfo
-from cassandra_ros.topics.wish import Wish
 from cassandra_ros.transforms.lookup import TransformFinder
 
 
 class _Open:
-    """What a RosCassandra works with in one keyspace.
-
-    Args:
-        parts: The keyspace.
-        clock: Tells the time for messages without a key.
-    """
+    """What a RosCassandra works with in one keyspace."""
 
     def __init__(self, parts: Keyspace, clock: Optional[Clock]) -> None:
         self.parts = parts
@@ -67,8 +59,7 @@ class RosCassandra:
     """Keeps ROS topics in a Cassandra cluster. Safe to share between threads.
 
     Args:
-        host: One address, or several divided by commas; None = CASSANDRA_ROS_HOST of the
-            environment, else 127.0.0.1.
+        host: One address, or several divided by commas; None = CASSANDRA_ROS_HOST, else 127.0.0.1.
         port: CQL port, 1 to 65535; None = CASSANDRA_ROS_PORT, else 9042.
         keyspace: Connected at once when given, or named by CASSANDRA_ROS_KEYSPACE; one
             that is missing is made by what first writes.
@@ -94,8 +85,14 @@ class RosCassandra:
         password: Optional[str] = None,
         ssl_context: Any = None,
     ) -> None:
-        login: Any = {"username": username, "password": password, "ssl_context": ssl_context}
-        self.cassandra = Cassandra(host, port, consistency=consistency, **login)
+        self.cassandra = Cassandra(
+            host,
+            port,
+            consistency=consistency,
+            username=username,
+            password=password,
+            ssl_context=ssl_context,
+        )
         self._clock = clock
         self._opened: Optional[_Open] = None
         keyspace = from_environment("KEYSPACE") or None if keyspace is None else keyspace
@@ -105,8 +102,6 @@ class RosCassandra:
             except BaseException:
                 self.cassandra.close()
                 raise
-
-    # ---------------------------------------------------------------- keyspace
 
     def connectToKeyspace(self, keyspace: str, make: bool = True) -> None:
         """Work in this keyspace from now on.
@@ -168,8 +163,6 @@ class RosCassandra:
 
     def __exit__(self, *exc_info: object) -> None:
         self.close()
-
-    # ---------------------------------------------------------------- topics
 
     def addTopic(
         self,
@@ -282,8 +275,6 @@ class RosCassandra:
         """
         self._topics.rename(topic, check_new_topic(new_name))
 
-    # ---------------------------------------------------------------- messages of many topics
-
     def messageWriter(
         self,
         *,
@@ -312,22 +303,16 @@ class RosCassandra:
         Raises:
             InvalidName, InvalidKey, InvalidOption, UnknownFormat: An argument cannot be one.
         """
-        parts = self.parts
-        number = newWriterId() if writer_id is None else check_writer_id(writer_id)
-        timing: Any = {
-            "linger_sec": check_seconds("linger_sec", linger_sec),
-            "give_up_after_sec": check_seconds("give_up_after_sec", give_up_after_sec),
-        }
         if run is not None and not isinstance(run, Run):
             raise InvalidOption(f"run={run!r:.80} describes no run: give a store.registry.Run")
-        node, ttl_sec = check_node(nodeID), check_ttl(ttl)
-        place = (parts.cassandra, parts.schema, parts.directory)
-        rows = RowWriter(*place, number, on_loss=on_loss, **timing)
         return MessageWriter(
-            *(parts, rows, number),
+            self.parts,
+            newWriterId() if writer_id is None else check_writer_id(writer_id),
             format=format,
-            nodeID=node,
-            ttl=ttl_sec,
+            nodeID=check_node(nodeID),
+            ttl=check_ttl(ttl),
+            linger_sec=check_seconds("linger_sec", linger_sec),
+            give_up_after_sec=check_seconds("give_up_after_sec", give_up_after_sec),
             run=run,
             on_loss=on_loss,
         )
@@ -417,8 +402,6 @@ class RosCassandra:
         reach, stretch = durationNs(tolerance), stretchOf(key, to_key)
         return self._open.across.nearest(topic_a, topic_b, reach, stretch, nodeID, where, unpaired)
 
-    # ---------------------------------------------------------------- questions
-
     @property
     def statements(self) -> Statements:
         """Runs statements, also parsed ones and by a chosen plan."""
@@ -479,7 +462,7 @@ class RosCassandra:
         self,
         target: str,
         source: str,
-        time: Any,
+        time: Time,
         *,
         nodeID: Optional[str] = None,
         tf: str = "/tf",
@@ -487,12 +470,11 @@ class RosCassandra:
     ) -> Any:
         """Return the transform between two frames at any past time, as tf2 computes it.
 
-        The time is that of the stamps in the headers, whenever the transforms were received. What
-        tf2 knows live, the last ten seconds, is here all that was recorded. A slash in front of a
-        frame's name is ignored on both sides. A frame that is on tf_static is fixed: what was
-        recorded of it last holds at every time. As soon as both frames are connected and the time
-        lies between two transforms of each frame on the way, no more is read (one that was received
-        over 2 s out of order may be missed then); an error comes when everything was read.
+        The time is that of the stamps in the headers. Where tf2 knows the last ten seconds, all
+        that was recorded counts here. A slash in front of a frame's name is ignored. A frame that
+        is on tf_static is fixed: what was recorded of it last holds at every time. No more is read
+        as soon as both frames are connected and the time lies between two transforms of each frame
+        on the way (one received over 2 s out of order may be missed); before an error, everything.
 
         Args:
             target: Frame to which the transform takes points.
@@ -505,14 +487,11 @@ class RosCassandra:
 
         Returns:
             A geometry_msgs/TransformStamped: ``header.frame_id`` is target, ``child_frame_id``
-            source, and ``header.stamp`` the time that was asked for (of 0 the one that was found,
-            0 where all frames are fixed).
+            source, ``header.stamp`` the time (for 0 the one found, 0 where all frames are fixed).
 
         Raises:
-            LookupException: A frame is in no transform.
-            ConnectivityException: Nothing connects the frames.
-            ExtrapolationException: The time lies outside of what is recorded of a frame.
-            TransformException: Any of these three; the errors are this package's, with tf2's names.
+            LookupException, ConnectivityException, ExtrapolationException: As of tf2; each is a
+                TransformException of this package.
             TopicNotFound: Neither topic is stored.
             TypeMismatch: A topic holds no transforms.
             MissingDependency: tf2_py is not installed.

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple, Optional, Sequence, Union
 from cassandra_ros.arguments import check_message_name
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import NAMED_FORMATS
-from cassandra_ros.messages.stamps import isTime, toNs
+from cassandra_ros.messages.stamps import Stamp, isIsoText, isTime, toNs
 from cassandra_ros.topics.topic_table import TopicTable
 
 LAST_NS = 2**63 - 1
 
 
-Time = Any
+Time = Union[Stamp, int, float, str]
 """genpy.Time or Stamp, int (ns), float (s) or ISO 8601 text."""
 AnyKey = Any
 """A Time, or what else is the topic's key: a name, or the value of a field."""
@@ -37,13 +37,13 @@ class Named(NamedTuple):
 class Valued(NamedTuple):
     """All messages whose key field has one value."""
 
-    value: Any
+    value: AnyKey
 
 
 Selection = Union[Stretch, Named, Valued]
 
 
-def valueOfText(tables: Sequence[TopicTable], text: str) -> Any:
+def valueOfText(tables: Sequence[TopicTable], text: str) -> AnyKey:
     """Read the value of a key field that a person typed, as the first table that can takes it.
 
     Fields of text come last, for they take anything.
@@ -61,7 +61,7 @@ def valueOfText(tables: Sequence[TopicTable], text: str) -> Any:
 
 
 def selectMany(
-    topic: str, key_format: str, tables: Sequence[TopicTable], key: Any, to_key: Any
+    topic: str, key_format: str, tables: Sequence[TopicTable], key: AnyKey, to_key: AnyKey
 ) -> Selection:
     """Say what key and to_key mean as the ends of a stretch, or what key alone means.
 
@@ -103,7 +103,7 @@ def stretchOf(key: Optional[Time], to_key: Optional[Time]) -> Stretch:
     return Stretch(low, LAST_NS if to_key is None else toNs(to_key))
 
 
-def selectOne(topic: str, key_format: str, tables: Sequence[TopicTable], key: Any) -> Selection:
+def selectOne(topic: str, key_format: str, tables: Sequence[TopicTable], key: AnyKey) -> Selection:
     """Say what a single key means: one time, one name, or one value.
 
     Raises:
@@ -117,5 +117,18 @@ def selectOne(topic: str, key_format: str, tables: Sequence[TopicTable], key: An
     return Stretch(t, t)
 
 
-def _isValue(tables: Sequence[TopicTable], key: Optional[Any]) -> bool:
+def _isValue(tables: Sequence[TopicTable], key: AnyKey) -> bool:
     return key is not None and not isTime(key) and any(table.valued for table in tables)
+
+
+def key_of_text(key_format: str, tables: Sequence[TopicTable], text: str) -> AnyKey:
+    """Read a key that a person typed; see CassandraTopic.keyOfText."""
+    if key_format in NAMED_FORMATS or any(table.named for table in tables):
+        return text
+    valued = [table for table in tables if table.valued]
+    if valued and not isIsoText(text):
+        return valueOfText(valued, text)
+    if valued:
+        return Stamp.fromNs(toNs(text))
+    text = text.strip()
+    return int(text) if text.isascii() and text.isdigit() and len(text) < 40 else text

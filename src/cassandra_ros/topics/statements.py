@@ -13,11 +13,12 @@ runs are removed or not.
 
 from __future__ import annotations
 
-from typing import Any, Optional, Sequence, Union
+from typing import Any, Mapping, Optional, Sequence, Union
 
 from cassandra_ros.arguments import check_limit, check_nodes
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, TopicNotFound
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.query.bounds import SECONDS_BELOW, meantAsSeconds
 from cassandra_ros.query.conditions import Condition
 from cassandra_ros.query.explain import Explanation, explain
@@ -33,6 +34,7 @@ from cassandra_ros.query.syntax import (
     Select,
     Truncate,
 )
+from cassandra_ros.store.schema import Schema
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.indexes import checkIndexable
@@ -50,6 +52,7 @@ class Statements:
     def __init__(self, keyspace: Keyspace, catalog: Catalog) -> None:
         self._keyspace = keyspace
         self._catalog = catalog
+        self._names = IndexNames(keyspace.schema)
 
     def run(
         self,
@@ -169,7 +172,7 @@ class Statements:
             raise InvalidQuery(text, on.field.position, str(exc)) from exc
         if name is not None:
             try:
-                self._keyspace.index_names.give(topic.name, field, name.text)
+                self._names.give(topic.name, field, name.text)
             except InvalidName as exc:
                 raise InvalidQuery(text, name.position, str(exc)) from exc
         topic.createIndex(field)
@@ -193,7 +196,7 @@ class Statements:
     def _index_named(
         self, statement: DropIndex, name: IndexName
     ) -> Optional[tuple[CassandraTopic, str]]:
-        known = self._keyspace.index_names.known()
+        known = self._names.known()
         found = known.get(name.text, [])
         if len(found) == 1:
             return self._catalog.get(found[0][0]), found[0][1]
@@ -247,3 +250,51 @@ def _refuseSeconds(topic: CassandraTopic, statement: Delete) -> None:
                 f"{literal.value} means nanoseconds since 1970, long before the first message of "
                 f"topic {topic.name}; seconds are written {literal.value}.0",
             )
+
+
+Named = Mapping[str, TopicMetadata]
+"""Metadata of tables, by table."""
+
+
+class IndexNames:
+    """The names of the indexes of a keyspace."""
+
+    def __init__(self, schema: Schema) -> None:
+        self._schema = schema
+
+    def known(self) -> dict[str, list[tuple[str, str]]]:
+        """Return name -> (topic, field) of each index that bears it, mostly one."""
+        return _known(self._schema.tables(fresh=True))
+
+    def give(self, topic: str, field: str, name: str) -> None:
+        """Call the index of a field so; it need not be there yet.
+
+        Raises:
+            InvalidName: Another index is called so.
+            TopicNotFound: The topic is gone.
+        """
+
+        def check(tables: Named) -> None:
+            for other in _known(tables).get(name, []):
+                if other != (topic, field):
+                    raise InvalidName(
+                        f"the index on {other[0]} ({other[1]}) is called {name} already; choose "
+                        "another name"
+                    )
+
+        def change(metadata: TopicMetadata) -> TopicMetadata:
+            return metadata.with_(index_names={**metadata.index_names, name: field})
+
+        self._schema.changeTopic(topic, change, check)
+
+
+def _known(tables: Named) -> dict[str, list[tuple[str, str]]]:
+    found: dict[str, set[tuple[str, str]]] = {}
+    for metadata in tables.values():
+        for name, field in _valid(metadata).items():
+            found.setdefault(name, set()).add((metadata.topic, field))
+    return {name: sorted(indexed) for name, indexed in found.items()}
+
+
+def _valid(metadata: TopicMetadata) -> dict[str, str]:
+    return {name: f for name, f in metadata.index_names.items() if f in metadata.indexes}

@@ -76,6 +76,15 @@ class TopicTotals:
             for _ in scanKeys(self._cassandra, table, node, bucket, low, high)
         )
 
+    def count_buckets(self, tables: Sequence[TopicTable]) -> int:
+        """Count the partitions of tables: stretches of time of a node; 0 for named messages."""
+        rows = [
+            (table.name, row.node, row.bucket)
+            for table in tables
+            for row in self._directory.buckets(table.name, _FIRST, _LAST, ttl=table.metadata.ttl)
+        ]
+        return len(set(rows))
+
     def info(self, tables: Sequence[TopicTable]) -> list[TopicInfo]:
         """Describe what is stored, by table and node; counts come from the directory."""
         found: list[TopicInfo] = []
@@ -108,7 +117,18 @@ def _numbered(keys: list[NamedKey]) -> list[tuple[int, NamedKey]]:
 def _asBucket(number: int, key: NamedKey) -> BucketRow:
     t = key.position.t
     return BucketRow(
-        *(key.position.node, number, 0, True, None, 1, key.size, key.size, t, t, int(key.odd), 0.0)
+        node=key.position.node,
+        bucket=number,
+        writer=0,
+        closed=True,
+        heartbeat=None,
+        rows=1,
+        bytes=key.size,
+        largest=key.size,
+        t_min=t,
+        t_max=t,
+        odd=int(key.odd),
+        age_sec=0.0,
     )
 
 
