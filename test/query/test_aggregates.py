@@ -86,6 +86,12 @@ def test_bools_count_as_numbers_in_sums():
     assert type(totals([True])[3]) is int
 
 
+@pytest.mark.parametrize("values", [[0.0, -0.0], [-0.0, 0.0], [1, 1.0], [1.0, 1], [True, 1]])
+def test_the_first_of_equals_is_kept(values):
+    for found in totals(values, ["min", "max"]):
+        assert (repr(found), type(found)) == (repr(values[0]), type(values[0]))
+
+
 def test_integers_beside_floats():
     assert totals([2**53 + 1, 0.5, 0.5], ["sum", "max"]) == (2**53 + 2, 2**53 + 1)
 

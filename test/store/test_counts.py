@@ -269,7 +269,9 @@ def test_a_removal_that_dies_behind_its_delete_leaves_true_counts(rosCas, around
     assert counts(rosCas) == (5, 5, 5)
 
 
-def test_rows_that_are_written_and_deleted_at_once_are_not_counted(rosCas, around_delete):
+def test_rows_that_are_written_and_deleted_at_once_are_not_counted(
+    rosCas, around_delete, monkeypatch
+):
     with rosCas.messageWriter(writer_id=1) as target:
         write(target, (0, 1, 2, 8, 9))
 
@@ -280,6 +282,13 @@ def test_rows_that_are_written_and_deleted_at_once_are_not_counted(rosCas, aroun
 
     around_delete["before"] = write_between
     assert rosCas.getTopic("/a").removeData(T0, T0 + 8) == 4
+    monkeypatch.setattr(counting, "STALE_SEC", -1.0)
+    assert counts(rosCas) == (3, 3, 3)
+    # Each writer's own, as it was counted again and kept.
+    assert [(listed(rosCas)[n].closed, listed(rosCas)[n].rows) for n in (1, 2)] == [
+        (True, 1),
+        (True, 2),
+    ]
     assert counts(rosCas) == (3, 3, 3)
 
 
