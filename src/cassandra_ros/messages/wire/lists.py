@@ -65,7 +65,7 @@ def splitEqual(size: int) -> Callable[[bytes], list[bytes]]:
         if raw == EMPTY_LIST:
             return []
         values = [raw[at : at + size] for at in range(8, len(raw), unit)]
-        if encode(values) != raw:
+        if len(raw) % unit != 4 or encode(values) != raw:  # the last one may be cut
             raise struct.error("a list column has a malformed element")
         return values
 
