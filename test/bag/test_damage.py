@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cassandra_ros.bag import format as bagformat
+from cassandra_ros.bag.order import readInOrder
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError
@@ -191,6 +192,20 @@ def test_a_chunk_has_the_length_that_it_states(tmp_path, compression, more):
     make_bag(path, chunk_header(compression, len(record) + more), pack(record))
     with pytest.raises(BagError, match=f"{path}: chunk 1 of 1 is damaged: it .* bytes"):
         read_all(path)
+
+
+@pytest.mark.parametrize("t", [4, 5, 7, 8])
+def test_a_message_outside_the_times_of_its_chunk_is_refused(tmp_path, t):
+    """Messages are put in order by them: another one would come too late."""
+    record, path = message_record(t), tmp_path / "a.bag"
+    make_bag(path, chunk_header(b"none", len(record)), record, times=(5, 7))
+    with BagReader(path) as reader:
+        messages = readInOrder(reader, lambda message: message.data)
+        if 5 <= t <= 7:
+            assert [message.t_ns for message in messages] == [t]
+        else:
+            with pytest.raises(BagError, match=f"{path}: chunk 1 holds a message outside"):
+                list(messages)
 
 
 def test_what_contradicts_itself_is_refused(tmp_path):

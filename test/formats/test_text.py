@@ -57,3 +57,15 @@ def test_texts_are_never_over_64_kib(name, size, exact):
         assert yaml.safe_load(encoded.columns[0])["data"] == words
         with pytest.raises(CorruptMessage, match="UInt8MultiArray"):
             storage.decodeWire(encoded.columns, None)
+
+
+@pytest.mark.parametrize("name", ["json", "yaml", "string"])
+def test_a_text_of_64_kib_is_kept_and_one_byte_more_is_not(name):
+    storage = makeFormat(name, "std_msgs/String")
+    message = messageClass(storage.definition)
+    around = len(storage.encode(message(data="x")).columns[0]) - 1
+    for length, fits in ((65536 - around, True), (65537 - around, False)):
+        encoded = storage.encode(message(data="x" * length))
+        assert (b"x" * length in encoded.columns[0]) is fits
+        assert len(encoded.columns[0]) <= 65536
+        assert storage.decode(encoded).data == "x" * length

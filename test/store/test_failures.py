@@ -19,7 +19,8 @@ from cassandra_ros import RosCassandra
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
-from cassandra_ros.store import counting, flight, named, reader
+from cassandra_ros.query import execute
+from cassandra_ros.store import backfill, counting, flight, named, reader
 from cassandra_ros.store import writer as writing
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.row_table import bind
@@ -273,3 +274,14 @@ def test_a_list_of_names_begins_again_where_a_page_failed(far, proxy, rosCas, sm
     failed = proxy.catch(asks_on, most=3)
     assert far.getTopic("/h").countTopicData() == rosCas.info(["/h"])[0].count * 2 == 2 * COUNT
     assert len(failed.frames) == 3
+
+
+def test_an_index_is_filled_across_pages(rosCas, monkeypatch):
+    fill(rosCas)
+    monkeypatch.setattr(backfill, "PAGE_ROWS", 7)
+    topic = rosCas.getTopic("/h")
+    topic.createIndex("frame_id")
+    statement = "select seq from /h where frame_id = 'same'"
+    result = execute(rosCas, statement, plan="index")
+    assert len(list(result)) == 2 * COUNT
+    assert result.pushdown.indexed
