@@ -8,34 +8,32 @@ from pathlib import Path
 
 import pytest
 
-from cassandra_ros.local_server import chroots
+from cassandra_ros.local_server import nodes
 
 COMMAND = ["sh", "-c", "cat /proc/mounts"]
 
 
 def test_where_the_root_is_mounted_nothing_changes(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        chroots, "mount_points", lambda: ["/proc", chroots.mount_point_of(tmp_path)]
-    )
-    assert chroots.with_visible_root(COMMAND, tmp_path) == COMMAND
+    monkeypatch.setattr(nodes, "mount_points", lambda: ["/proc", nodes.mount_point_of(tmp_path)])
+    assert nodes.with_visible_root(COMMAND, tmp_path) == COMMAND
 
 
 def test_who_is_not_root_cannot_change_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(chroots, "mount_points", lambda: ["/proc"])
+    monkeypatch.setattr(nodes, "mount_points", lambda: ["/proc"])
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
-    assert chroots.with_visible_root(COMMAND, tmp_path) == COMMAND
+    assert nodes.with_visible_root(COMMAND, tmp_path) == COMMAND
 
 
 def test_another_file_system_is_a_mount_point_of_its_own():
-    assert chroots.mount_point_of(Path("/proc/self")) == "/proc"
-    assert "/proc" in chroots.mount_points()
+    assert nodes.mount_point_of(Path("/proc/self")) == "/proc"
+    assert "/proc" in nodes.mount_points()
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount")
 def test_the_root_becomes_a_mount_for_that_process_alone(tmp_path, monkeypatch):
-    before = chroots.mount_points()
-    monkeypatch.setattr(chroots, "mount_points", lambda: ["/proc"])
-    wrapped = chroots.with_visible_root(["cat", "/proc/mounts", str(tmp_path / "file")], tmp_path)
+    before = nodes.mount_points()
+    monkeypatch.setattr(nodes, "mount_points", lambda: ["/proc"])
+    wrapped = nodes.with_visible_root(["cat", "/proc/mounts", str(tmp_path / "file")], tmp_path)
     assert wrapped != COMMAND
     (tmp_path / "file").write_text("seen there as well")
     done = subprocess.run(wrapped, capture_output=True, text=True)
@@ -45,4 +43,4 @@ def test_the_root_becomes_a_mount_for_that_process_alone(tmp_path, monkeypatch):
     assert " / " in done.stdout
     assert done.stdout.endswith("seen there as well")
     monkeypatch.undo()
-    assert chroots.mount_points() == before
+    assert nodes.mount_points() == before

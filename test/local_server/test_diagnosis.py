@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from cassandra_ros.local_server.diagnosis import explain_failure
 from cassandra_ros.local_server.nodes import Node
+from cassandra_ros.local_server.preflight import explain_failure
 from cassandra_ros.local_server.settings import new_settings
 
 STARTING = "INFO JVM Arguments: [-XX:+ExitOnOutOfMemoryError, -Xmx512M]\n"

@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server import java
+from cassandra_ros.local_server import jars
 
 
 @pytest.fixture
 def make_java(tmp_path, monkeypatch):
     """Puts a `java` of some version on an otherwise empty machine."""
-    monkeypatch.setattr(java, "_JVM_ROOT", tmp_path / "jvm")
+    monkeypatch.setattr(jars, "_JVM_ROOT", tmp_path / "jvm")
     monkeypatch.setenv("PATH", f"{tmp_path}/bin:/usr/bin-not-there")
     monkeypatch.delenv("JAVA_HOME", raising=False)
 
@@ -27,29 +27,29 @@ def make_java(tmp_path, monkeypatch):
 
 def test_no_java(make_java):
     with pytest.raises(ServerError, match=r"no java was found.*openjdk-17-jre-headless"):
-        java.find_java()
+        jars.find_java()
 
 
 def test_a_wrong_java_is_named(make_java):
     path = make_java("", "21.0.2")
     with pytest.raises(ServerError, match=f"only Java 21 at {path}.*openjdk-17"):
-        java.find_java()
+        jars.find_java()
 
 
 def test_the_right_one_is_taken_where_another_comes_first(make_java):
     make_java("", "1.8.0_392")
     right = make_java("jvm/java-17-openjdk-amd64", "17.0.15")
-    assert java.find_java() == right
+    assert jars.find_java() == right
 
 
 def test_java_home_is_asked_first(make_java, monkeypatch, tmp_path):
     make_java("", "17.0.1")
     mine = make_java("mine", "17.0.2")
     monkeypatch.setenv("JAVA_HOME", str(tmp_path / "mine"))
-    assert java.find_java() == mine
+    assert jars.find_java() == mine
 
 
 def test_a_java_that_does_not_run_counts_as_none(make_java, tmp_path):
     path = make_java("", "17")
     (tmp_path / "bin" / "java").write_text("#!/nowhere/sh\n")
-    assert java.java_version(path) == 0
+    assert jars.java_version(path) == 0

@@ -7,12 +7,12 @@ from __future__ import annotations
 import struct
 
 import pytest
-from messages.random_wire import WireMaker
-
-from cassandra_ros.messages.definition import parseDefinition
 from cassandra_ros.messages.wire_count import MAX_SURPLUS, compileObjectCheck
 from cassandra_ros.messages.wire_lists import packEqual, packList, splitEqual, splitList
 from cassandra_ros.messages.wire_skip import compileSkip
+from messages.random_wire import WireMaker
+
+from cassandra_ros.messages.definition import parseDefinition
 
 FIELDS = [
     "uint8[] x",

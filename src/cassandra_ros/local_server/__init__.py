@@ -6,13 +6,11 @@ Nothing here knows ROS or the database driver; `cluster` joins the parts:
 
 * `paths`      where jars and data lie
 * `settings`   what a cluster is: nodes, address, ports, heap; kept in its directory
-* `nodes`      the files of one node: configuration, logging, command line
-* `java`, `jars`  what must be there before a start
+* `nodes`      the files and the command line of one node, also inside of a chroot
+* `jars`       Java and Cassandra's jars: found, or fetched with Maven
 * `cql`        whether a server answers, and which nodes it knows
-* `chroots`    what Java needs where the root is no mount point
-* `ports`, `processes`  what the machine knows: who listens, who runs
-* `preflight`  what is checked before a start
-* `diagnosis`  why a start failed, read from the server's log
+* `ports`, `processes`  what the machine knows: who listens, who runs; locks
+* `preflight`  what is checked before a start, and why a start failed
 * `cluster`    start, stop, status, clear
 """
 

@@ -14,14 +14,12 @@ from typing import Callable
 
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import preflight, processes
-from cassandra_ros.local_server.chroots import with_visible_root
 from cassandra_ros.local_server.cql import answers_cql, schema_versions
-from cassandra_ros.local_server.diagnosis import explain_failure, log_since, log_size
-from cassandra_ros.local_server.jars import install_jars
-from cassandra_ros.local_server.java import find_java
-from cassandra_ros.local_server.locks import locked
-from cassandra_ros.local_server.nodes import Node, NodeStatus
+from cassandra_ros.local_server.jars import find_java, install_jars
+from cassandra_ros.local_server.nodes import Node, NodeStatus, with_visible_root
 from cassandra_ros.local_server.paths import default_directory, jars_directory
+from cassandra_ros.local_server.preflight import explain_failure, log_since, log_size
+from cassandra_ros.local_server.processes import locked
 from cassandra_ros.local_server.settings import (
     SETTINGS_FILE,
     change_settings,

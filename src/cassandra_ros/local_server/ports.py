@@ -4,19 +4,17 @@
 
 from __future__ import annotations
 
-import os
 import random
 import socket
 import time
-from pathlib import Path
+from typing import Any
+
+import psutil
 
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server.processes import command_line, describe_process
 
 _SERVER_PORTS = range(18_000, 32_768)
-_LISTEN = "0A"
-_ESTABLISHED = "01"
-_ANY = bytes(4)
 _DYING_SEC = 10.0
 
 
@@ -54,7 +52,9 @@ def await_the_dead(host: str, port: int) -> bool:
     """
     deadline = time.monotonic() + _DYING_SEC
     while not is_free(host, port):
-        if time.monotonic() > deadline or not all(map(_dying, _sockets(port, _LISTEN, host))):
+        if time.monotonic() > deadline or not all(
+            map(_dying, _sockets(port, psutil.CONN_LISTEN, host))
+        ):
             return False
         time.sleep(0.05)
     return True
@@ -67,62 +67,28 @@ def port_owner(port: int, host: str = "") -> str:
         port: Its number.
         host: Only listeners of this address; '' = of any.
     """
-    for words in _sockets(port, _LISTEN, host):
-        pid = _pid_of_socket(words[9])
-        return describe_process(pid) if pid else f"a process of user id {words[7]}"
+    for found in _sockets(port, psutil.CONN_LISTEN, host):
+        return describe_process(found.pid) if found.pid else "a process of another user"
     return "an unknown process"
 
 
 def count_clients(port: int) -> int:
     """Return how many connections to a port of this machine are open."""
-    return len(_sockets(port, _ESTABLISHED))
+    return len(_sockets(port, psutil.CONN_ESTABLISHED))
 
 
-def _sockets(port: int, state: str, host: str = "") -> list[list[str]]:
-    """Return the lines of the kernel's tables for a local port, as words."""
-    address = socket.inet_aton(socket.gethostbyname(host)) if host else _ANY
-    lines = []
-    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
-        try:
-            lines += [line.split() for line in Path(table).read_text().splitlines()[1:]]
-        except OSError:
-            continue
+def _sockets(port: int, state: str, host: str = "") -> list[Any]:
+    """Return the sockets of a local port that are in a state, of all addresses for host ''."""
+    wanted = (socket.gethostbyname(host), "0.0.0.0", "::")  # noqa: S104 - compared, not bound
     return [
-        words
-        for words in lines
-        if words[3] == state
-        and int(words[1].rsplit(":", 1)[1], 16) == port
-        and (address == _ANY or _address(words) in (address, _ANY))
+        found
+        for found in psutil.net_connections("tcp")
+        if found.status == state
+        and found.laddr.port == port
+        and (not host or found.laddr.ip.replace("::ffff:", "") in wanted)
     ]
 
 
-def _address(words: list[str]) -> bytes:
-    """Return the last four bytes of the local address: all of one of IPv4, mapped or not."""
-    return bytes.fromhex(words[1].rsplit(":", 1)[0])[-4:][::-1]
-
-
-def _dying(words: list[str]) -> bool:
+def _dying(found: Any) -> bool:
     """Tell whether the process that holds a socket has nothing left but that."""
-    return int(words[7]) == os.getuid() and not command_line(_pid_of_socket(words[9]))
-
-
-def _pid_of_socket(inode: str) -> int:
-    wanted = f"socket:[{inode}]"
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit() and any(_target(link) == wanted for link in _open_files(entry)):
-            return int(entry.name)
-    return 0
-
-
-def _open_files(process: Path) -> list[Path]:
-    try:
-        return list((process / "fd").iterdir())
-    except OSError:  # it ended, or belongs to another user
-        return []
-
-
-def _target(link: Path) -> str:
-    try:
-        return os.readlink(link)
-    except OSError:  # closed meanwhile
-        return ""
+    return not found.pid or not command_line(found.pid)

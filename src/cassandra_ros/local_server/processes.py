@@ -9,12 +9,16 @@ server only while its command line names that node's configuration file.
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import os
 import signal
 import subprocess
 import time
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Callable
+from typing import Callable, Iterator
+
+import psutil
 
 _PR_SET_PDEATHSIG = 1
 
@@ -27,10 +31,9 @@ def config_argument(config: Path) -> str:
 def command_line(pid: int) -> list[str]:
     """Return the arguments of a process; empty when it has ended (also as a zombie)."""
     try:
-        raw = Path(f"/proc/{pid}/cmdline").read_bytes()
-    except OSError:
+        return [word for word in psutil.Process(pid).cmdline() if word]
+    except psutil.Error:
         return []
-    return [os.fsdecode(part) for part in raw.split(b"\0") if part]
 
 
 def is_server(pid: int, config: Path) -> bool:
@@ -40,10 +43,7 @@ def is_server(pid: int, config: Path) -> bool:
 
 def find_server(config: Path) -> int:
     """Return the pid of the running server of this configuration file, 0 if there is none."""
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit() and is_server(int(entry.name), config):
-            return int(entry.name)
-    return 0
+    return next((pid for pid in psutil.pids() if is_server(pid, config)), 0)
 
 
 def describe_process(pid: int) -> str:
@@ -107,3 +107,11 @@ def _in_child(die_with_us: bool) -> Callable[[], None]:
             prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
     return prepare
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold the lock of a file, made when missing; wait while another process holds it."""
+    with open(path, "a", encoding="utf-8") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
