@@ -15,7 +15,8 @@ from cassandra_ros.errors import InvalidKey
 KEY_FORMATS = ("time", "msg_part", "hash", "manual")
 NAMED_FORMATS = ("hash", "manual")
 """Key formats whose rows are found by a text, not by their time."""
-MAX_NS = (2**32 - 1) * 10**9 + 999_999_999
+SECOND_NS = 1_000_000_000
+MAX_NS = 2**32 * SECOND_NS - 1
 """The largest key: ROS 1 counts seconds in 32 bits (February 2106)."""
 
 _KINDS = [int, str, int, str]

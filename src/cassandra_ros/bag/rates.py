@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Dict, Mapping, Tuple
 
 from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.store.buckets import SECOND_NS, bucketFor
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.store.buckets import bucketFor
 
 _WINDOW_NS = 10 * SECOND_NS
 

@@ -13,9 +13,7 @@ from typing import Any
 import genpy
 
 from cassandra_ros.errors import InvalidKey
-from cassandra_ros.keys import MAX_NS
-
-SECOND_NS = 1_000_000_000
+from cassandra_ros.keys import MAX_NS, SECOND_NS
 
 _EPOCH = datetime(1970, 1, 1)
 _DECIMAL = re.compile(r"[0-9]+\.[0-9]*|\.[0-9]+")

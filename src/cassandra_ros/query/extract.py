@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import Any, Callable, Iterator, Optional, Sequence, Tuple, Union
 
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.plan import wirePlan
 from cassandra_ros.query.fields import FieldRef, Step
@@ -17,8 +18,6 @@ from cassandra_ros.query.protocols import Row
 
 Get = Callable[[Any], Any]
 Array = Tuple[Step, ...]
-
-_SECOND_NS = 1_000_000_000
 
 
 class Extractor:
@@ -195,7 +194,7 @@ def _last(ref: FieldRef) -> Optional[Get]:
     part: Optional[Get] = None
     if ref.part:
         which = 0 if ref.part == "secs" else 1
-        part = lambda ns: None if ns is None else divmod(ns, _SECOND_NS)[which]  # noqa: E731
+        part = lambda ns: None if ns is None else divmod(ns, SECOND_NS)[which]  # noqa: E731
     if ref.index is None:
         return part
     return _at(ref.index, part or (lambda value: value))

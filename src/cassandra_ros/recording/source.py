@@ -8,9 +8,10 @@ import time
 from collections import deque
 from typing import Any, Mapping, Optional
 
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.recording.buffer import Item
-from cassandra_ros.store.buckets import SECOND_NS, bucketFor
+from cassandra_ros.store.buckets import bucketFor
 
 FIRST_SEC = 1.0
 """How long a topic is watched before its table is made: its rate fixes the bucket length."""

@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-SECOND_NS = 1_000_000_000
+from cassandra_ros.keys import SECOND_NS
+
 BUCKET_LENGTHS = tuple(s * SECOND_NS for s in (1, 10, 60, 600, 3600, 6 * 3600, 86400))
 MAX_BUCKET_BYTES = 64_000_000
 MAX_BUCKET_ROWS = 100_000

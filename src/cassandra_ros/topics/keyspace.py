@@ -11,11 +11,12 @@ from typing import Any, Mapping, Optional, Sequence
 
 from cassandra_ros.errors import InvalidKey, InvalidName, TopicExists, TypeMismatch, WriteFailed
 from cassandra_ros.formats.table import formatClass
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition, definitionOf
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata, shadowColumn
-from cassandra_ros.store.buckets import SECOND_NS, limitForTtl
+from cassandra_ros.store.buckets import limitForTtl
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import Directory
 from cassandra_ros.store.index.changes import IndexChanges

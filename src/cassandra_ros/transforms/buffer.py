@@ -19,7 +19,8 @@ from cassandra_ros.errors import (
     MissingDependency,
     TransformException,
 )
-from cassandra_ros.messages.stamps import SECOND_NS, Stamp
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.transforms.samples import Sample
 
 try:

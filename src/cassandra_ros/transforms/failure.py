@@ -8,7 +8,8 @@ import difflib
 from typing import Any, Optional, Sequence
 
 from cassandra_ros.errors import LookupException, TransformException
-from cassandra_ros.messages.stamps import SECOND_NS, isoTime
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.stamps import isoTime
 from cassandra_ros.transforms.paths import Tree
 
 _SECONDS_BELOW = 10**12

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from typing import Optional, Sequence
 
-from cassandra_ros.keys import MAX_NS
-from cassandra_ros.messages.stamps import SECOND_NS
+from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.transforms.paths import Tree
 from cassandra_ros.transforms.samples import Recorded, Sample
 
