@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 from __future__ import annotations
 
+import itertools
 import math
 import struct
 
@@ -178,3 +179,96 @@ def test_texts_of_people_are_read():
     assert storage.decodeWire((text.encode(),), None) == bytes(4) + struct.pack(
         "<II3s", 16, 3, b"\0\1\2"
     )
+
+
+STRINGS = [
+    *"- ? : -x ?x :x a: a:b a :b #x a# --- ---x ... ...x ' '' 'a' it's \" ~ = << ! !x &x".split(),
+    *"| > % @ ` yes No null y n true 1 1.0 1e5 1.0e+20 -1 .5 .nan .inf -.inf +.inf 0x10".split(),
+    *"*x 0b1 010 1_000 1:30 2001-01-01 [1.0] {} [] {a:1} a,b [ ] { } f:[1] \\ \\n".split(),
+    *"nan inf None".split(),
+    *("", " ", " a", "a ", "a  b", "a #b", "a: b", "- a", "? a", ": a", "f: [1.0, 2.0]", "a:\n- b"),
+    *("\n", "a\nb", "a\n\nb\n", "\ta", "a\tb", "a\rb", "\0", "\x7f", "\x85", "a\u2028b", "\ufeff"),
+    *("Zoë", "𝄞", "'x:", "a\n  x: b", "x: a", "x:\n  x: 'a'", "<array type: uint8, length: 9>"),
+]
+ALPHABET = "-?: #&*!|>'\"%@`~=<,[]{}.0_aeny\n\té"
+NAMES = ["a", "y", "n", "on", "no", "null", "true", "x", "Off", "time_x", "a" * 128]
+
+floats = st.floats(allow_nan=False) | st.sampled_from([math.inf, -math.inf, float("nan")])
+integers = st.integers(-(2**63), 2**64 - 1)
+strings = st.sampled_from(STRINGS) | st.text(ALPHABET, max_size=6) | st.text(max_size=20)
+leaves = (
+    *(floats, integers, st.booleans(), strings, st.binary(max_size=5)),
+    *(st.lists(one, max_size=4) for one in (floats, integers, st.booleans(), strings)),
+)
+
+
+def mappings(inner):
+    return st.dictionaries(st.sampled_from(NAMES), inner, max_size=4)
+
+
+trees = mappings(
+    st.recursive(
+        st.one_of(*leaves),
+        lambda inner: mappings(inner) | st.lists(mappings(inner), max_size=3),
+        max_leaves=20,
+    )
+)
+
+
+def exactly(value):
+    """Distinguishes -0.0 from 0.0, true from 1, and the signs of NaNs."""
+    if isinstance(value, dict):
+        return [(exactly(name), exactly(inner)) for name, inner in value.items()]
+    if isinstance(value, (list, bytes)):
+        return [exactly(inner) for inner in value]
+    sign = math.copysign(1, value) if isinstance(value, float) else None
+    return type(value), repr(value), sign
+
+
+def checkTree(tree):
+    """A text says its tree, and what is taken for faithful says it to the bit."""
+    storage = yamlFormat("std_msgs/Empty")
+    text = storage.printTree(tree)
+    said = storage.parse(text)
+    assert exactly(said) == exactly(storage.parseOwn(text))
+    if storage.isFaithful(text):
+        assert exactly(said) == exactly(tree)
+    return said, text
+
+
+@settings(deadline=None, max_examples=300)
+@given(tree=trees)
+def test_random_trees_are_read_as_they_were_written(tree):
+    checkTree(tree)
+
+
+@pytest.mark.parametrize("text", STRINGS)
+def test_hostile_strings_are_read_as_they_were_written(text):
+    for tree in ({"a": text}, {"a": {"b": [{"a": text}, {"b": [text]}], "c": text}, "d": [1.0]}):
+        said, _ = checkTree(tree)
+        assert said == tree
+
+
+def test_short_strings_are_read_as_they_were_written():
+    texts = ["".join(text) for n in (1, 2) for text in itertools.product(ALPHABET, repeat=n)]
+    assert checkTree({"a": texts})[0] == {"a": texts}
+    for text in texts:
+        checkTree({"a": text})
+
+
+@pytest.mark.parametrize("length", [128, 129, 255])
+def test_long_names_are_no_simple_keys(length):
+    said, text = checkTree({"a" * length: {"x": True}})
+    assert said == {"a" * length: {"x": True}}
+    assert text.startswith("? ") is (length > 128)
+
+
+@pytest.mark.parametrize("kind", ["[{}]", "- {}", "? {}", "{{a: {}}}", "[a: {}]"])
+@pytest.mark.parametrize(("depth", "refused"), [(60, False), (300, True), (5000, True)])
+def test_texts_too_deep_are_not_composed(kind, depth, refused):
+    before, after = kind.format("\0").split("\0")
+    storage = CassandraTopic_yaml("p/T", "", parseDefinition("p/T", "string s"))
+    text = "s: x\nz:\n " + before * depth + "1" + after * depth
+    with pytest.raises(CorruptMessage) as caught:
+        storage.decodeWire((text.encode(),), None)
+    assert ("nested deeper" in str(caught.value)) is refused
