@@ -17,7 +17,7 @@ from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.table import FORMATS, formatClass
 from cassandra_ros.messages.classes import installedDefinition, messageClass
 from cassandra_ros.messages.definition import parseDefinition
-from cassandra_ros.messages.wire.count import MAX_SURPLUS, compileObjectCheck
+from cassandra_ros.messages.wire.skip import MAX_SURPLUS, compileObjectCheck
 
 SEEDS = st.integers(0, 2**32)
 every_format = pytest.mark.parametrize("name", FORMATS)

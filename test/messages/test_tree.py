@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import tracemalloc
+from typing import NamedTuple
 
 import pytest
 from hypothesis import given, settings
@@ -25,8 +26,15 @@ from cassandra_ros.messages.tree.read import Budget, treeReader
 SEEDS = st.integers(0, 2**32)
 
 
+class Found(NamedTuple):
+    tree: dict
+    shortened: bool
+
+
 def read(definition, wire, characters=1 << 24, byte=1, elements=1 << 24, text=1 << 24):
-    return treeReader(definition).read(wire, Budget(characters, byte, elements, text))
+    budget = Budget(characters, byte, elements, text)
+    tree = treeReader(definition).read(wire, budget)
+    return None if tree is None else Found(tree, budget.shortened)
 
 
 def treeOf(definition, wire):

@@ -13,12 +13,12 @@ import numpy as np
 
 from cassandra_ros.arrays.array_types import ArrayType
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.messages.wire.layout import Column
-from cassandra_ros.messages.wire.lists import splitList
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.wire.layout import FieldColumn
+from cassandra_ros.messages.wire.values import splitList
 from cassandra_ros.query.fields import FieldRef
 
 Raws = Sequence[Optional[bytes]]
-_SECOND_NS = 1_000_000_000
 _BIG = {
     "boolean": ">u1",
     "tinyint": ">i1",
@@ -44,7 +44,9 @@ class Values(NamedTuple):
 Convert = Callable[[Raws], Values]
 
 
-def compileConvert(ref: FieldRef, column: Column, kind: ArrayType, inside: bool) -> Convert | None:
+def compileConvert(
+    ref: FieldRef, column: FieldColumn, kind: ArrayType, inside: bool
+) -> Convert | None:
     """Return the function from the columns of many rows to a field's values.
 
     Args:
@@ -81,7 +83,7 @@ def _absent(raws: Raws) -> Any:
     return np.fromiter((raw is None for raw in raws), bool, len(raws))
 
 
-def _one(ref: FieldRef, column: Column, kind: ArrayType) -> Convert:
+def _one(ref: FieldRef, column: FieldColumn, kind: ArrayType) -> Convert:
     """For columns, or elements of lists, that hold one field each."""
     if column.kind == "array" and ref.index is not None:
         # The type of secs is a number's, and they lie in a time.
@@ -127,7 +129,7 @@ def numbersOf(kind: str, wire: bytes) -> Any:
     """Read the elements of a primitive array as on the wire."""
     if kind in ("time", "duration"):
         pairs = np.frombuffer(wire, "<u4" if kind == "time" else "<i4").reshape(-1, 2)
-        return pairs[:, 0].astype(np.int64) * _SECOND_NS + pairs[:, 1]
+        return pairs[:, 0].astype(np.int64) * SECOND_NS + pairs[:, 1]
     dtype = np.dtype("u1" if kind == "bool" else kind)
     return np.frombuffer(wire, dtype.newbyteorder("<")).astype(kind)
 
@@ -173,7 +175,7 @@ def _split(convert: Convert) -> Convert:
     return split
 
 
-def _elements(column: Column, kind: ArrayType) -> Convert:
+def _elements(column: FieldColumn, kind: ArrayType) -> Convert:
     """As _split, for elements that all have the same size."""
     value = np.dtype(_FIXED_LISTS[column.cql_type])
     element = np.dtype([("size", ">i4"), ("value", value)])
@@ -194,7 +196,7 @@ def _elements(column: Column, kind: ArrayType) -> Convert:
     return convert
 
 
-def _lists(ref: FieldRef, column: Column, kind: ArrayType) -> Convert:
+def _lists(ref: FieldRef, column: FieldColumn, kind: ArrayType) -> Convert:
     if ref.index is not None:
         return _listed(ref.index)
     fixed = column.cql_type in _FIXED_LISTS
@@ -223,7 +225,7 @@ def _part(convert: Convert, part: str) -> Convert:
     def whole(raws: Raws) -> Values:
         values, missing = convert(raws)
         return Values(
-            values // _SECOND_NS if part == "secs" else values % _SECOND_NS,
+            values // SECOND_NS if part == "secs" else values % SECOND_NS,
             missing,
         )
 

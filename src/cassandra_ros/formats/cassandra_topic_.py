@@ -58,7 +58,7 @@ class CassandraTopic_(ABC):
             CorruptMessage: The columns are no message of the type.
         """
 
-    def describe(self) -> list[dict[str, Any]]:
+    def describe(self) -> list[dict[str, str | None]]:
         """Return what the table's comment says about each column."""
         return []
 

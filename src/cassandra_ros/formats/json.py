@@ -7,11 +7,10 @@ from __future__ import annotations
 import json
 from base64 import b64decode, b64encode
 from math import isfinite
-from typing import Any
 
 from cassandra_ros.formats.text import ParsedFormat
 from cassandra_ros.messages.tree.build import plainBytes
-from cassandra_ros.messages.tree.read import Tree
+from cassandra_ros.messages.tree.read import MessageTree
 
 
 class CassandraTopic_json(ParsedFormat):
@@ -24,7 +23,7 @@ class CassandraTopic_json(ParsedFormat):
     NAME = "json"
     BYTE_CHARACTERS = 1
 
-    def printTree(self, tree: Tree) -> str:
+    def printTree(self, tree: MessageTree) -> str:
         """Return the JSON of a message."""
         try:
             return _encode(tree)
@@ -60,7 +59,7 @@ def _float(text: str) -> float:
     return value
 
 
-def _finite(value: Any) -> Any:
+def _finite(value: object) -> object:
     if isinstance(value, dict):
         return {name: _finite(inner) for name, inner in value.items()}
     if isinstance(value, list):

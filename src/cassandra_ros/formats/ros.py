@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Sequence
+from typing import Sequence
 
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
@@ -56,7 +56,7 @@ class CassandraTopic_ros(CassandraTopic_):
         """
         return self.plan.build(columns) if raw is None else raw
 
-    def describe(self) -> list[dict[str, Any]]:
+    def describe(self) -> list[dict[str, str | None]]:
         """Return what each column holds: field, ROS type, and the array of messages, if any.
 
         A field without a CQL type has no column and lies in ``_raw`` only.

@@ -11,7 +11,7 @@ from cassandra_ros.formats.cassandra_topic_ import EncodedMessage
 from cassandra_ros.formats.text import TextFormat
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.tree.echo import echoPrinter
-from cassandra_ros.messages.tree.read import Tree
+from cassandra_ros.messages.tree.read import MessageTree
 
 
 class CassandraTopic_string(TextFormat):
@@ -23,14 +23,14 @@ class CassandraTopic_string(TextFormat):
         super().__init__(msg_type, md5sum, definition)
         self._print = echoPrinter(self.definition)
 
-    def printTree(self, tree: Tree) -> str:
+    def printTree(self, tree: MessageTree) -> str:
         """Return what rostopic prints."""
         return self._print(tree)
 
     def encodeWire(self, wire: bytes) -> EncodedMessage:
         """Print the message, and keep its bytes."""
         printed = self.printWire(wire)
-        return EncodedMessage((None if printed is None else printed[0],), printed is None, wire)
+        return EncodedMessage((None if printed is None else printed.data,), printed is None, wire)
 
     def decodeWire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
         """Return the bytes that the row has beside its text.

@@ -5,13 +5,13 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Sequence
+from typing import NamedTuple, Sequence
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.tree.build import plainBytes, treeBuilder
-from cassandra_ros.messages.tree.read import Budget, ReadTree, Tree, treeReader
+from cassandra_ros.messages.tree.read import Budget, MessageTree, treeReader
 
 MAX_TEXT_BYTES = 64 * 1024
 
@@ -24,6 +24,18 @@ _SHORTENED = (
     (0, 0),
 )
 """Longest array in elements and longest string in bytes, tried until the text fits."""
+
+
+class PrintedMessage(NamedTuple):
+    """The text of a message."""
+
+    text: str
+    data: bytes
+    """The text in UTF-8, as it is stored."""
+    tree: MessageTree
+    """What the text shows."""
+    shortened: bool
+    """Whether words stand in the tree in place of some array or string."""
 
 
 class TextFormat(CassandraTopic_):
@@ -51,27 +63,27 @@ class TextFormat(CassandraTopic_):
         return {"_data": "text"}
 
     @abstractmethod
-    def printTree(self, tree: Tree) -> str | None:
+    def printTree(self, tree: MessageTree) -> str | None:
         """Return the text of a message, None where it cannot be made."""
 
-    def printWire(self, wire: bytes) -> tuple[bytes, ReadTree] | None:
-        """Return the text of a message in UTF-8, and the tree that it shows.
+    def printWire(self, wire: bytes) -> PrintedMessage | None:
+        """Return the text of a message, None where there is none.
 
-        None: the bytes are no message, or even the shortest text is too long.
+        The bytes are no message then, or even the shortest text is too long.
         """
         limits = _SHORTENED if len(wire) > MAX_TEXT_BYTES else (_WHOLE, *_SHORTENED)
         for elements, length in limits:
             budget = Budget(MAX_TEXT_BYTES, self.BYTE_CHARACTERS, elements, length)
             try:
-                read = self._reader.read(wire, budget)
-                text = None if read is None else self.printTree(read.tree)
+                tree = self._reader.read(wire, budget)
+                text = None if tree is None else self.printTree(tree)
             except (CorruptMessage, RecursionError):
                 return None
-            if read is None or text is None:
+            if tree is None or text is None:
                 continue
             data = text.encode()
             if len(data) <= MAX_TEXT_BYTES:
-                return data, read
+                return PrintedMessage(text, data, tree, budget.shortened)
         return None
 
 
@@ -108,11 +120,10 @@ class ParsedFormat(TextFormat):
         printed = self.printWire(wire)
         if printed is None:
             return EncodedMessage((None,), True, wire)
-        text, read = printed
-        exact = not read.shortened and self._isExact(text.decode(), read.tree, wire)
-        return EncodedMessage((text,), not exact, None if exact else wire)
+        exact = not printed.shortened and self._isExact(printed.text, printed.tree, wire)
+        return EncodedMessage((printed.data,), not exact, None if exact else wire)
 
-    def _isExact(self, text: str, tree: Tree, wire: bytes) -> bool:
+    def _isExact(self, text: str, tree: MessageTree, wire: bytes) -> bool:
         try:
             return self._build(tree if self.isFaithful(text) else self.parseOwn(text)) == wire
         except (CorruptMessage, RecursionError):

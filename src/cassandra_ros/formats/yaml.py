@@ -12,7 +12,7 @@ from typing import Any, Sequence
 import yaml
 
 from cassandra_ros.formats.text import ParsedFormat
-from cassandra_ros.messages.tree.read import Tree
+from cassandra_ros.messages.tree.read import MessageTree
 
 MAX_DEPTH = 300
 """Of a text; libyaml's composer overflows the stack of the process at some ten thousand."""
@@ -25,7 +25,7 @@ class CassandraTopic_yaml(ParsedFormat):
 
     NAME = "yaml"
 
-    def printTree(self, tree: Tree) -> str | None:
+    def printTree(self, tree: MessageTree) -> str | None:
         """Return the YAML of a message."""
         try:
             text: str = yaml.dump(

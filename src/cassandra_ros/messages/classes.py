@@ -28,8 +28,7 @@ from cassandra_ros.messages.definition import (
     renderSpec,
 )
 from cassandra_ros.messages.installed import installedClass
-from cassandra_ros.messages.wire.count import compileObjectCheck
-from cassandra_ros.messages.wire.skip import WIRE_ERRORS, compileSkip
+from cassandra_ros.messages.wire.skip import WIRE_ERRORS, compileObjectCheck, compileSkip
 
 _lock = threading.RLock()  # genpy generates through global variables
 _classes: dict[Definition, Any] = {}

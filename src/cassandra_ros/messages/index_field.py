@@ -15,10 +15,9 @@ from typing import Callable, Dict, List, Optional, Sequence
 
 from cassandra_ros.errors import InvalidName
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.layout import elementOf
-from cassandra_ros.messages.wire.lists import packList, packNumbers, splitList
-from cassandra_ros.messages.wire.plan import Column, wirePlan
-from cassandra_ros.messages.wire.values import CQL_CODES
+from cassandra_ros.messages.wire.layout import FieldColumn, elementOf
+from cassandra_ros.messages.wire.plan import wirePlan
+from cassandra_ros.messages.wire.values import CQL_CODES, packList, packNumbers, splitList
 
 MAX_TEXT_BYTES = 1024
 """Longer texts are not indexed; Cassandra refuses rows with an indexed one over 8 KiB."""
@@ -41,7 +40,7 @@ class IndexField:
         field, shadow: As given.
         element_type: CQL type of one value.
         kind: What a value is: 'int', 'float', 'bool', 'text', 'time' or 'duration' (as
-            wire_layout.Column has it).
+            FieldColumn has it).
         many: The field has many values (it is an array, or lies in an array of messages): the
             column is a set of them.
         cql_type: Of the column.
@@ -66,7 +65,7 @@ class IndexField:
             self.element_type, self.kind = one.column.cql_type, one.column.kind
             self._split = _splitNumbers(column)
         else:
-            self.element_type = column.cql_type.replace("frozen<list<", "").rstrip(">")
+            self.element_type = column.element_type
             self.kind = column.kind
             self._split = _splitColumn
         self.cql_type = f"set<{self.element_type}>" if self.many else self.element_type
@@ -124,11 +123,11 @@ def nearestFields(field: str, able: Sequence[str]) -> str:
     return f"did you mean {', '.join(near[:3])}?" if near else f"its fields: {', '.join(able[:20])}"
 
 
-def _isNested(column: Column) -> bool:
+def _isNested(column: FieldColumn) -> bool:
     return column.kind == "wire" or (column.is_list and column.kind == "array")
 
 
-def _cannot(msg_type: str, field: str, column: Optional[Column], able: Sequence[str]) -> str:
+def _cannot(msg_type: str, field: str, column: Optional[FieldColumn], able: Sequence[str]) -> str:
     if column is None:
         return f"{msg_type} has no field {field!r} to index; {nearestFields(field, able)}"
     return (
@@ -141,7 +140,7 @@ def _splitColumn(raw: bytes) -> Optional[List[bytes]]:
     return None if int.from_bytes(raw[:4], "big") > MAX_ELEMENTS else splitList(raw)
 
 
-def _splitNumbers(column: Column) -> _Split:
+def _splitNumbers(column: FieldColumn) -> _Split:
     fixed = elementOf(column)
     unit, encode = struct.calcsize("<" + fixed.little), packNumbers(fixed, True)
 

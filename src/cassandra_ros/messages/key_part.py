@@ -8,16 +8,18 @@ import hashlib
 import json
 import struct
 from decimal import Decimal
-from typing import Any, Callable, Optional
+from typing import Any, Iterator
 
 from cassandra_ros.errors import InvalidKey
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.index_field import MAX_TEXT_BYTES, nearestFields, normalFloat
-from cassandra_ros.messages.wire.lists import packList, packVarint
-from cassandra_ros.messages.wire.plan import Column, wirePlan
-from cassandra_ros.messages.wire.values import CODES, CQL_CODES
+from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES
+from cassandra_ros.messages.wire.plan import wirePlan
+from cassandra_ros.messages.wire.values import Primitive, encode_value, packList
 
-Encode = Callable[[Any], Optional[bytes]]
+_BEYOND = {"int": struct.error, "float": OverflowError}
+"""What a number raises that is beyond the range of its column: no message has it."""
 
 
 class KeyPart:
@@ -55,7 +57,6 @@ class KeyPart:
         self._column = column
         self._pick = plan.picker(field)
         self.digest = column.is_list or column.kind == "array"
-        self._encode = _encoder(column)
         self.is_time = column.kind == "time" and not column.is_list
         self.is_text = column.kind == "text" and not self.digest
         self.cql_type = "text" if self.digest else column.cql_type
@@ -76,7 +77,7 @@ class KeyPart:
             return hashlib.md5(value).hexdigest().encode("ascii")
         return None if len(value) > MAX_TEXT_BYTES else value
 
-    def encode(self, value: Any) -> bytes | None:
+    def encode(self, value: object) -> bytes | None:
         """Return the value that somebody asks for as ``value`` does; None: no message has it.
 
         Raises:
@@ -91,7 +92,7 @@ class KeyPart:
             ) from exc
         return None if raw is None else self._normal(raw)
 
-    def fromText(self, text: str) -> Any:
+    def fromText(self, text: str) -> object:
         """Read a value of the field that a person typed.
 
         Raises:
@@ -110,94 +111,65 @@ class KeyPart:
                 f"{self._column.field_type}"
             ) from exc
 
+    def _encode(self, value: object) -> bytes | None:
+        column = self._column
+        if column.is_list:
+            return packList(
+                [encode_value("text", _plain("text", text)) for text in _elements(value)]
+            )
+        if column.kind == "array":
+            return _array(column.field_type, value)
+        try:
+            return encode_value(column.cql_type, _plain(column.kind, value))
+        except (struct.error, OverflowError) as exc:
+            if isinstance(exc, _BEYOND.get(column.kind, ())):
+                return None
+            raise
+
     def _normal(self, raw: bytes) -> bytes | None:
         if self._column.kind != "float" or self.digest:
             return raw
         return normalFloat(self._column.cql_type, raw)
 
 
-def _encoder(column: Column) -> Encode:
-    if column.is_list:
-        return lambda value: packList([_text(text) for text in _elements(value)])
-    if column.kind == "array":
-        return _array(column.field_type)
-    if column.kind == "int":
-        return _integer(column)
-    if column.kind == "float":
-        return _float(column)
-    return {"bool": _bool, "text": _text, "time": _duration, "duration": _duration}[column.kind]
+def _plain(kind: str, value: Any) -> Primitive:
+    """Return what somebody gave as a Python value of a column's kind.
 
-
-def _integer(column: Column) -> Encode:
-    code = CQL_CODES.get(column.cql_type)
-
-    def encode(value: Any) -> bytes | None:
-        number = int(value)
-        if isinstance(value, (bool, str, bytes)) or number != value:
-            raise ValueError(value)
-        if code is None:
-            return packVarint(number) if number >= 0 else None
-        try:
-            return struct.pack(code, number)
-        except struct.error:
-            return None
-
-    return encode
-
-
-def _float(column: Column) -> Encode:
-    code = CQL_CODES[column.cql_type]
-
-    def encode(value: Any) -> bytes | None:
-        if isinstance(value, (bool, str, bytes)):
+    Raises:
+        TypeError, ValueError, ArithmeticError: It is of another kind.
+    """
+    if kind in ("bool", "text"):
+        if not isinstance(value, bool if kind == "bool" else str):
             raise TypeError(value)
-        try:
-            return struct.pack(code, float(value))  # 0.1 means the float32 that is nearest
-        except OverflowError:
-            return None
-
-    return encode
-
-
-def _bool(value: Any) -> bytes:
-    if not isinstance(value, bool):
+        return value
+    if isinstance(value, (bool, str, bytes)):
         raise TypeError(value)
-    return b"\1" if value else b"\0"
-
-
-def _text(value: Any) -> bytes:
-    if not isinstance(value, str):
-        raise TypeError(value)
-    return value.encode("utf-8")
-
-
-def _duration(value: Any) -> bytes:
+    if kind == "float":
+        return float(value)  # 0.1 means the float32 that is nearest
+    if kind == "int":
+        if int(value) != value:
+            raise ValueError(value)
+        return int(value)
     ns = value.to_nsec() if hasattr(value, "to_nsec") else value
     if isinstance(ns, float):
-        ns = round(Decimal(repr(ns)) * 10**9)
+        ns = round(Decimal(repr(ns)) * SECOND_NS)
     if isinstance(ns, bool) or not isinstance(ns, int):
         raise TypeError(value)
-    return struct.pack(">q", ns)
+    return ns
 
 
-def _array(field_type: str) -> Encode:
-    base, _, length = field_type.partition("[")
-    count = int(length[:-1]) if length[:-1] else None
-
-    def encode(value: Any) -> bytes | None:
-        if base in ("uint8", "char") and isinstance(value, (bytes, bytearray)):
-            raw = bytes(value)
-            number = len(raw)
-        else:
-            values = list(_elements(value))
-            number = len(values)
-            raw = struct.pack(f"<{number}{CODES[base]}", *values)
-        return raw if count in (None, number) else None
-
-    return encode
+def _array(field_type: str, value: object) -> bytes | None:
+    """Encode a primitive array as on the wire; None where a fixed one has another length."""
+    base, _, length = field_type[:-1].partition("[")
+    if base in ("uint8", "char") and isinstance(value, (bytes, bytearray)):
+        raw = bytes(value)
+    else:
+        values = list(_elements(value))
+        raw = struct.pack(f"<{len(values)}{CODES[base]}", *values)
+    return raw if not length or len(raw) == int(length) * PRIMITIVE_SIZES[base] else None
 
 
-def _elements(value: Any) -> Any:
+def _elements(value: Any) -> Iterator[Any]:
     if isinstance(value, (str, bytes)):
         raise TypeError(value)
     return iter(value)

@@ -9,28 +9,31 @@ ASCII identifiers and constants are literals of their type.
 from __future__ import annotations
 
 import re
+import struct
 from dataclasses import dataclass
 
 from cassandra_ros.errors import DefinitionError
 
-PRIMITIVE_SIZES = {
-    "bool": 1,
-    "int8": 1,
-    "uint8": 1,
-    "byte": 1,
-    "char": 1,
-    "int16": 2,
-    "uint16": 2,
-    "int32": 4,
-    "uint32": 4,
-    "float32": 4,
-    "int64": 8,
-    "uint64": 8,
-    "float64": 8,
-    "time": 8,
-    "duration": 8,
-    "string": 4,
+CODES = {
+    "bool": "?",
+    "int8": "b",
+    "byte": "b",
+    "uint8": "B",
+    "char": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+    "time": "Q",
+    "duration": "q",
 }
+"""struct codes of primitive types on the wire; a time or duration is read as one integer."""
+PRIMITIVE_SIZES = {name: struct.calcsize("<" + code) for name, code in CODES.items()}
+PRIMITIVE_SIZES["string"] = 4
 """Bytes on the wire; of a string its length prefix, the least that it takes."""
 
 MAX_NAME = 255

@@ -13,7 +13,7 @@ from itertools import product
 from typing import Any, Dict, Iterator, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.messages.index_field import MAX_TEXT_BYTES
-from cassandra_ros.messages.wire.plan import Column, wirePlan
+from cassandra_ros.messages.wire.plan import wirePlan
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.fields import FieldRef, fieldOf
 from cassandra_ros.query.literals import Comparable, fitToField
@@ -260,11 +260,8 @@ def _columnOf(ref: FieldRef, table: Table) -> Optional[Held]:
     """Return the column of format ``ros`` that holds a field, or all its elements."""
     if not table.by_field:
         return None
-    columns: dict[str, Column] = {c.name: c for c in wirePlan(table.definition).columns}
+    columns = {column.name: column for column in wirePlan(table.definition).columns}
     column = columns.get(ref.column)
     if column is None or column.kind in ("array", "wire"):
         return None
-    element = column.cql_type
-    if column.is_list:
-        element = element[len("frozen<list<") : -len(">>")]
-    return Held(column.name, element, column.is_list, table.longest_text)
+    return Held(column.name, column.element_type, column.is_list, table.longest_text)

@@ -11,13 +11,12 @@ hold cannot match.
 from __future__ import annotations
 
 import math
-import struct
 from dataclasses import dataclass
 from typing import Any, Optional, Sequence, Tuple
 
 import numpy
 
-from cassandra_ros.messages.wire.lists import packVarint
+from cassandra_ros.messages.wire.values import encode_value
 from cassandra_ros.query.literals import Comparable
 
 Term = Tuple[str, str, bytes]
@@ -28,8 +27,7 @@ may match. Empty: none can."""
 
 NEVER: Ways = ()
 _INTEGERS = {"tinyint": 8, "smallint": 16, "int": 32, "bigint": 64}
-_CODES = {"tinyint": ">b", "smallint": ">h", "int": ">i", "bigint": ">q"}
-_FLOATS: Any = {"float": (numpy.float32, ">f"), "double": (numpy.float64, ">d")}
+_FLOATS: Any = {"float": numpy.float32, "double": numpy.float64}
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,7 @@ def _exact(held: Held, value: Comparable) -> Optional[list[bytes]]:
     if isinstance(value, str) or value != value:
         return []
     if held.cql_type == "boolean":
-        return [b"\1" if value else b"\0"] if value in (0, 1) else []
+        return [encode_value("boolean", bool(value))] if value in (0, 1) else []
     if held.cql_type in _FLOATS:
         below, above = (_float(held.cql_type, value, upwards) for upwards in (True, False))
         if below == above:
@@ -101,14 +99,14 @@ def _exact(held: Held, value: Comparable) -> Optional[list[bytes]]:
     low, high = _range(held.cql_type)
     if not low <= value <= high or value != int(value):
         return []
-    return [_integer(held.cql_type, int(value))]
+    return [encode_value(held.cql_type, int(value))]
 
 
 def _text(held: Held, value: Comparable) -> Optional[list[bytes]]:
     if not isinstance(value, str):
         return []
     try:
-        raw = value.encode("utf-8")
+        raw = encode_value("text", value)
     except UnicodeEncodeError:
         return None
     return [raw] if len(raw) <= held.longest else None
@@ -129,7 +127,7 @@ def _bounded(held: Held, operator: str, value: Comparable) -> Ways:
     if value <= low if upwards else value >= high:
         return None
     bound = math.ceil(value) if upwards else math.floor(value)
-    return (((held.column, operator[0] + "=", _integer(held.cql_type, bound)),),)
+    return (((held.column, operator[0] + "=", encode_value(held.cql_type, bound)),),)
 
 
 def _range(cql_type: str) -> tuple[int, int]:
@@ -137,13 +135,9 @@ def _range(cql_type: str) -> tuple[int, int]:
     return (0, 2**64 - 1) if bits is None else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
 
 
-def _integer(cql_type: str, value: int) -> bytes:
-    return packVarint(value) if cql_type == "varint" else struct.pack(_CODES[cql_type], value)
-
-
 def _float(cql_type: str, value: Comparable, upwards: bool) -> bytes:
     """Encode the nearest float that is not above (upwards) or not below a value."""
-    kind, code = _FLOATS[cql_type]
+    kind = _FLOATS[cql_type]
     try:
         wide = float(value)
     except OverflowError:
@@ -154,4 +148,4 @@ def _float(cql_type: str, value: Comparable, upwards: bool) -> bytes:
         if (float(near) > value) if upwards else (float(near) < value):  # type: ignore[operator]
             near = numpy.nextafter(near, kind(-math.inf if upwards else math.inf))
     found = float(near)
-    return struct.pack(code, found if found else (-0.0 if upwards else 0.0))
+    return encode_value(cql_type, found if found else (-0.0 if upwards else 0.0))

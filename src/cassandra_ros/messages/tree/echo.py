@@ -9,19 +9,17 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
-from typing import Any, Callable, Dict, List, Mapping, Sequence, Tuple
+from typing import Any, Callable, List, Sequence
 
 import yaml
 
 from cassandra_ros.messages.definition import Definition, attributeName
-from cassandra_ros.messages.spec import Field, MessageSpec
-from cassandra_ros.messages.tree.fields import NUMBER_CODES, TIME_CODES
-from cassandra_ros.messages.tree.read import Tree
+from cassandra_ros.messages.spec import Field
+from cassandra_ros.messages.tree.read import NUMBER_CODES, TIME_CODES, MessageTree
 
 _Print = Callable[[Any, str], str]
-"""(value, indentation of the lines below) -> text behind 'name: '."""
-_Lines = Callable[[Tree, str], List[str]]
-_Memo = Dict[str, _Lines]
+"""(value of a field, indentation of the lines below) -> text behind 'name: '."""
+_Lines = Callable[[MessageTree, str], List[str]]
 
 _CACHED = 128
 """Longer strings are seldom the same twice."""
@@ -30,65 +28,69 @@ _PLAIN = re.compile(r"[ !#-\[\]-~]{1,70}")
 
 
 @lru_cache(maxsize=512)
-def echoPrinter(definition: Definition) -> Callable[[Tree], str]:
+def echoPrinter(definition: Definition) -> Callable[[MessageTree], str]:
     """Return the function that prints the trees of a definition, compiled once."""
-    lines = _message(definition.type, definition.specs, {})
+    lines = _Compiler(definition).message(definition.type)
     return lambda tree: "\n".join(lines(tree, ""))
 
 
-def _message(name: str, specs: Mapping[str, MessageSpec], memo: _Memo) -> _Lines:
-    if name not in memo:
-        fields: Sequence[Tuple[str, str, _Print]] = [
-            (f"{attributeName(field.name)}: ", field.name, _field(field, specs, memo))
-            for field in specs[name].fields
-        ]
+class _Compiler:
+    """Makes the functions that print the messages of one definition."""
 
-        def lines(tree: Tree, indent: str) -> list[str]:
-            deeper = indent + "  "
-            return [indent + head + show(tree[key], deeper) for head, key, show in fields]
+    def __init__(self, definition: Definition) -> None:
+        self._specs = definition.specs
+        self._memo: dict[str, _Lines] = {}
 
-        memo[name] = lines
-    return memo[name]
+    def message(self, name: str) -> _Lines:
+        if name not in self._memo:
+            fields = [
+                (f"{attributeName(field.name)}: ", field.name, self._field(field))
+                for field in self._specs[name].fields
+            ]
+
+            def lines(tree: MessageTree, indent: str) -> list[str]:
+                deeper = indent + "  "
+                return [indent + head + show(tree[key], deeper) for head, key, show in fields]
+
+            self._memo[name] = lines
+        return self._memo[name]
+
+    def _field(self, field: Field) -> _Print:
+        if not field.is_array:
+            return self._one(field.type)
+        show = self._array(field)
+        # Words in place of an array that was too long.
+        return lambda value, indent: _quoted(value) if type(value) is str else show(value, indent)
+
+    def _one(self, type_: str) -> _Print:
+        if type_ == "string":
+            return lambda value, indent: _quoted(value)
+        if type_ in TIME_CODES:
+            return lambda v, indent: f"\n{indent}secs: {v['secs']}\n{indent}nsecs: {v['nsecs']:9d}"
+        if type_ in NUMBER_CODES:
+            return lambda value, indent: str(value)
+        lines = self.message(type_)
+        return lambda tree, indent: "\n" + "\n".join(lines(tree, indent))
+
+    def _array(self, field: Field) -> _Print:
+        if field.type == "char":
+            return lambda value, indent: repr(value)
+        if field.base in NUMBER_CODES:
+            return lambda value, indent: str(list(value))
+        if field.type == "string":
+            return _strings
+        element = self._one(field.type)
+
+        def show(values: Sequence[Any], indent: str) -> str:
+            if not values:
+                return "[]"
+            head, deeper = f"\n{indent}- ", indent + "  "
+            return "".join([head + element(value, deeper) for value in values])
+
+        return show
 
 
-def _field(field: Field, specs: Mapping[str, MessageSpec], memo: _Memo) -> _Print:
-    if not field.is_array:
-        return _one(field, specs, memo)
-    show = _array(field, specs, memo)
-    # Words in place of an array that was too long.
-    return lambda value, indent: _quoted(value) if type(value) is str else show(value, indent)
-
-
-def _one(field: Field, specs: Mapping[str, MessageSpec], memo: _Memo) -> _Print:
-    if field.type == "string":
-        return lambda value, indent: _quoted(value)
-    if field.type in TIME_CODES:
-        return lambda v, indent: f"\n{indent}secs: {v['secs']}\n{indent}nsecs: {v['nsecs']:9d}"
-    if field.is_primitive:
-        return lambda value, indent: str(value)
-    lines = _message(field.type, specs, memo)
-    return lambda tree, indent: "\n" + "\n".join(lines(tree, indent))
-
-
-def _array(field: Field, specs: Mapping[str, MessageSpec], memo: _Memo) -> _Print:
-    if field.type == "char":
-        return lambda value, indent: repr(value)
-    if field.base in NUMBER_CODES:
-        return lambda value, indent: str(list(value))
-    if field.type == "string":
-        return _strings
-    element = _one(Field(field.name, field.type), specs, memo)
-
-    def show(values: Any, indent: str) -> str:
-        if not values:
-            return "[]"
-        head, deeper = f"\n{indent}- ", indent + "  "
-        return "".join([head + element(value, deeper) for value in values])
-
-    return show
-
-
-def _strings(values: Any, indent: str) -> str:
+def _strings(values: Sequence[str], indent: str) -> str:
     if not values:
         return "[]"
     items = (_item(v) if len(v) <= _CACHED else _dump_item(v) for v in values)

@@ -11,22 +11,21 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from typing import Any, Callable, Dict, Mapping, NamedTuple, Sequence, Tuple
+from itertools import groupby
+from typing import Callable, Dict, Iterator, List, Sequence, Tuple, Union
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, MessageSpec
-from cassandra_ros.messages.tree.fields import (
-    NUMBER_CODES,
-    TIME_CODES,
-    TIME_NAMES,
-    isBytes,
-    numberRuns,
-    runStruct,
-)
+from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES, Field
 from cassandra_ros.messages.wire.skip import WIRE_ERRORS, compileFieldSkip, shortBuffer
 
-Tree = Dict[str, Any]
+TIME_CODES = {"time": "<II", "duration": "<ii"}
+TIME_NAMES = ("secs", "nsecs")
+NUMBER_CODES = {name: code for name, code in CODES.items() if name not in TIME_CODES}
+"""struct codes of all primitive types but string, time and duration."""
+
+MessageTree = Dict[str, "TreeValue"]
+TreeValue = Union[bool, int, float, str, bytes, List["TreeValue"], MessageTree]
 
 # The least that things take in any text, in characters: what the budget is charged.
 _NUMBER = 2
@@ -48,6 +47,9 @@ class Budget:
         byte: What a byte of uint8[] or char[] takes at least, in characters.
         elements: Longer arrays are not read, only counted.
         text: Longer strings are not read, only counted; in bytes.
+
+    Attributes:
+        shortened: Whether words stand in place of some array or string.
     """
 
     __slots__ = ("byte", "elements", "left", "shortened", "text")
@@ -70,22 +72,37 @@ class Budget:
             raise TooLong
 
 
-class ReadTree(NamedTuple):
-    """A message as plain values."""
-
-    tree: Tree
-    shortened: bool
-    """Whether words stand in place of some array or string."""
-
-
-_Read = Callable[[bytes, int, Budget], Tuple[Any, int]]
+_Read = Callable[[bytes, int, Budget], Tuple[TreeValue, int]]
 """(wire bytes, offset, budget) -> value, offset behind it."""
-_Step = Callable[[Tree, bytes, int, Budget], int]
+_ReadMessage = Callable[[bytes, int, Budget], Tuple[MessageTree, int]]
+_Step = Callable[[MessageTree, bytes, int, Budget], int]
 """(tree to fill, wire bytes, offset, budget) -> offset behind the fields."""
-_Memo = Dict[str, Tuple[_Read, int]]
+_Elements = Callable[[bytes, int, int, Budget], Tuple[TreeValue, int]]
+"""(wire bytes, offset, number of elements, budget) -> value, offset behind it."""
 
 _length = struct.Struct("<I").unpack_from
 _CONTINUATION = bytes(range(0x80, 0xC0))
+
+
+def numberRuns(fields: Sequence[Field]) -> Iterator[tuple[list[Field], struct.Struct | None]]:
+    """Yield fields in order, numbers (or bools) side by side together with what reads them.
+
+    A field of another kind stands alone, with None.
+    """
+
+    def kind(field: Field) -> bool | str:
+        number = not field.is_array and field.base in NUMBER_CODES
+        return field.type == "bool" if number else field.name
+
+    for key, run in groupby(fields, kind):
+        together = list(run)
+        codes = "" if isinstance(key, str) else [NUMBER_CODES[f.base] for f in together]
+        yield together, struct.Struct("<" + "".join(codes)) if codes else None
+
+
+def isBytes(field: Field) -> bool:
+    """Return whether a field's tree is bytes."""
+    return field.is_array and field.base == "uint8"
 
 
 class TreeReader:
@@ -93,14 +110,16 @@ class TreeReader:
 
     def __init__(self, definition: Definition) -> None:
         self.type = definition.type
-        self._read, self._weight = _message(definition.type, definition.specs, {})
+        self._specs = definition.specs
+        self._memo: dict[str, tuple[_ReadMessage, int]] = {}
+        self._read, self._weight = self._message(definition.type)
 
-    def read(self, wire: bytes, budget: Budget) -> ReadTree | None:
+    def read(self, wire: bytes, budget: Budget) -> MessageTree | None:
         """Return the tree of a message; surplus bytes are ignored, bad UTF-8 becomes U+FFFD.
 
         Args:
             wire: Any bytes.
-            budget: A new one; it bounds memory and time.
+            budget: A new one; it bounds memory and time, and says what was shortened.
 
         Returns:
             The tree, None where its text certainly has more characters.
@@ -110,12 +129,57 @@ class TreeReader:
         """
         try:
             budget.charge(self._weight)
-            tree, _ = self._read(wire, 0, budget)
+            return self._read(wire, 0, budget)[0]
         except TooLong:
             return None
         except WIRE_ERRORS as exc:
             raise CorruptMessage(f"{len(wire)} bytes are no {self.type}: {exc}") from exc
-        return ReadTree(tree, budget.shortened)
+
+    def _message(self, name: str) -> tuple[_ReadMessage, int]:
+        """Return the reader of a message and what its text takes at least, arrays aside."""
+        if name not in self._memo:
+            weight = 0
+            steps: list[_Step] = []
+            for run, fixed in numberRuns(self._specs[name].fields):
+                if fixed is not None:
+                    weight += _FIELD * len(run)
+                    steps.append(_numbers_step([field.name for field in run], fixed))
+                else:
+                    read, least = self._field(run[0])
+                    weight += max(least, _FIELD)
+                    steps.append(_field_step(run[0].name, read))
+            self._memo[name] = _fields(steps), max(weight, _FIELD)
+        return self._memo[name]
+
+    def _field(self, field: Field) -> tuple[_Read, int]:
+        if field.is_array:
+            return self._array(field), 0
+        if field.type == "string":
+            return _string, 0
+        if field.type in TIME_CODES:
+            return _time(TIME_CODES[field.type]), _TIME
+        return self._message(field.type)
+
+    def _array(self, field: Field) -> _Read:
+        length, skip = field.length, compileFieldSkip(field, self._specs)
+        if field.base in NUMBER_CODES:
+            weight, read_elements = 0 if isBytes(field) else _NUMBER, _number_elements(field)
+        else:
+            element, least = self._field(Field(field.name, field.type))
+            weight, read_elements = max(least, _NUMBER), _elements(element)
+
+        def read(wire: bytes, at: int, budget: Budget) -> tuple[TreeValue, int]:
+            start, count = at, length
+            if count is None:
+                (count,) = _length(wire, at)
+                at += 4
+            if count > budget.elements:
+                budget.shortened = True
+                return f"<array type: {field.type}, length: {count}>", skip(wire, start)
+            budget.charge(count * weight)
+            return read_elements(wire, at, count, budget)
+
+        return read
 
 
 @lru_cache(maxsize=512)
@@ -124,27 +188,9 @@ def treeReader(definition: Definition) -> TreeReader:
     return TreeReader(definition)
 
 
-def _message(name: str, specs: Mapping[str, MessageSpec], memo: _Memo) -> tuple[_Read, int]:
-    """Return the reader of a message and what its text takes at least, arrays aside."""
-    if name not in memo:
-        weight = 0
-        steps: list[_Step] = []
-        for run in numberRuns(specs[name].fields):
-            fixed = runStruct(run)
-            if fixed is not None:
-                weight += _FIELD * len(run)
-                steps.append(_numbers_step([field.name for field in run], fixed))
-            else:
-                read, least = _field(run[0], specs, memo)
-                weight += max(least, _FIELD)
-                steps.append(_field_step(run[0].name, read))
-        memo[name] = _fields(steps), max(weight, _FIELD)
-    return memo[name]
-
-
-def _fields(steps: Sequence[_Step]) -> _Read:
-    def read(wire: bytes, at: int, budget: Budget) -> tuple[Tree, int]:
-        tree: Tree = {}
+def _fields(steps: Sequence[_Step]) -> _ReadMessage:
+    def read(wire: bytes, at: int, budget: Budget) -> tuple[MessageTree, int]:
+        tree: MessageTree = {}
         for step in steps:
             at = step(tree, wire, at, budget)
         return tree, at
@@ -155,7 +201,7 @@ def _fields(steps: Sequence[_Step]) -> _Read:
 def _numbers_step(names: Sequence[str], fixed: struct.Struct) -> _Step:
     unpack, size = fixed.unpack_from, fixed.size
 
-    def step(tree: Tree, wire: bytes, at: int, budget: Budget) -> int:
+    def step(tree: MessageTree, wire: bytes, at: int, budget: Budget) -> int:
         tree.update(zip(names, unpack(wire, at)))
         return at + size
 
@@ -163,24 +209,14 @@ def _numbers_step(names: Sequence[str], fixed: struct.Struct) -> _Step:
 
 
 def _field_step(name: str, read: _Read) -> _Step:
-    def step(tree: Tree, wire: bytes, at: int, budget: Budget) -> int:
+    def step(tree: MessageTree, wire: bytes, at: int, budget: Budget) -> int:
         tree[name], at = read(wire, at, budget)
         return at
 
     return step
 
 
-def _field(field: Field, specs: Mapping[str, MessageSpec], memo: _Memo) -> tuple[_Read, int]:
-    if field.is_array:
-        return _array(field, specs, memo), 0
-    if field.type == "string":
-        return _string, 0
-    if field.type in TIME_CODES:
-        return _time(TIME_CODES[field.type]), _TIME
-    return _message(field.type, specs, memo)
-
-
-def _string(wire: bytes, at: int, budget: Budget) -> tuple[str, int]:
+def _string(wire: bytes, at: int, budget: Budget) -> tuple[TreeValue, int]:
     (size,) = _length(wire, at)
     at += 4
     end = at + size
@@ -201,44 +237,13 @@ def _characters(wire: bytes, at: int, end: int) -> int:
 
 def _time(code: str) -> _Read:
     unpack = struct.Struct(code).unpack_from
-
-    def read(wire: bytes, at: int, budget: Budget) -> tuple[Tree, int]:
-        return dict(zip(TIME_NAMES, unpack(wire, at))), at + 8
-
-    return read
-
-
-_Elements = Callable[[bytes, int, int, Budget], Tuple[Any, int]]
-"""(wire bytes, offset, number of elements, budget) -> value, offset behind it."""
-
-
-def _array(field: Field, specs: Mapping[str, MessageSpec], memo: _Memo) -> _Read:
-    length, skip, read_elements = field.length, compileFieldSkip(field, specs), None
-    if field.base in NUMBER_CODES:
-        weight = 0 if isBytes(field) else _NUMBER
-        read_elements = _number_elements(field)
-    else:
-        element, least = _field(Field(field.name, field.type), specs, memo)
-        weight, read_elements = max(least, _NUMBER), _elements(element)
-
-    def read(wire: bytes, at: int, budget: Budget) -> tuple[Any, int]:
-        start, count = at, length
-        if count is None:
-            (count,) = _length(wire, at)
-            at += 4
-        if count > budget.elements:
-            budget.shortened = True
-            return f"<array type: {field.type}, length: {count}>", skip(wire, start)
-        budget.charge(count * weight)
-        return read_elements(wire, at, count, budget)
-
-    return read
+    return lambda wire, at, budget: (dict(zip(TIME_NAMES, unpack(wire, at))), at + 8)
 
 
 def _number_elements(field: Field) -> _Elements:
     code, size = NUMBER_CODES[field.base], PRIMITIVE_SIZES[field.base]
 
-    def read(wire: bytes, at: int, count: int, budget: Budget) -> tuple[Any, int]:
+    def read(wire: bytes, at: int, count: int, budget: Budget) -> tuple[TreeValue, int]:
         end = at + count * size
         if end > len(wire):
             raise shortBuffer()
@@ -254,8 +259,8 @@ def _number_elements(field: Field) -> _Elements:
 
 
 def _elements(element: _Read) -> _Elements:
-    def read(wire: bytes, at: int, count: int, budget: Budget) -> tuple[Any, int]:
-        values = []
+    def read(wire: bytes, at: int, count: int, budget: Budget) -> tuple[TreeValue, int]:
+        values: list[TreeValue] = []
         for _ in range(count):
             value, at = element(wire, at, budget)
             values.append(value)

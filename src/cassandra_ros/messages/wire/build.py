@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""From columns back to wire bytes: the inverse of ``wire_walk``, built the same way."""
+"""From columns back to wire bytes: the inverse of ``walk``, built the same way."""
 
 from __future__ import annotations
 
 import struct
 from itertools import chain
-from typing import Any, Callable, Optional, Sequence, Tuple
+from typing import Callable, Optional, Sequence, Sized, Tuple, cast
 
 from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, cqlSizes
-from cassandra_ros.messages.wire.lists import (
+from cassandra_ros.messages.wire.values import (
     nsToDuration,
     nsToTime,
     splitEqual,
@@ -17,7 +17,7 @@ from cassandra_ros.messages.wire.lists import (
     unpackNumbers,
 )
 
-Columns = Sequence[Any]
+Columns = Sequence[bytes]
 """Values in CQL's encoding; a None among them ends in TypeError."""
 Head = Callable[[Columns, int], bytes]
 """(columns, length of the tail) -> bytes."""
@@ -37,23 +37,21 @@ def compileBuild(segments: Sequence[Segment]) -> list[Step]:
     first = 0
     for segment in segments:
         tail = segment.tail
-        has_length = tail is not None and tail.has_count
         after = first + len(segment.fixed)
-        head = _head(segment.fixed, first, after, has_length)
-        build = None if tail is None else _build_tail(tail, after)
+        head = _head(segment.fixed, first, after, tail is not None and tail.has_count)
+        steps.append((head, None if tail is None else _build_tail(tail, after)))
         first = after + (len(tail.columns) if tail is not None else 0)
-        steps.append((head, build))
     return steps
 
 
-def buildMessage(steps: Sequence[Step], columns: Columns) -> bytes:
+def buildMessage(steps: Sequence[Step], columns: Sequence[bytes | None]) -> bytes:
     """Return the wire bytes of columns.
 
     Raises:
         struct.error, TypeError, ValueError, OverflowError, IndexError: They are no message.
     """
     parts: list[bytes] = []
-    _append(steps, columns, parts)
+    _append(steps, cast(Columns, columns), parts)
     return b"".join(parts)
 
 
@@ -72,41 +70,23 @@ def _append(steps: Sequence[Step], columns: Columns, parts: list[bytes]) -> None
 def _head(fixed: Sequence[Fixed], first: int, after: int, has_length: bool) -> Head | None:
     if not fixed:
         return (lambda columns, count: _pack_length(count)) if has_length else None
-    if any(f.special for f in fixed):
-        return _special_head(fixed, first, after, has_length)
-    blobs = _blobs(fixed, first)
     unpack = struct.Struct(">" + "".join(f.big for f in fixed)).unpack
     pack = struct.Struct("<" + "".join(f.little for f in fixed) + "I" * has_length).pack
+    converts = {"time": nsToTime, "duration": nsToDuration}
+    times = [(i, converts[f.special]) for i, f in enumerate(fixed) if f.special in converts]
+    varints = [i for i, f in enumerate(fixed) if f.special == "uint64"]
+    blobs = [(first + i, f.cql_size) for i, f in enumerate(fixed) if f.column.kind == "array"]
     join = b"".join
 
     def head(columns: Columns, count: int) -> bytes:
         for i, size in blobs:
             if len(columns[i]) != size:
                 raise struct.error("a blob has another size than its array")
+        if has_length:
+            return pack(*unpack(join(columns[first:after])), count)
         return pack(*unpack(join(columns[first:after])))
 
-    def head_with_length(columns: Columns, count: int) -> bytes:
-        for i, size in blobs:
-            if len(columns[i]) != size:
-                raise struct.error("a blob has another size than its array")
-        return pack(*unpack(join(columns[first:after])), count)
-
-    return head_with_length if has_length else head
-
-
-def _blobs(fixed: Sequence[Fixed], first: int) -> list[tuple[int, int]]:
-    return [(first + i, f.cql_size) for i, f in enumerate(fixed) if f.column.kind == "array"]
-
-
-def _special_head(fixed: Sequence[Fixed], first: int, after: int, has_length: bool) -> Head:
-    blobs = _blobs(fixed, first)
-    unpack = struct.Struct(">" + "".join(f.big for f in fixed)).unpack
-    pack = struct.Struct("<" + "".join(f.little for f in fixed) + "I" * has_length).pack
-    times = [i for i, f in enumerate(fixed) if f.special == "time"]
-    durations = [i for i, f in enumerate(fixed) if f.special == "duration"]
-    varints = [i for i, f in enumerate(fixed) if f.special == "uint64"]
-
-    def head(columns: Columns, count: int) -> bytes:
+    def special_head(columns: Columns, count: int) -> bytes:
         for i, size in blobs:
             if len(columns[i]) != size:
                 raise struct.error("a blob has another size than its array")
@@ -115,16 +95,14 @@ def _special_head(fixed: Sequence[Fixed], first: int, after: int, has_length: bo
             own = list(own)
             for i in varints:
                 own[i] = int.from_bytes(own[i], "big", signed=True).to_bytes(8, "big")
-        values = list(unpack(b"".join(own)))
-        for i in times:
-            values[i] = nsToTime(values[i])
-        for i in durations:
-            values[i] = nsToDuration(values[i])
+        values = list(unpack(join(own)))
+        for i, convert in times:
+            values[i] = convert(values[i])
         if has_length:
             values.append(count)
         return pack(*values)
 
-    return head
+    return special_head if times or varints else head
 
 
 def _build_tail(tail: Tail, index: int) -> BuildTail:
@@ -191,7 +169,7 @@ def _numbers(fixed: Sequence[Fixed], first: int, length: int | None) -> BuildTai
     return tail
 
 
-def _check_lengths(lists: Sequence[Sequence[Any]], length: int | None) -> int:
+def _check_lengths(lists: Sequence[Sized], length: int | None) -> int:
     count = len(lists[0])
     if any(len(values) != count for values in lists) or length not in (None, count):
         raise struct.error("the lists of an array of messages differ in length")

@@ -8,6 +8,7 @@ whose length ends the fixed part. Each segment is read and written with one stru
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass, replace
 from typing import Iterator, Mapping
 
@@ -16,8 +17,8 @@ from cassandra_ros.messages.wire.skip import Skip, compileFieldSkip, fixedSize
 
 
 @dataclass(frozen=True)
-class Column:
-    """One column of format ``ros``."""
+class FieldColumn:
+    """One column of format ``ros``, which holds one field."""
 
     name: str
     """Path of the field: 'transform.translation.x', 'transforms.child_frame_id'."""
@@ -37,6 +38,11 @@ class Column:
     """Path of the array of messages over whose elements the list runs, or ''."""
 
     @property
+    def element_type(self) -> str:
+        """CQL type of one value: of an element where the column is a list."""
+        return self.cql_type[len("frozen<list<") : -2] if self.is_list else self.cql_type
+
+    @property
     def is_scalar(self) -> bool:
         """Whether the column holds one value, neither list nor array."""
         return not self.is_list and self.kind not in ("array", "wire")
@@ -46,7 +52,7 @@ class Column:
 class Fixed:
     """A field that always takes the same number of bytes."""
 
-    column: Column
+    column: FieldColumn
     little: str
     """struct code on the wire."""
     big: str
@@ -60,7 +66,7 @@ class Fixed:
 class Tail:
     """A field of variable size (or an array of structs), which ends a segment."""
 
-    column: Column | None
+    column: FieldColumn | None
     """None where there are several: those of the elements."""
     kind: str
     """'bytes', 'text', 'texts', 'wire' or 'elements'."""
@@ -70,7 +76,7 @@ class Tail:
     """Bytes of an element, for 'bytes' and 'text'."""
     length: int | None = None
     """Elements of a fixed array; None when their number is on the wire."""
-    columns: tuple[Column, ...] = ()
+    columns: tuple[FieldColumn, ...] = ()
     """All columns of the field."""
     element: tuple[Segment, ...] = ()
     """Layout of one element, for 'elements'."""
@@ -89,24 +95,23 @@ class Segment:
     tail: Tail | None
 
 
-# ROS type -> struct code on the wire, struct code in CQL, bytes in CQL, CQL type, kind
+# ROS type -> struct code on the wire, struct code in CQL, CQL type, kind, special
 _SCALARS = {
-    "bool": ("B", "B", 1, "boolean", "bool"),
-    "int8": ("b", "b", 1, "tinyint", "int"),
-    "uint8": ("B", "h", 2, "smallint", "int"),
-    "int16": ("h", "h", 2, "smallint", "int"),
-    "uint16": ("H", "i", 4, "int", "int"),
-    "int32": ("i", "i", 4, "int", "int"),
-    "uint32": ("I", "q", 8, "bigint", "int"),
-    "int64": ("q", "q", 8, "bigint", "int"),
-    "uint64": ("Q", "Q", 8, "varint", "int"),
+    "bool": ("B", "B", "boolean", "bool", "bool"),
+    "int8": ("b", "b", "tinyint", "int", ""),
+    "uint8": ("B", "h", "smallint", "int", ""),
+    "int16": ("h", "h", "smallint", "int", ""),
+    "uint16": ("H", "i", "int", "int", ""),
+    "int32": ("i", "i", "int", "int", ""),
+    "uint32": ("I", "q", "bigint", "int", ""),
+    "int64": ("q", "q", "bigint", "int", ""),
+    "uint64": ("Q", "Q", "varint", "int", "uint64"),
     # As integers: a float of Python would make signalling NaNs quiet.
-    "float32": ("I", "I", 4, "float", "float"),
-    "float64": ("Q", "Q", 8, "double", "float"),
-    "time": ("Q", "q", 8, "bigint", "time"),
-    "duration": ("q", "q", 8, "bigint", "duration"),
+    "float32": ("I", "I", "float", "float", ""),
+    "float64": ("Q", "Q", "double", "float", ""),
+    "time": ("Q", "q", "bigint", "time", "time"),
+    "duration": ("q", "q", "bigint", "duration", "duration"),
 }
-_SPECIALS = {"bool": "bool", "uint64": "uint64", "time": "time", "duration": "duration"}
 
 
 def layout(msg_type: str, specs: Mapping[str, MessageSpec]) -> tuple[Segment, ...]:
@@ -114,7 +119,7 @@ def layout(msg_type: str, specs: Mapping[str, MessageSpec]) -> tuple[Segment, ..
     return _segments(_items(msg_type, specs, "", False))
 
 
-def columnsOf(segments: tuple[Segment, ...]) -> Iterator[Column]:
+def columnsOf(segments: tuple[Segment, ...]) -> Iterator[FieldColumn]:
     """Yield all columns in the order of the wire."""
     for segment in segments:
         for fixed in segment.fixed:
@@ -132,7 +137,7 @@ def cqlSizes(segments: tuple[Segment, ...]) -> Iterator[int | None]:
             yield from [None] * len(segment.tail.columns)
 
 
-def elementOf(column: Column) -> Fixed:
+def elementOf(column: FieldColumn) -> Fixed:
     """Return how one element of a primitive array lies on the wire, and what would hold it."""
     return _fixed(column.name, Field(column.name, column.field_type.partition("[")[0]))
 
@@ -175,43 +180,43 @@ def _items(
 
 
 def _scalar(name: str, field: Field, specs: Mapping[str, MessageSpec]) -> Fixed | Tail:
-    if field.type == "string":
-        column = Column(name, "text", "text", "string")
-        return Tail(column, "text", compileFieldSkip(field, specs), columns=(column,))
-    return _fixed(name, field)
+    if field.type != "string":
+        return _fixed(name, field)
+    column = FieldColumn(name, "text", "text", "string")
+    return Tail(column, "text", compileFieldSkip(field, specs), columns=(column,))
 
 
 def _fixed(name: str, field: Field) -> Fixed:
-    little, big, size, cql_type, kind = _SCALARS[field.base]
-    column = Column(name, cql_type, kind, field.type)
-    return Fixed(column, little, big, size, _SPECIALS.get(field.base, ""))
+    little, big, cql_type, kind, special = _SCALARS[field.base]
+    column = FieldColumn(name, cql_type, kind, field.type)
+    return Fixed(column, little, big, struct.calcsize(">" + big), special)
 
 
 def _array(
     name: str, field: Field, specs: Mapping[str, MessageSpec], inside: bool
 ) -> Fixed | Tail | None:
-    skip = compileFieldSkip(field, specs)
+    skip, length = compileFieldSkip(field, specs), field.length
     if field.is_primitive and field.type != "string":
         return _numbers(name, field, skip)
     size = None if field.is_primitive else fixedSize(field.type, specs)
-    if field.length == 0 or (field.length is not None and size == 0):
+    if length == 0 or (length is not None and size == 0):
         return None  # takes no bytes: no column either
     if inside or size == 0:
-        column = Column(name, "blob", "wire", field.full_type)
-        return Tail(column, "wire", skip, length=field.length, columns=(column,))
+        column = FieldColumn(name, "blob", "wire", field.full_type)
+        return Tail(column, "wire", skip, length=length, columns=(column,))
     if field.is_primitive:
-        column = Column(name, "frozen<list<text>>", "text", field.full_type, True)
-        return Tail(column, "texts", skip, length=field.length, columns=(column,))
+        column = FieldColumn(name, "frozen<list<text>>", "text", field.full_type, True)
+        return Tail(column, "texts", skip, length=length, columns=(column,))
     element = _segments(_items(field.type, specs, name + ".", True))
     columns = tuple(
         replace(c, cql_type=f"frozen<list<{c.cql_type}>>", is_list=True, array=name)
         for c in columnsOf(element)
     )
-    return Tail(None, "elements", skip, length=field.length, columns=columns, element=element)
+    return Tail(None, "elements", skip, length=length, columns=columns, element=element)
 
 
 def _numbers(name: str, field: Field, skip: Skip) -> Fixed | Tail | None:
-    column = Column(name, "blob", "array", field.full_type)
+    column = FieldColumn(name, "blob", "array", field.full_type)
     unit = PRIMITIVE_SIZES[field.type]
     if field.length is None:
         return Tail(column, "bytes", skip, unit, columns=(column,))

@@ -10,12 +10,10 @@ from typing import Any, Callable, Sequence
 from cassandra_ros.errors import CorruptMessage, InvalidExpression
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.build import BUILD_ERRORS, buildMessage, compileBuild
-from cassandra_ros.messages.wire.layout import Column, columnsOf, layout
+from cassandra_ros.messages.wire.layout import FieldColumn, columnsOf, layout
 from cassandra_ros.messages.wire.skip import WIRE_ERRORS
 from cassandra_ros.messages.wire.values import compileDecoder
 from cassandra_ros.messages.wire.walk import Out, Step, compileWalk
-
-__all__ = ["Column", "WirePlan", "wirePlan"]
 
 MAX_COLUMNS = 64
 
@@ -33,7 +31,7 @@ class WirePlan:
     def __init__(self, definition: Definition) -> None:
         self.definition = definition
         self._segments = layout(definition.type, definition.specs)
-        self.all_columns: tuple[Column, ...] = tuple(columnsOf(self._segments))
+        self.all_columns: tuple[FieldColumn, ...] = tuple(columnsOf(self._segments))
         scalars = [c for c in self.all_columns if c.is_scalar]
         self.complete = len(self.all_columns) <= MAX_COLUMNS
         self.columns = self.all_columns if self.complete else tuple(scalars[:MAX_COLUMNS])
@@ -119,7 +117,10 @@ class WirePlan:
         """
         key = tuple(names)
         if key not in self._readers:
-            self._readers[key] = self._compile_reader(key)
+            cut = self.cutter(key)
+            columns = {column.name: column for column in self.all_columns}
+            decoders = [compileDecoder(columns[name], self.definition.specs) for name in key]
+            self._readers[key] = lambda wire: [d(raw) for d, raw in zip(decoders, cut(wire))]
         return self._readers[key]
 
     def picker(self, name: str) -> Callable[[bytes], bytes | None]:
@@ -135,8 +136,7 @@ class WirePlan:
         Raises:
             InvalidExpression: There is no such field.
         """
-        if name not in {column.name for column in self.all_columns}:
-            raise InvalidExpression(f"{self.definition.type} has no field {name!r}")
+        self._places((name,))
         steps = compileWalk(self._segments, True, (name,))
 
         def pick(wire: bytes) -> bytes | None:
@@ -151,8 +151,8 @@ class WirePlan:
         As ``reader``; the columns are in CQL's encoding and hold the nearest value: they may be
         bool byte 2, or text that is not UTF-8.
         """
-        steps, found = self._compile_cut(names)
-        places = [i for i, _ in found]
+        places = self._places(names)
+        steps = compileWalk(self._segments, False, names)
         type_ = self.definition.type
 
         def cut(wire: bytes) -> list[bytes]:
@@ -163,27 +163,13 @@ class WirePlan:
 
         return cut
 
-    def _compile_reader(self, names: Sequence[str]) -> Callable[[bytes], list[Any]]:
-        steps, found = self._compile_cut(names)
-        picks = [(i, compileDecoder(column, self.definition.specs)) for i, column in found]
-
-        def read(wire: bytes) -> list[Any]:
-            out, _, end = _walk(steps, wire)
-            if end < 0:
-                raise CorruptMessage(f"{len(wire)} bytes are no {self.definition.type}")
-            return [decode(out[i]) for i, decode in picks]  # type: ignore[arg-type]
-
-        return read
-
-    def _compile_cut(self, names: Sequence[str]) -> tuple[list[Step], list[tuple[int, Column]]]:
-        """Return what cuts the named columns out, and where each then stands."""
-        found = [column for column in self.all_columns if column.name in names]
-        order = {column.name: i for i, column in enumerate(found)}
+    def _places(self, names: Sequence[str]) -> list[int]:
+        """Return where each named column stands when only these are walked."""
+        found = [column.name for column in self.all_columns if column.name in names]
         for name in names:
-            if name not in order:
+            if name not in found:
                 raise InvalidExpression(f"{self.definition.type} has no field {name!r}")
-        places = [order[name] for name in names]
-        return compileWalk(self._segments, False, order), [(i, found[i]) for i in places]
+        return [found.index(name) for name in names]
 
 
 def _walk(steps: Sequence[Step], wire: bytes) -> tuple[Out, bool, int]:

@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a message or field ends on the wire, found without looking at what it holds."""
+"""Where a message or field ends on the wire, and how many objects genpy would make of it."""
 
 from __future__ import annotations
 
 import struct
 from typing import Callable, Dict, List, Mapping, Union
 
+from cassandra_ros.messages.shape import objectCounts
 from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, MessageSpec
 
 Skip = Callable[[bytes, int], int]
@@ -14,11 +15,14 @@ Skip = Callable[[bytes, int], int]
 
 WIRE_ERRORS = (struct.error,)
 """What reading past the end of a buffer raises."""
+MAX_SURPLUS = 1 << 20
+"""Objects that a message may have beyond one for each byte."""
 
 _length = struct.Struct("<I").unpack_from
 
 _Part = Union[int, Skip]
 """A number of bytes, or the function that finds it."""
+_Memo = Dict[str, List[_Part]]
 
 
 def shortBuffer() -> struct.error:
@@ -41,7 +45,45 @@ def fixedSize(msg_type: str, specs: Mapping[str, MessageSpec]) -> int | None:
     return _size(_message_parts(msg_type, specs, {}))
 
 
-_Memo = Dict[str, List[_Part]]
+def compileObjectCheck(
+    msg_type: str, specs: Mapping[str, MessageSpec]
+) -> Callable[[bytes], object] | None:
+    """Return the check that a message would not become too many objects; it raises struct.error.
+
+    An array of empty messages takes four bytes, whatever it counts; genpy makes an object of each.
+    None: the type has no such array, and the size of a message bounds its objects.
+    """
+    objects = objectCounts(msg_type, specs)
+    if objects is None:
+        return None
+
+    def check(wire: bytes) -> None:
+        left = len(wire) + MAX_SURPLUS
+
+        def message(name: str, at: int) -> int:
+            """Count the objects in the arrays of a message; return where it ends."""
+            nonlocal left
+            for field in specs[name].fields:
+                if field.is_primitive:
+                    at = compileFieldSkip(field, specs)(wire, at)
+                    continue
+                count = field.length if field.is_array else 1
+                if count is None:
+                    (count,) = _length(wire, at)
+                    at += 4
+                if field.is_array:
+                    left -= count * objects[field.type]
+                    if left < 0:
+                        raise struct.error("an array counts too many empty messages")
+                    if fixedSize(field.type, specs) == 0:
+                        continue
+                for _ in range(count):
+                    at = message(field.type, at)
+            return at
+
+        message(msg_type, 0)
+
+    return check
 
 
 def _message_parts(name: str, specs: Mapping[str, MessageSpec], memo: _Memo) -> list[_Part]:
@@ -111,8 +153,7 @@ def _skip_string(wire: bytes, at: int) -> int:
 
 def _skip_fixed(size: int) -> Skip:
     def skip(wire: bytes, at: int) -> int:
-        (count,) = _length(wire, at)
-        at += 4 + count * size
+        at += 4 + _length(wire, at)[0] * size
         if at > len(wire):
             raise shortBuffer()
         return at
@@ -122,11 +163,10 @@ def _skip_fixed(size: int) -> Skip:
 
 def _skip_elements(element: Skip, length: int | None) -> Skip:
     def skip(wire: bytes, at: int) -> int:
-        if length is None:
+        count = length
+        if count is None:
             (count,) = _length(wire, at)
             at += 4
-        else:
-            count = length
         for _ in range(count):
             at = element(wire, at)
         return at

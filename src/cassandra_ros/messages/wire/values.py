@@ -1,38 +1,27 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""From the bytes of a column to the value that a query compares and a person reads."""
+"""How CQL encodes values and lists: from the wire and from Python, and back.
+
+A list is an int32 number of elements, then the int32 length and the bytes of each.
+"""
 
 from __future__ import annotations
 
 import struct
-from typing import Any, Callable, Mapping
+from itertools import chain, repeat
+from typing import Any, Callable, Iterable, Mapping, Sequence, Union
 
-from cassandra_ros.messages.spec import Field, MessageSpec
-from cassandra_ros.messages.wire.layout import Column
-from cassandra_ros.messages.wire.lists import durationToNs, splitList, timeToNs
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES, Field, MessageSpec
+from cassandra_ros.messages.wire.layout import FieldColumn, Fixed
 from cassandra_ros.messages.wire.skip import fixedSize
 
+Primitive = Union[bool, int, float, str]
+"""A value of one column that is neither a list nor a blob; times are int nanoseconds."""
 Decoder = Callable[[bytes], Any]
 
-CODES = {
-    "bool": "?",
-    "int8": "b",
-    "byte": "b",
-    "uint8": "B",
-    "char": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float32": "f",
-    "float64": "d",
-    "time": "Q",
-    "duration": "q",
-}
-"""struct codes of primitive types on the wire."""
 CQL_CODES = {
+    "boolean": ">?",
     "tinyint": ">b",
     "smallint": ">h",
     "int": ">i",
@@ -40,90 +29,245 @@ CQL_CODES = {
     "float": ">f",
     "double": ">d",
 }
+"""struct codes of CQL's types of fixed size."""
+EMPTY_LIST = b"\0\0\0\0"
+LOW = 0xFFFFFFFF
+
+_pack_size = struct.Struct(">i").pack
+_unpack_size = struct.Struct(">i").unpack_from
 _length = struct.Struct("<I").unpack_from
 
 
-def compileDecoder(column: Column, specs: Mapping[str, MessageSpec]) -> Decoder:
-    """Return the function that decodes a column.
+def encode_value(cql_type: str, value: Primitive) -> bytes:
+    """Encode a Python value for a column of a CQL type.
+
+    Raises:
+        struct.error, OverflowError: The type cannot hold it.
+        UnicodeEncodeError: It is a text with lone surrogates.
+    """
+    if isinstance(value, str):
+        return value.encode("utf-8")
+    if cql_type == "varint":
+        if value < 0:
+            raise struct.error("a uint64 is negative")
+        return packVarint(int(value))
+    return struct.pack(CQL_CODES[cql_type], value)
+
+
+def packVarint(value: int) -> bytes:
+    """Encode a value >= 0 as CQL varint: two's complement in as few bytes as hold it."""
+    return value.to_bytes(value.bit_length() // 8 + 1, "big")
+
+
+def packList(values: Sequence[bytes]) -> bytes:
+    """Encode a list of encoded elements."""
+    sizes = map(_pack_size, map(len, values))
+    return _pack_size(len(values)) + b"".join(chain.from_iterable(zip(sizes, values)))
+
+
+def splitList(raw: bytes) -> list[bytes]:
+    """Return the encoded elements of a list.
+
+    Raises:
+        struct.error: It is no list.
+    """
+    (count,) = _unpack_size(raw, 0)
+    values = []
+    at = 4
+    for _ in range(count):
+        (size,) = _unpack_size(raw, at)
+        at += 4
+        end = at + size
+        if size < 0 or end > len(raw):
+            raise struct.error("a list column has a malformed element")
+        values.append(raw[at:end])
+        at = end
+    if at != len(raw):
+        raise struct.error("a list column has surplus bytes")
+    return values
+
+
+def packEqual(size: int) -> Callable[[Sequence[bytes]], bytes]:
+    """Return the encoder of a list of at least one, whose encoded elements all have this size."""
+    prefix = _pack_size(size)
+    return lambda values: _pack_size(len(values)) + prefix + prefix.join(values)
+
+
+def splitEqual(size: int) -> Callable[[bytes], list[bytes]]:
+    """Return the inverse of packEqual; it raises struct.error."""
+    encode, unit = packEqual(size), size + 4
+
+    def split(raw: bytes) -> list[bytes]:
+        if raw == EMPTY_LIST:
+            return []
+        values = [raw[at : at + size] for at in range(8, len(raw), unit)]
+        if len(raw) % unit != 4 or encode(values) != raw:  # the last one may be cut
+            raise struct.error("a list column has a malformed element")
+        return values
+
+    return split
+
+
+def unpackNumbers(fixed: Fixed) -> Callable[[bytes], Sequence[int]]:
+    """Return the inverse of packNumbers: from a list to the wire codes of its elements.
+
+    It raises struct.error and OverflowError.
+    """
+    if fixed.special == "uint64":
+        return lambda raw: [_varint(value) for value in splitList(raw)]
+    size, unpack = fixed.cql_size, struct.Struct(">i" + fixed.big).iter_unpack
+
+    def split(raw: bytes) -> Sequence[int]:
+        (count,) = _unpack_size(raw, 0)
+        if len(raw) != 4 + count * (size + 4):
+            raise struct.error("a list column has a malformed element")
+        if not count:
+            return ()
+        sizes, values = zip(*unpack(raw[4:]))
+        if sizes.count(size) != count:
+            raise struct.error("a list column has a malformed element")
+        return values
+
+    if fixed.special in ("time", "duration"):
+        convert = nsToTime if fixed.special == "time" else nsToDuration
+        return lambda raw: [convert(value) for value in split(raw)]
+    return split
+
+
+def packNumbers(fixed: Fixed, strict: bool) -> Callable[[Sequence[int]], bytes | None]:
+    """Return the encoder of a list of fields of fixed size, read by their wire code.
+
+    It gives None where a value cannot be held exactly and strict is set.
+    """
+    size = fixed.cql_size
+    if fixed.special == "uint64":
+        return lambda values: packList([packVarint(value) for value in values])
+    pack = struct.Struct(">i" + fixed.big).pack
+
+    def encode(values: Iterable[int], count: int) -> bytes:
+        return _pack_size(count) + b"".join(map(pack, repeat(size), values))
+
+    if fixed.special == "bool":
+        return lambda v: None if strict and max(v, default=0) > 1 else encode(v, len(v))
+    if fixed.special:
+
+        def encode_times(values: Sequence[int]) -> bytes | None:
+            if strict and any(not 0 <= value >> 32 < SECOND_NS for value in values):
+                return None
+            return encode(map(convert, values), len(values))
+
+        convert = TO_NS[fixed.special]
+        return encode_times
+    return lambda values: encode(values, len(values))
+
+
+def timeToNs(value: int) -> int:
+    """Return the nanoseconds of a time read as one uint64."""
+    return (value & LOW) * SECOND_NS + (value >> 32)
+
+
+def durationToNs(value: int) -> int:
+    """Return the nanoseconds of a duration read as one int64."""
+    seconds = value & LOW
+    return (seconds - ((seconds & 0x80000000) << 1)) * SECOND_NS + (value >> 32)
+
+
+TO_NS = {"time": timeToNs, "duration": durationToNs}
+
+
+def nsToTime(ns: int) -> int:
+    """Return the time of nanoseconds as the uint64 that lies on the wire."""
+    seconds, rest = divmod(ns, SECOND_NS)
+    if seconds >> 32:
+        raise struct.error("a time is out of range")
+    return rest << 32 | seconds
+
+
+def nsToDuration(ns: int) -> int:
+    """Return the duration of nanoseconds as the int64 that lies on the wire."""
+    seconds, rest = divmod(ns, SECOND_NS)
+    if not -0x80000000 <= seconds <= 0x7FFFFFFF:
+        raise struct.error("a duration is out of range")
+    return rest << 32 | (seconds & LOW)
+
+
+def compileDecoder(column: FieldColumn, specs: Mapping[str, MessageSpec]) -> Decoder:
+    """Return the function from a column to the value that a query compares and a person reads.
 
     Numbers are int or float, times int nanoseconds, text str (bytes that are not UTF-8 replaced),
     uint8[] and char[] bytes, other arrays lists, arrays of messages in an array lists of dicts,
     arrays of empty messages their number. It raises struct.error and ValueError.
     """
-    element = _element(column, specs)
+    element = _element_decoder(column, specs)
     if not column.is_list:
         return element
     return lambda raw: [element(value) for value in splitList(raw)]
 
 
-def _element(column: Column, specs: Mapping[str, MessageSpec]) -> Decoder:
+def _element_decoder(column: FieldColumn, specs: Mapping[str, MessageSpec]) -> Decoder:
     if column.kind == "text":
         return _text
     if column.kind == "bool":
         return lambda raw: raw != b"\0"
     if column.kind in ("array", "wire"):
-        base, bracket, length = column.field_type.partition("[")
-        field = Field("", base, True, int(length[:-1]) if length[:-1] else None)
+        base, _, length = column.field_type[:-1].partition("[")
         if column.kind == "array":
-            return lambda raw: _numbers(field.type, raw)
-        return lambda raw: _read_field(raw, 0, field, specs)[0]
+            return lambda raw: _array(base, raw)
+        field = Field("", base, True, int(length) if length else None)
+        return lambda raw: _read(raw, 0, field, specs)[0]
     if column.field_type == "uint64":
-        return lambda raw: int.from_bytes(raw, "big", signed=True)
-    cql_type = column.cql_type.replace("frozen<list<", "").rstrip(">")
-    unpack = struct.Struct(CQL_CODES[cql_type]).unpack
+        return _varint
+    unpack = struct.Struct(CQL_CODES[column.element_type]).unpack
     return lambda raw: unpack(raw)[0]
+
+
+def _varint(raw: bytes) -> int:
+    return int.from_bytes(raw, "big", signed=True)
 
 
 def _text(raw: bytes) -> str:
     return raw.decode("utf-8", "replace")
 
 
-def _numbers(type_: str, raw: bytes) -> Any:
-    if type_ in ("uint8", "char"):
-        return raw
-    code = CODES[type_]
-    values = struct.unpack(f"<{len(raw) // struct.calcsize('<' + code)}{code}", raw)
-    if type_ == "time":
-        return [timeToNs(value) for value in values]
-    if type_ == "duration":
-        return [durationToNs(value) for value in values]
-    return list(values)
+def _array(type_: str, raw: bytes) -> bytes | list[Any]:
+    return raw if type_ in ("uint8", "char") else _unpack(type_, raw)
 
 
-def _read_field(
-    wire: bytes, at: int, field: Field, specs: Mapping[str, MessageSpec]
-) -> tuple[Any, int]:
+def _unpack(type_: str, raw: bytes) -> list[Any]:
+    values = struct.unpack(f"<{len(raw) // PRIMITIVE_SIZES[type_]}{CODES[type_]}", raw)
+    return list(map(TO_NS[type_], values)) if type_ in TO_NS else list(values)
+
+
+def _read(wire: bytes, at: int, field: Field, specs: Mapping[str, MessageSpec]) -> tuple[Any, int]:
+    """Read a field as on the wire; return its value and the offset behind it."""
     if not field.is_array:
-        return _read_one(wire, at, field, specs)
+        return _read_one(wire, at, field.type, specs)
     count = field.length
     if count is None:
         (count,) = _length(wire, at)
         at += 4
     if field.type in CODES:
-        end = at + count * struct.calcsize("<" + CODES[field.type])
-        return _numbers(field.type, wire[at:end]), end
+        end = at + count * PRIMITIVE_SIZES[field.type]
+        return _array(field.type, wire[at:end]), end
     if not field.is_primitive and fixedSize(field.type, specs) == 0:
         return count, at
     values = []
-    one = Field(field.name, field.type)
     for _ in range(count):
-        value, at = _read_one(wire, at, one, specs)
+        value, at = _read_one(wire, at, field.type, specs)
         values.append(value)
     return values, at
 
 
 def _read_one(
-    wire: bytes, at: int, field: Field, specs: Mapping[str, MessageSpec]
+    wire: bytes, at: int, type_: str, specs: Mapping[str, MessageSpec]
 ) -> tuple[Any, int]:
-    if field.type == "string":
+    if type_ == "string":
         end = at + 4 + _length(wire, at)[0]
         return _text(wire[at + 4 : end]), end
-    if field.is_primitive:
-        (value,) = struct.unpack_from("<" + CODES[field.type], wire, at)
-        if field.type in ("time", "duration"):
-            value = timeToNs(value) if field.type == "time" else durationToNs(value)
-        return value, at + struct.calcsize("<" + CODES[field.type])
-    values: dict[str, Any] = {}
-    for inner in specs[field.type].fields:
-        values[inner.name], at = _read_field(wire, at, inner, specs)
-    return values, at
+    if type_ in CODES:
+        end = at + PRIMITIVE_SIZES[type_]
+        return _unpack(type_, wire[at:end])[0], end
+    message = {}
+    for field in specs[type_].fields:
+        message[field.name], at = _read(wire, at, field, specs)
+    return message, at

@@ -10,20 +10,19 @@ struct.error, and none allocates more than the buffer justifies.
 from __future__ import annotations
 
 import struct
-from typing import Any, Callable, Container, List, Optional, Sequence, Tuple
+from typing import Callable, Container, Iterator, List, Optional, Sequence, Tuple, cast
 
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, cqlSizes
-from cassandra_ros.messages.wire.lists import (
+from cassandra_ros.messages.wire.skip import shortBuffer
+from cassandra_ros.messages.wire.values import (
     EMPTY_LIST,
-    SECOND_NS,
-    durationToNs,
+    TO_NS,
     packEqual,
     packList,
     packNumbers,
     packVarint,
-    timeToNs,
 )
-from cassandra_ros.messages.wire.skip import shortBuffer
 
 Out = List[Optional[bytes]]
 Head = Callable[[bytes, int, Out, List[int]], int]
@@ -67,13 +66,16 @@ def _head(
     used = [f for f, keep in zip(fixed, kept) if keep]
     codes = [f.little if k else f"{struct.calcsize(f.little)}x" for f, k in zip(fixed, kept)]
     wire = struct.Struct("<" + "".join(codes) + "I" * has_length)
-    if not used:
-        return (_length_head(wire) if wire.size else None), wire.size
+    unpack = wire.unpack_from
+    if not used:  # () where nothing but padding is skipped, which must be there all the same
+        return (
+            lambda wire, at, out, odd: (unpack(wire, at) or (0,))[-1]
+        ) if wire.size else None, wire.size
     cql = struct.Struct(">" + "".join(f.big for f in used) + "I" * has_length)
     split = struct.Struct("".join(f"{f.cql_size}s" for f in used) + "4x" * has_length)
     if any(f.special for f in used):
         return _special_head(wire, cql, split, used, strict), wire.size
-    unpack, pack, cut = wire.unpack_from, cql.pack, split.unpack
+    pack, cut = cql.pack, split.unpack
 
     def head(wire: bytes, at: int, out: Out, odd: list[int]) -> int:
         values = unpack(wire, at)
@@ -81,16 +83,6 @@ def _head(
         return values[-1]  # type: ignore[no-any-return]
 
     return head, wire.size
-
-
-def _length_head(wire: struct.Struct) -> Head:
-    unpack = wire.unpack_from
-
-    def head(wire: bytes, at: int, out: Out, odd: list[int]) -> int:
-        values = unpack(wire, at)
-        return values[-1] if values else 0
-
-    return head
 
 
 def _special_head(
@@ -101,8 +93,7 @@ def _special_head(
     strict: bool,
 ) -> Head:
     unpack, pack, cut = wire.unpack_from, cql.pack, split.unpack
-    converters = {"time": timeToNs, "duration": durationToNs}
-    stamps = [(i, converters[f.special]) for i, f in enumerate(used) if f.special in converters]
+    stamps = [(i, TO_NS[f.special]) for i, f in enumerate(used) if f.special in TO_NS]
     bools = [i for i, f in enumerate(used) if f.special == "bool"]
     varints = [i for i, f in enumerate(used) if f.special == "uint64"]
 
@@ -117,15 +108,15 @@ def _special_head(
         for i in bools:
             if values[i] > 1:
                 inexact.append(i)
-        columns: Any = cut(pack(*values))
+        columns: Sequence[bytes | None] = cut(pack(*values))
         if varints or inexact:
-            columns = list(columns)
+            columns = own = list(columns)
             for i in varints:
-                columns[i] = packVarint(values[i])
+                own[i] = packVarint(values[i])
             if strict:
                 odd += inexact
                 for i in inexact:
-                    columns[i] = None
+                    own[i] = None
         out += columns
         return values[-1]  # type: ignore[no-any-return]
 
@@ -270,7 +261,7 @@ def _elements(field: Tail, strict: bool) -> WalkTail:
         if not rows:
             out.extend([EMPTY_LIST] * len(encoders))
             return at
-        columns: Any = zip(*rows)
+        columns = cast("Iterator[Sequence[bytes]]", zip(*rows))  # a None in them has its mark
         if marks:
             odd += marks
             for encode, column in zip(encoders, columns):
