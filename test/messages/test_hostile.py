@@ -15,7 +15,7 @@ from cassandra_ros.errors import DefinitionError
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import deserialize, messageClass, serialize
 from cassandra_ros.messages.connection import liveConnection
-from cassandra_ros.messages.definition import definitionOf, parseDefinition, renderDefinition
+from cassandra_ros.messages.definition import definitionOf, parseDefinition, renderSpec
 from cassandra_ros.topics.message_writer import FALLBACK_FORMAT, usableDefinition
 
 EVIL = "open('ran','w')"
@@ -194,7 +194,7 @@ def test_text_that_only_looks_hostile_gives_a_class_that_works(text):
 def test_constants_are_set_on_the_class_and_never_generated():
     text = f"string A=';{EVIL}#\nint8 class=3\nint8 x\nint8 serialize=4"
     definition = parseDefinition("pkg/Type", text)
-    assert "open" not in renderDefinition(definition)
+    assert "open" not in renderSpec(definition.root)
     generated = messageClass(definition)
     assert f"';{EVIL}#" == generated.A
     assert generated.class_ == 3

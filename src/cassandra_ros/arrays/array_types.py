@@ -9,7 +9,8 @@ from typing import Any, Optional, Sequence
 
 import numpy as np
 
-from cassandra_ros.messages.definition import Definition, Field
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.spec import Field
 from cassandra_ros.query.extract import Array
 from cassandra_ros.query.fields import FieldRef
 

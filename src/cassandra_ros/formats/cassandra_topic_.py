@@ -42,6 +42,19 @@ class CassandraTopic_(ABC):
         self.md5sum = md5sum
         self.definition = definition
 
+    def _usable(self) -> Definition:
+        """Return the definition, which the format cannot do without.
+
+        Raises:
+            DefinitionError: It is unusable.
+        """
+        if self.definition is None:
+            raise DefinitionError(
+                f"format {self.NAME} needs the definition of {self.msg_type}, which is unusable: "
+                f"use binary"
+            )
+        return self.definition
+
     @abstractmethod
     def getColValidationClasses(self) -> dict[str, str]:
         """Return the CQL type of each column by name, in the order of the columns."""

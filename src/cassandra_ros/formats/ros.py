@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from typing import Sequence
 
-from cassandra_ros.errors import DefinitionError
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.plan import wirePlan
@@ -29,11 +28,7 @@ class CassandraTopic_ros(CassandraTopic_):
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         super().__init__(msg_type, md5sum, definition)
-        if definition is None:
-            raise DefinitionError(
-                f"format ros needs the definition of {msg_type}, which is unusable: use binary"
-            )
-        self.plan = wirePlan(definition)
+        self.plan = wirePlan(self._usable())
 
     def getColValidationClasses(self) -> dict[str, str]:
         """Return the columns in the order of the fields on the wire."""

@@ -30,7 +30,9 @@ class CassandraTopic_string(TextFormat):
     def encodeWire(self, wire: bytes) -> EncodedMessage:
         """Print the message, and keep its bytes."""
         printed = self.printWire(wire)
-        return EncodedMessage((None if printed is None else printed.data,), printed is None, wire)
+        return EncodedMessage(
+            (None if printed is None else printed[0].encode(),), printed is None, wire
+        )
 
     def decodeWire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
         """Return the bytes that the row has beside its text.

@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import NamedTuple, Sequence
+from typing import Sequence
 
-from cassandra_ros.errors import CorruptMessage, DefinitionError
+from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.tree.build import plainBytes, treeBuilder
@@ -16,26 +16,8 @@ from cassandra_ros.messages.tree.read import Budget, MessageTree, treeReader
 MAX_TEXT_BYTES = 64 * 1024
 
 _WHOLE = (MAX_TEXT_BYTES, MAX_TEXT_BYTES)
-_SHORTENED = (
-    (256, MAX_TEXT_BYTES),
-    (16, MAX_TEXT_BYTES),
-    (0, MAX_TEXT_BYTES),
-    (0, 256),
-    (0, 0),
-)
+_SHORTENED = ((256, MAX_TEXT_BYTES), (16, MAX_TEXT_BYTES), (0, MAX_TEXT_BYTES), (0, 256), (0, 0))
 """Longest array in elements and longest string in bytes, tried until the text fits."""
-
-
-class PrintedMessage(NamedTuple):
-    """The text of a message."""
-
-    text: str
-    data: bytes
-    """The text in UTF-8, as it is stored."""
-    tree: MessageTree
-    """What the text shows."""
-    shortened: bool
-    """Whether words stand in the tree in place of some array or string."""
 
 
 class TextFormat(CassandraTopic_):
@@ -50,13 +32,8 @@ class TextFormat(CassandraTopic_):
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         super().__init__(msg_type, md5sum, definition)
-        if definition is None:
-            raise DefinitionError(
-                f"format {self.NAME} needs the definition of {msg_type}, which is unusable: "
-                f"use binary"
-            )
-        self.definition: Definition = definition
-        self._reader = treeReader(definition)
+        self.definition: Definition = self._usable()
+        self._reader = treeReader(self.definition)
 
     def getColValidationClasses(self) -> dict[str, str]:
         """Return the one column."""
@@ -66,10 +43,10 @@ class TextFormat(CassandraTopic_):
     def printTree(self, tree: MessageTree) -> str | None:
         """Return the text of a message, None where it cannot be made."""
 
-    def printWire(self, wire: bytes) -> PrintedMessage | None:
-        """Return the text of a message, None where there is none.
+    def printWire(self, wire: bytes) -> tuple[str, MessageTree, bool] | None:
+        """Return the text of a message, the tree that it shows, and whether that is shortened.
 
-        The bytes are no message then, or even the shortest text is too long.
+        None: the bytes are no message, or even the shortest text is too long.
         """
         limits = _SHORTENED if len(wire) > MAX_TEXT_BYTES else (_WHOLE, *_SHORTENED)
         for elements, length in limits:
@@ -81,9 +58,8 @@ class TextFormat(CassandraTopic_):
                 return None
             if tree is None or text is None:
                 continue
-            data = text.encode()
-            if len(data) <= MAX_TEXT_BYTES:
-                return PrintedMessage(text, data, tree, budget.shortened)
+            if len(text.encode()) <= MAX_TEXT_BYTES:
+                return text, tree, budget.shortened
         return None
 
 
@@ -120,8 +96,9 @@ class ParsedFormat(TextFormat):
         printed = self.printWire(wire)
         if printed is None:
             return EncodedMessage((None,), True, wire)
-        exact = not printed.shortened and self._isExact(printed.text, printed.tree, wire)
-        return EncodedMessage((printed.data,), not exact, None if exact else wire)
+        text, tree, shortened = printed
+        exact = not shortened and self._isExact(text, tree, wire)
+        return EncodedMessage((text.encode(),), not exact, None if exact else wire)
 
     def _isExact(self, text: str, tree: MessageTree, wire: bytes) -> bool:
         try:

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import importlib.abc
-import importlib.util
 import threading
 from functools import lru_cache
 from io import BytesIO
@@ -72,9 +71,6 @@ class _Source(importlib.abc.InspectLoader):
     def get_source(self, fullname: str) -> str:
         return self._text
 
-    def is_package(self, fullname: str) -> bool:
-        return False
-
 
 def installedDefinition(msg_type: str) -> Definition:
     """Return the definition of an installed message type.
@@ -115,7 +111,8 @@ def _generate(definition: Definition) -> Any:
     if len(set(names.values())) < len(names):
         raise DefinitionError(f"genpy cannot tell the types of {definition.type} apart")
     try:
-        module = _load(_source(definition), f"cassandra_ros.generated.{names[definition.type]}")
+        module = ModuleType(f"cassandra_ros.generated.{names[definition.type]}")
+        _Source(_source(definition)).exec_module(module)
         for msg_type, name in names.items():
             _complete(getattr(module, name), definition, msg_type)
     except Exception as exc:  # SyntaxError, MemoryError, RecursionError and five more are known
@@ -137,16 +134,6 @@ def _source(definition: Definition) -> str:
         for line in genpy.generator.msg_generator(context, spec, {}):
             lines.append(genpy.dynamic._gen_dyn_modify_references(line, name, types))
     return "\n".join(lines)
-
-
-def _load(source: str, name: str) -> ModuleType:
-    loader = _Source(source)
-    spec = importlib.util.spec_from_loader(name, loader)
-    if spec is None:
-        raise ImportError(name)
-    module = importlib.util.module_from_spec(spec)
-    loader.exec_module(module)
-    return module
 
 
 def _complete(generated: Any, definition: Definition, msg_type: str) -> None:
@@ -207,11 +194,7 @@ def _checks(cls: Any) -> Sequence[Callable[[bytes], object]]:
     definition = definitionOf(cls)
     skip = compileSkip(definition.type, definition.specs)
     count = compileObjectCheck(definition.type, definition.specs)
-
-    def check_end(wire: bytes) -> int:
-        return skip(wire, 0)
-
-    return [check_end] if count is None else [check_end, count]
+    return [lambda wire: skip(wire, 0), *([count] if count else [])]
 
 
 def toYaml(msg: Any) -> str:

@@ -38,30 +38,27 @@ class Connection:
     @cached_property
     def type(self) -> str:
         """Message type, 'pkg/Name'; '' when the header does not say."""
-        return self._field("type")
+        return _text(self.fields.get("type", b""))
 
     @cached_property
     def md5sum(self) -> str:
         """md5 of the definition as the publisher gave it; '' when it did not."""
-        return self._field("md5sum")
+        return _text(self.fields.get("md5sum", b""))
 
     @cached_property
     def definition_text(self) -> str:
         """The message definition; bytes that are not UTF-8 are surrogates."""
-        return self._field("message_definition")
+        return _text(self.fields.get("message_definition", b""))
 
     @cached_property
     def callerid(self) -> str:
         """Name of the publishing node, or ''."""
-        return self._field("callerid")
+        return _text(self.fields.get("callerid", b""))
 
     @cached_property
     def latching(self) -> bool:
         """Whether the publisher latches its last message."""
         return self.fields.get("latching") == b"1"
-
-    def _field(self, name: str) -> str:
-        return _text(self.fields.get(name, b""))
 
 
 def liveConnection(topic: str, header: Mapping[str, str | bytes]) -> Connection:
@@ -77,16 +74,9 @@ def liveConnection(topic: str, header: Mapping[str, str | bytes]) -> Connection:
 
 def apiConnection(topic: str, definition: Definition, callerid: str) -> Connection:
     """Make the connection under which addData stores messages."""
-    return liveConnection(
-        topic,
-        {
-            "topic": topic,
-            "type": definition.type,
-            "md5sum": definition.md5sum,
-            "message_definition": definition.text,
-            "callerid": callerid,
-        },
-    )
+    header = {"topic": topic, "type": definition.type, "md5sum": definition.md5sum}
+    header.update(message_definition=definition.text, callerid=callerid)
+    return liveConnection(topic, header)
 
 
 def cutDefinition(header: bytes) -> tuple[bytes, int, bytes]:
@@ -104,7 +94,7 @@ def cutDefinition(header: bytes) -> tuple[bytes, int, bytes]:
             if name == _DEFINITION:
                 offset, definition = at, value
     except CorruptMessage:
-        return header, -1, b""
+        offset = -1
     if offset < 0:
         return header, -1, b""
     return header[:offset] + header[offset + len(definition) :], offset, definition

@@ -3,7 +3,7 @@
 """Message definitions as connection headers and bags carry them, checked before all else.
 
 A definition is text from outside, and genpy executes what it is given: only what was parsed here
-and is rendered anew by renderDefinition may reach it.
+and is rendered anew by renderSpec may reach it.
 """
 
 from __future__ import annotations
@@ -11,32 +11,12 @@ from __future__ import annotations
 import keyword
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, Callable, Iterable, Mapping
+from typing import Any, Iterable, Mapping
 
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.messages.installed import installedText
 from cassandra_ros.messages.shape import checkShape, computeMd5
-from cassandra_ros.messages.spec import (
-    Constant,
-    Field,
-    MessageSpec,
-    checkTypeName,
-    parseSpec,
-    resolveType,
-)
-
-__all__ = [
-    "Constant",
-    "Definition",
-    "Field",
-    "MessageSpec",
-    "attributeName",
-    "definitionOf",
-    "nestedDefinition",
-    "parseDefinition",
-    "renderDefinition",
-    "renderSpec",
-]
+from cassandra_ros.messages.spec import MessageSpec, checkTypeName, parseSpec, resolveType
 
 MAX_TEXT = 1 << 20
 MAX_TYPES = 256
@@ -59,17 +39,8 @@ class Definition:
     """The type itself and every type that it uses, directly or not, by name."""
     md5sums: Mapping[str, str] = field(compare=False, repr=False)
     """The md5 of each of them."""
-    arrays: tuple[tuple[str, str, int | None], ...] = field(init=False, repr=False)
+    arrays: tuple[tuple[str, str, int | None], ...] = field(repr=False)
     """Type, field and length (None = any) of each array of messages."""
-
-    def __post_init__(self) -> None:
-        found = (
-            (name, f.name, f.length)
-            for name, spec in sorted(self.specs.items())
-            for f in spec.fields
-            if f.is_array and not f.is_primitive
-        )
-        object.__setattr__(self, "arrays", tuple(found))
 
     @property
     def root(self) -> MessageSpec:
@@ -122,10 +93,16 @@ def _parse(msg_type: str, text: str, md5sum: str | None) -> Definition:
             f"the definition of {msg_type}{where} has md5 {md5sums[msg_type]}, not {md5sum[:80]!r} "
             f"as its connection says"
         )
-    definition = Definition(msg_type, md5sums[msg_type], text, specs, md5sums)
+    arrays = tuple(
+        (name, f.name, f.length)
+        for name in sorted(specs)
+        for f in specs[name].fields
+        if f.is_array and not f.is_primitive
+    )
+    definition = Definition(msg_type, md5sums[msg_type], text, specs, md5sums, arrays)
     if missing:
         # What other packages of this machine gave is kept too: others have them not, or newer ones.
-        definition = replace(definition, text=_render(definition, msg_type, _render_whole))
+        definition = replace(definition, text=_render_whole(definition, msg_type))
     return definition
 
 
@@ -167,18 +144,11 @@ def _installed_sections(
     return {key: text for key, text in _split(name, found).items() if key not in known}
 
 
-def renderDefinition(definition: Definition) -> str:
-    """Write the definition anew from its checked specs, without constants or comments.
-
-    The only text that may be given to genpy. Its md5 differs where there are constants.
-    """
-    return _render(definition, definition.type, renderSpec)
-
-
 def renderSpec(spec: MessageSpec) -> str:
     """Write one message type anew, without constants, comments and the types that it uses.
 
-    Names are those of the class's attributes: genpy forgets to rename keywords inside a path.
+    The only text that may be given to genpy; its md5 differs where there are constants. Names
+    are those of the class's attributes: genpy forgets to rename keywords inside a path.
     """
     return "\n".join(f"{f.full_type} {attributeName(f.name)}" for f in spec.fields)
 
@@ -190,23 +160,24 @@ def attributeName(name: str) -> str:
 
 def nestedDefinition(definition: Definition, msg_type: str) -> Definition:
     """Return the definition of a type that another one uses, constants included."""
-    text = _render(definition, msg_type, _render_whole)
+    text = _render_whole(definition, msg_type)
     return parseDefinition(msg_type, text, definition.md5sums[msg_type])
 
 
-def _render_whole(spec: MessageSpec) -> str:
-    constants = [f"{c.type} {c.name}={c.text}" for c in spec.constants]
-    return "\n".join([*constants, *(f"{f.declared or f.full_type} {f.name}" for f in spec.fields)])
-
-
-def _render(definition: Definition, msg_type: str, write: Callable[[MessageSpec], str]) -> str:
+def _render_whole(definition: Definition, msg_type: str) -> str:
+    """Write the full text of a type, constants included, as ``gendeps --cat`` does."""
     names = [msg_type]
     for name in names:
         used = (f.type for f in definition.specs[name].fields if not f.is_primitive)
         names.extend(dict.fromkeys(n for n in used if n not in names))
-    specs = definition.specs
-    parts = [write(specs[msg_type]), *(f"MSG: {n}\n{write(specs[n])}" for n in names[1:])]
-    return f"\n{_SEPARATOR}\n".join(parts)
+    parts = []
+    for spec in map(definition.specs.__getitem__, names):
+        lines = [f"{c.type} {c.name}={c.text}" for c in spec.constants]
+        lines += [f"{f.declared or f.full_type} {f.name}" for f in spec.fields]
+        parts.append("\n".join(lines))
+    return f"\n{_SEPARATOR}\nMSG: ".join(
+        [parts[0], *(f"{name}\n{part}" for name, part in zip(names[1:], parts[1:]))]
+    )
 
 
 def definitionOf(msg_class: Any) -> Definition:

@@ -8,7 +8,7 @@ import http.client
 import logging
 import socket
 import xmlrpc.client
-from typing import Any
+from typing import Any, cast
 
 import rosgraph
 
@@ -20,7 +20,7 @@ _log = logging.getLogger(__name__)
 class _Transport(xmlrpc.client.Transport):
     """HTTP that gives up after TIMEOUT_SEC."""
 
-    def make_connection(self, host: Any) -> http.client.HTTPConnection:
+    def make_connection(self, host: str | tuple[str, dict[str, str]]) -> http.client.HTTPConnection:
         connection = super().make_connection(host)
         connection.timeout = TIMEOUT_SEC
         return connection
@@ -39,8 +39,7 @@ def topicType(topic: str) -> str | None:
     name = topic if topic.startswith("/") else "/" + topic
     try:
         master = xmlrpc.client.ServerProxy(uri, transport=_Transport())
-        answer: Any = master.getTopicTypes("/cassandra_ros")
-        code, status, pairs = answer
+        code, status, pairs = cast(Any, master.getTopicTypes("/cassandra_ros"))
         types = {str(key): str(value) for key, value in pairs}
     except (OSError, socket.timeout, xmlrpc.client.Error, http.client.HTTPException) as exc:
         _log.info("no ROS master at %s (%s): type of %s left open", uri, exc, name)

@@ -54,8 +54,13 @@ class IndexField:
         columns = {column.name: column for column in plan.all_columns}
         column = columns.get(field)
         if column is None or _isNested(column):
-            able = [name for name, each in columns.items() if not _isNested(each)]
-            raise InvalidName(_cannot(definition.type, field, column, able))
+            hint = nearestFields(field, [n for n, each in columns.items() if not _isNested(each)])
+            if column is None:
+                raise InvalidName(f"{definition.type} has no field {field!r} to index; {hint}")
+            raise InvalidName(
+                f"field {field} of {definition.type} cannot be indexed: it is an array inside of "
+                f"an array of messages, which its column holds as bytes; {hint}"
+            )
         self.field = field
         self.shadow = shadow
         self._pick = plan.picker(field)
@@ -125,15 +130,6 @@ def nearestFields(field: str, able: Sequence[str]) -> str:
 
 def _isNested(column: FieldColumn) -> bool:
     return column.kind == "wire" or (column.is_list and column.kind == "array")
-
-
-def _cannot(msg_type: str, field: str, column: Optional[FieldColumn], able: Sequence[str]) -> str:
-    if column is None:
-        return f"{msg_type} has no field {field!r} to index; {nearestFields(field, able)}"
-    return (
-        f"field {field} of {msg_type} cannot be indexed: it is an array inside of an array of "
-        f"messages, which its column holds as bytes; {nearestFields(field, able)}"
-    )
 
 
 def _splitColumn(raw: bytes) -> Optional[List[bytes]]:

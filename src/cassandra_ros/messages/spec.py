@@ -210,13 +210,9 @@ def _literal(type_: str, text: str) -> int | float | bool | str:
         value = int(text)
         if type_ == "bool":
             return bool(value)
-        if _fits(value, type_):
+        try:
+            struct.pack("<" + CODES[type_], value)
             return value
+        except struct.error:
+            pass  # out of range
     raise DefinitionError(f"{text[:80]!r} is not a literal of type {type_}")
-
-
-def _fits(value: int, type_: str) -> bool:
-    bits = 8 * PRIMITIVE_SIZES[type_]
-    if type_ == "char" or type_.startswith("u"):
-        return 0 <= value < 1 << bits
-    return -(1 << bits - 1) <= value < 1 << bits - 1

@@ -107,7 +107,7 @@ class Stamp(genpy.Time):
         """Nanoseconds since 1970."""
         return int(self.secs) * SECOND_NS + int(self.nsecs)
 
-    def __getstate__(self) -> list[Any]:
+    def __getstate__(self) -> list[object]:
         return [self.secs, self.nsecs, self.node, self.seq, self.table]
 
     def __setstate__(self, state: list[Any]) -> None:
@@ -117,7 +117,7 @@ class Stamp(genpy.Time):
     def __repr__(self) -> str:
         return f"Stamp[{self.ns}]"
 
-    def __add__(self, other: Any) -> Any:
+    def __add__(self, other: object) -> Stamp:
         offset = _offset_ns(other)
         if offset is None:
             return NotImplemented
@@ -125,7 +125,7 @@ class Stamp(genpy.Time):
 
     __radd__ = __add__
 
-    def __sub__(self, other: Any) -> Any:
+    def __sub__(self, other: object) -> Stamp | genpy.Duration:
         if isinstance(other, genpy.Time):
             return genpy.Duration(0, self.ns - other.to_nsec())
         offset = _offset_ns(other)
@@ -133,19 +133,19 @@ class Stamp(genpy.Time):
             return NotImplemented
         return type(self)(0, max(0, self.ns - offset))
 
-    def __lt__(self, other: Any) -> Any:
+    def __lt__(self, other: object) -> bool:
         limit = _comparable(other)
         return NotImplemented if limit is None else self.ns < limit
 
-    def __le__(self, other: Any) -> Any:
+    def __le__(self, other: object) -> bool:
         limit = _comparable(other)
         return NotImplemented if limit is None else self.ns <= limit
 
-    def __gt__(self, other: Any) -> Any:
+    def __gt__(self, other: object) -> bool:
         limit = _comparable(other)
         return NotImplemented if limit is None else self.ns > limit
 
-    def __ge__(self, other: Any) -> Any:
+    def __ge__(self, other: object) -> bool:
         limit = _comparable(other)
         return NotImplemented if limit is None else self.ns >= limit
 
@@ -154,14 +154,14 @@ def _is_number(value: object) -> bool:
     return isinstance(value, (Real, Decimal)) and not isinstance(value, bool)
 
 
-def _offset_ns(value: Any) -> int | None:
+def _offset_ns(value: object) -> int | None:
     """Nanoseconds of something that can be added to a stamp, or None."""
     if isinstance(value, genpy.Duration):
         return int(value.to_nsec())
     return secondsToNs(value) if _is_number(value) else None
 
 
-def durationNs(value: Any) -> int:
+def durationNs(value: object) -> int:
     """Return the nanoseconds of a length of time.
 
     Args:
@@ -191,7 +191,7 @@ def _comparable(value: Any) -> int | float | None:
     return secondsToNs(value)
 
 
-def toNs(value: Any) -> int:
+def toNs(value: object) -> int:
     """Return the nanoseconds since 1970 of any form of a time.
 
     Args:
@@ -237,16 +237,14 @@ def _text_to_ns(text: str) -> int:
 def _iso_to_ns(match: re.Match[str]) -> int:
     day = datetime.strptime(match["date"], "%Y-%m-%d")
     hour, minute, second = (int(match[part] or 0) for part in ("hour", "minute", "second"))
-    moment = day.replace(hour=hour, minute=minute, second=second)
-    zone = match["zone"] or "Z"
-    offset = 0
+    delta = day.replace(hour=hour, minute=minute, second=second) - _EPOCH
+    seconds, zone = delta.days * 86_400 + delta.seconds, match["zone"] or "Z"
     if zone not in "Zz":
         digits = zone[1:].replace(":", "").ljust(4, "0")
         if int(digits[2:]) > 59 or int(digits[:2]) > 23:
             raise ValueError(f"{zone} is not a time zone")
-        offset = (int(digits[:2]) * 60 + int(digits[2:])) * (-60 if zone[0] == "-" else 60)
-    delta = moment - _EPOCH
-    seconds = delta.days * 86_400 + delta.seconds - offset
+        offset = int(digits[:2]) * 3600 + int(digits[2:]) * 60
+        seconds += offset if zone[0] == "-" else -offset
     return seconds * SECOND_NS + int((match["fraction"] or "").ljust(9, "0"))
 
 

@@ -7,7 +7,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Iterator, Optional, Sequence
 
-from cassandra_ros.messages.definition import Definition, Field
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.spec import Field
 from cassandra_ros.query.builder import StatementError
 from cassandra_ros.query.parse import meant, nearest
 from cassandra_ros.query.syntax import OWN_WORDS, Part, Path, path_text

@@ -168,7 +168,7 @@ def _check_bools(values: Sequence[object], bools: bool) -> None:
 
 
 def _string(value: object, parts: list[bytes]) -> None:
-    if not isinstance(value, str):
+    if type(value) is not str:
         raise ValueError("a string is no text")
     data = value.encode()
     parts.append(_pack_length(len(data)))

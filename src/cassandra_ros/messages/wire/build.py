@@ -82,9 +82,13 @@ def _head(fixed: Sequence[Fixed], first: int, after: int, has_length: bool) -> H
         for i, size in blobs:
             if len(columns[i]) != size:
                 raise struct.error("a blob has another size than its array")
-        if has_length:
-            return pack(*unpack(join(columns[first:after])), count)
         return pack(*unpack(join(columns[first:after])))
+
+    def head_with_length(columns: Columns, count: int) -> bytes:
+        for i, size in blobs:
+            if len(columns[i]) != size:
+                raise struct.error("a blob has another size than its array")
+        return pack(*unpack(join(columns[first:after])), count)
 
     def special_head(columns: Columns, count: int) -> bytes:
         for i, size in blobs:
@@ -102,7 +106,9 @@ def _head(fixed: Sequence[Fixed], first: int, after: int, has_length: bool) -> H
             values.append(count)
         return pack(*values)
 
-    return special_head if times or varints else head
+    if times or varints:
+        return special_head
+    return head_with_length if has_length else head
 
 
 def _build_tail(tail: Tail, index: int) -> BuildTail:

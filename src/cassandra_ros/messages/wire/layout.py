@@ -66,8 +66,6 @@ class Fixed:
 class Tail:
     """A field of variable size (or an array of structs), which ends a segment."""
 
-    column: FieldColumn | None
-    """None where there are several: those of the elements."""
     kind: str
     """'bytes', 'text', 'texts', 'wire' or 'elements'."""
     skip: Skip
@@ -77,7 +75,7 @@ class Tail:
     length: int | None = None
     """Elements of a fixed array; None when their number is on the wire."""
     columns: tuple[FieldColumn, ...] = ()
-    """All columns of the field."""
+    """Those of the field, or of its elements' fields."""
     element: tuple[Segment, ...] = ()
     """Layout of one element, for 'elements'."""
 
@@ -159,13 +157,9 @@ def _segments(items: Iterator[Fixed | Tail]) -> tuple[Segment, ...]:
 def _items(
     msg_type: str, specs: Mapping[str, MessageSpec], prefix: str, inside: bool
 ) -> Iterator[Fixed | Tail]:
-    """Yield the fields of a message, those of its messages in their place.
+    """Yield the fields of the message at path ``prefix`` ('' or 'a.b.') on the wire.
 
-    Args:
-        msg_type: Whose fields.
-        specs: The checked types.
-        prefix: Path of the message, '' or 'a.b.'.
-        inside: Whether this is an element of an array: arrays in it become blobs.
+    ``inside`` an element of an array, the arrays become blobs.
     """
     for field in specs[msg_type].fields:
         name = prefix + field.name
@@ -173,17 +167,13 @@ def _items(
             item = _array(name, field, specs, inside)
             if item is not None:
                 yield item
+        elif field.type == "string":
+            column = FieldColumn(name, "text", "text", "string")
+            yield Tail("text", compileFieldSkip(field, specs), columns=(column,))
         elif field.is_primitive:
-            yield _scalar(name, field, specs)
+            yield _fixed(name, field)
         else:
             yield from _items(field.type, specs, name + ".", inside)
-
-
-def _scalar(name: str, field: Field, specs: Mapping[str, MessageSpec]) -> Fixed | Tail:
-    if field.type != "string":
-        return _fixed(name, field)
-    column = FieldColumn(name, "text", "text", "string")
-    return Tail(column, "text", compileFieldSkip(field, specs), columns=(column,))
 
 
 def _fixed(name: str, field: Field) -> Fixed:
@@ -203,22 +193,22 @@ def _array(
         return None  # takes no bytes: no column either
     if inside or size == 0:
         column = FieldColumn(name, "blob", "wire", field.full_type)
-        return Tail(column, "wire", skip, length=length, columns=(column,))
+        return Tail("wire", skip, length=length, columns=(column,))
     if field.is_primitive:
         column = FieldColumn(name, "frozen<list<text>>", "text", field.full_type, True)
-        return Tail(column, "texts", skip, length=length, columns=(column,))
+        return Tail("texts", skip, length=length, columns=(column,))
     element = _segments(_items(field.type, specs, name + ".", True))
     columns = tuple(
         replace(c, cql_type=f"frozen<list<{c.cql_type}>>", is_list=True, array=name)
         for c in columnsOf(element)
     )
-    return Tail(None, "elements", skip, length=length, columns=columns, element=element)
+    return Tail("elements", skip, length=length, columns=columns, element=element)
 
 
 def _numbers(name: str, field: Field, skip: Skip) -> Fixed | Tail | None:
     column = FieldColumn(name, "blob", "array", field.full_type)
     unit = PRIMITIVE_SIZES[field.type]
     if field.length is None:
-        return Tail(column, "bytes", skip, unit, columns=(column,))
+        return Tail("bytes", skip, unit, columns=(column,))
     size = field.length * unit
     return Fixed(column, f"{size}s", f"{size}s", size) if size else None

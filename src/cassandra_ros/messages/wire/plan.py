@@ -24,8 +24,8 @@ class WirePlan:
     Attributes:
         columns: The columns in the order of the wire. Where all fields would need more than
             64, only the first 64 scalar ones; arrays would otherwise be stored twice.
-        left_out: The fields without a column.
-        complete: Whether nothing was left out, so that ``build`` works.
+        all_columns: Those of all fields.
+        complete: Whether no field was left without a column, so that ``build`` works.
     """
 
     def __init__(self, definition: Definition) -> None:
@@ -36,13 +36,11 @@ class WirePlan:
         self.complete = len(self.all_columns) <= MAX_COLUMNS
         self.columns = self.all_columns if self.complete else tuple(scalars[:MAX_COLUMNS])
         names = {column.name for column in self.columns}
-        self.left_out = tuple(c for c in self.all_columns if c.name not in names)
-        self._steps = compileWalk(self._segments, True, None if self.complete else names)
+        self._steps = compileWalk(self._segments, True, names)
         self._build = compileBuild(self._segments)
         self._decoders = [compileDecoder(c, definition.specs) for c in self.columns]
         self._scalar_at = [i for i, c in enumerate(self.columns) if c.is_scalar]
-        self._scalar_names = {self.columns[i].name for i in self._scalar_at}
-        self._scalar_steps = compileWalk(self._segments, True, self._scalar_names)
+        self._scalar_steps = compileWalk(self._segments, True, {c.name for c in scalars} & names)
         self._readers: dict[tuple[str, ...], Callable[[bytes], list[Any]]] = {}
 
     def walk(self, wire: bytes) -> tuple[Out, bool]:
@@ -117,10 +115,7 @@ class WirePlan:
         """
         key = tuple(names)
         if key not in self._readers:
-            cut = self.cutter(key)
-            columns = {column.name: column for column in self.all_columns}
-            decoders = [compileDecoder(columns[name], self.definition.specs) for name in key]
-            self._readers[key] = lambda wire: [d(raw) for d, raw in zip(decoders, cut(wire))]
+            self._readers[key] = self._compile_reader(key)
         return self._readers[key]
 
     def picker(self, name: str) -> Callable[[bytes], bytes | None]:
@@ -136,7 +131,7 @@ class WirePlan:
         Raises:
             InvalidExpression: There is no such field.
         """
-        self._places((name,))
+        self._compile_cut((name,))  # checks the name
         steps = compileWalk(self._segments, True, (name,))
 
         def pick(wire: bytes) -> bytes | None:
@@ -151,25 +146,40 @@ class WirePlan:
         As ``reader``; the columns are in CQL's encoding and hold the nearest value: they may be
         bool byte 2, or text that is not UTF-8.
         """
-        places = self._places(names)
-        steps = compileWalk(self._segments, False, names)
-        type_ = self.definition.type
+        steps, places = self._compile_cut(names)
 
         def cut(wire: bytes) -> list[bytes]:
             out, _, end = _walk(steps, wire)
             if end < 0:
-                raise CorruptMessage(f"{len(wire)} bytes are no {type_}")
+                raise self._no_message(wire)
             return [out[i] for i in places]  # type: ignore[misc]
 
         return cut
 
-    def _places(self, names: Sequence[str]) -> list[int]:
-        """Return where each named column stands when only these are walked."""
+    def _compile_reader(self, names: Sequence[str]) -> Callable[[bytes], list[Any]]:
+        steps, places = self._compile_cut(names)
+        columns = {column.name: column for column in self.all_columns}
+        decoders = [compileDecoder(columns[name], self.definition.specs) for name in names]
+        picks = list(zip(places, decoders))
+
+        def read(wire: bytes) -> list[Any]:
+            out, _, end = _walk(steps, wire)
+            if end < 0:
+                raise self._no_message(wire)
+            return [decode(out[i]) for i, decode in picks]  # type: ignore[arg-type]
+
+        return read
+
+    def _compile_cut(self, names: Sequence[str]) -> tuple[list[Step], list[int]]:
+        """Return what cuts the named columns out, and where each then stands."""
         found = [column.name for column in self.all_columns if column.name in names]
         for name in names:
             if name not in found:
                 raise InvalidExpression(f"{self.definition.type} has no field {name!r}")
-        return [found.index(name) for name in names]
+        return compileWalk(self._segments, False, found), [found.index(name) for name in names]
+
+    def _no_message(self, wire: bytes) -> CorruptMessage:
+        return CorruptMessage(f"{len(wire)} bytes are no {self.definition.type}")
 
 
 def _walk(steps: Sequence[Step], wire: bytes) -> tuple[Out, bool, int]:
