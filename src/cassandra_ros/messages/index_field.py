@@ -76,14 +76,9 @@ class IndexField:
         self.cql_type = f"set<{self.element_type}>" if self.many else self.element_type
 
     def value(self, wire: bytes) -> tuple[bytes | None, bool]:
-        """Return what the shadow column of a message holds.
+        """Return what the shadow column of a message holds, encoded; None = unset.
 
-        Args:
-            wire: The serialised message; any bytes.
-
-        Returns:
-            The encoded value, None = unset; and whether the field has a value all the same, so
-            that the row must be marked odd.
+        And whether the field has a value all the same, so that the row must be marked odd.
         """
         raw = self._pick(wire)
         if raw is None:

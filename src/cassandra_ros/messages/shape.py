@@ -94,19 +94,16 @@ def computeMd5(msg_type: str, specs: Mapping[str, MessageSpec]) -> dict[str, str
     It covers constants, then fields; names of message types are replaced by their md5.
     """
     sums: dict[str, str] = {}
-    _md5(msg_type, specs, sums)
+
+    def md5(name: str) -> str:
+        if name not in sums:
+            lines = [f"{c.type} {c.name}={c.text}\n" for c in specs[name].constants]
+            for field in specs[name].fields:
+                shown = field.declared or field.full_type
+                lines.append(f"{shown if field.is_primitive else md5(field.type)} {field.name}\n")
+            text = "".join(lines).strip().encode("utf-8", "surrogateescape")
+            sums[name] = hashlib.md5(text).hexdigest()
+        return sums[name]
+
+    md5(msg_type)
     return sums
-
-
-def _md5(name: str, specs: Mapping[str, MessageSpec], sums: dict[str, str]) -> str:
-    if name not in sums:
-        spec = specs[name]
-        lines = [f"{c.type} {c.name}={c.text}\n" for c in spec.constants]
-        for field in spec.fields:
-            shown = field.declared or field.full_type
-            if not field.is_primitive:
-                shown = _md5(field.type, specs, sums)
-            lines.append(f"{shown} {field.name}\n")
-        text = "".join(lines).strip().encode("utf-8", "surrogateescape")
-        sums[name] = hashlib.md5(text).hexdigest()
-    return sums[name]

@@ -161,11 +161,9 @@ def _check_unique(msg_type: str, fields: list[Field], constants: list[Constant])
         if field.name in names:
             raise DefinitionError(f"definition of {msg_type}: field {field.name} occurs twice")
         names.add(field.name)
-    for constant in constants:
-        if constant.name in names:
-            raise DefinitionError(
-                f"definition of {msg_type}: {constant.name} is both field and constant"
-            )
+    both = [constant.name for constant in constants if constant.name in names]
+    if both:
+        raise DefinitionError(f"definition of {msg_type}: {both[0]} is both field and constant")
 
 
 def _parse_field(code: str, package: str) -> Field:

@@ -117,12 +117,8 @@ class TreeReader:
     def read(self, wire: bytes, budget: Budget) -> MessageTree | None:
         """Return the tree of a message; surplus bytes are ignored, bad UTF-8 becomes U+FFFD.
 
-        Args:
-            wire: Any bytes.
-            budget: A new one; it bounds memory and time, and says what was shortened.
-
-        Returns:
-            The tree, None where its text certainly has more characters.
+        Any bytes will do. The budget, a new one, bounds memory and time and says afterwards what
+        was shortened. None: the text certainly has more characters than it.
 
         Raises:
             CorruptMessage: The bytes end before the message does.

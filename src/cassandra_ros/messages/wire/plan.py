@@ -44,15 +44,10 @@ class WirePlan:
         self._readers: dict[tuple[str, ...], Callable[[bytes], list[Any]]] = {}
 
     def walk(self, wire: bytes) -> tuple[Out, bool]:
-        """Turn a message into its columns.
+        """Return the columns of a message in CQL's encoding, and whether they are inexact.
 
-        Args:
-            wire: Any bytes.
-
-        Returns:
-            The columns in CQL's encoding (None: the field cannot be held exactly) and whether
-            they are not the whole truth: a None among them, surplus bytes, or no message at all
-            (then all are None).
+        Any bytes will do. A column that cannot hold its field exactly is None; the columns are
+        also inexact where bytes are left over, or where there is no message (then all are None).
         """
         out, odd, end = _walk(self._steps, wire)
         if end < 0:
@@ -99,16 +94,10 @@ class WirePlan:
             raise CorruptMessage(f"column {name} of a row is malformed: {exc}") from exc
 
     def reader(self, names: Sequence[str]) -> Callable[[bytes], list[Any]]:
-        """Return a function that reads some fields out of a serialised message.
+        """Return the function from wire bytes to the values of some of ``all_columns``, by name.
 
         What ``walk`` gives as None is read as its nearest value: bool byte 2 as True, nsecs over
-        10**9 as they add up, text that is not UTF-8 with U+FFFD.
-
-        Args:
-            names: Names of any of ``all_columns``, in the order wanted.
-
-        Returns:
-            A function from wire bytes to the values; it raises CorruptMessage.
+        10**9 as they add up, text that is not UTF-8 with U+FFFD. It raises CorruptMessage.
 
         Raises:
             InvalidExpression: There is no such field.
@@ -119,14 +108,9 @@ class WirePlan:
         return self._readers[key]
 
     def picker(self, name: str) -> Callable[[bytes], bytes | None]:
-        """Return a function that takes one column out of a serialised message.
+        """Return the function from wire bytes to one of ``all_columns``, in CQL's encoding.
 
-        Args:
-            name: Name of one of ``all_columns``.
-
-        Returns:
-            A function from wire bytes to the column in CQL's encoding, None where it cannot hold
-            the field exactly or the bytes are no message.
+        It gives None where the column cannot hold the field exactly or the bytes are no message.
 
         Raises:
             InvalidExpression: There is no such field.
@@ -141,10 +125,9 @@ class WirePlan:
         return pick
 
     def cutter(self, names: Sequence[str]) -> Callable[[bytes], list[bytes]]:
-        """Return a function that cuts some columns, undecoded, out of a serialised message.
+        """Return the function from wire bytes to some of ``all_columns``, in CQL's encoding.
 
-        As ``reader``; the columns are in CQL's encoding and hold the nearest value: they may be
-        bool byte 2, or text that is not UTF-8.
+        As ``reader``, undecoded: a column may be bool byte 2, or text that is not UTF-8.
         """
         steps, places = self._compile_cut(names)
 
