@@ -18,8 +18,7 @@ from std_msgs.msg import String
 from cassandra_ros.bag.exporter import exportBag
 from cassandra_ros.bag.identity import earlierWriterId, readContent
 from cassandra_ros.bag.importer import importBag
-from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.bag.topics import matchTopics
+from cassandra_ros.bag.reader import BagReader, matchTopics
 from cassandra_ros.bag.verify import verifyBag
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import (

@@ -8,7 +8,7 @@ import pytest
 from bag.truth import string_connection, string_wire
 
 from cassandra_ros.bag.identity import readContent
-from cassandra_ros.bag.rates import bucketLengths
+from cassandra_ros.bag.importer import bucketLengths
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.writer import BagWriter
 

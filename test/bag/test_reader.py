@@ -10,8 +10,7 @@ import rosbag
 from bag.truth import read_with_rosbag, string_connection, string_wire
 from std_msgs.msg import String
 
-from cassandra_ros.bag.order import readInOrder
-from cassandra_ros.bag.reader import BagReader
+from cassandra_ros.bag.reader import BagReader, readInOrder
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError, BagUnindexed
 

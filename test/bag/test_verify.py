@@ -11,14 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from std_msgs.msg import Header
 
-from cassandra_ros.bag.alignment import Alignment, Content
-from cassandra_ros.bag.differences import VerifyReport
 from cassandra_ros.bag.exporter import exportBag
 from cassandra_ros.bag.importer import importBag
-from cassandra_ros.bag.order import readInOrder
-from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.bag.verify import verifyBag
-from cassandra_ros.bag.verify_content import verifyContent
+from cassandra_ros.bag.reader import BagReader, readInOrder
+from cassandra_ros.bag.verify import Comparison, Entry, VerifyReport, verifyBag, verifyContent
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError
 from cassandra_ros.messages.classes import serialize
@@ -191,14 +187,14 @@ def test_content_is_in_the_order_of_reception(rosCas, tmp_path):
 
 
 def align(bag, store):
-    def contents(texts):
-        return [Content("t", "m", text.encode(), f"{i}") for i, text in enumerate(texts)]
+    def entries(texts):
+        return [Entry(0, 0, i, "t", "m", text.encode(), "/a") for i, text in enumerate(texts)]
 
     report = VerifyReport("a.bag", "")
-    alignment = Alignment(iter(contents(store)), report)
-    for message in contents(bag):
-        alignment.add(message)
-    alignment.finish()
+    comparison = Comparison(iter(entries(store)), report, 0)
+    for message in entries(bag):
+        comparison.add(message)
+    comparison.finish()
     return report.equal_messages, report.differences, report.first
 
 
@@ -210,7 +206,8 @@ def test_one_difference_does_not_spread():
     assert align([], []) == (0, 0, [])
     lost = align(NUMBERS, [n for n in NUMBERS if n not in ("7", "8", "150")])
     assert lost[:2] == (197, 3)
-    assert lost[2] == [f"{i} is not in the store" for i in (7, 8, 150)]
+    place = f"/a at {isoTime(0)}"
+    assert lost[2] == [f"{place}: message {i} of the bag is not in the store" for i in (7, 8, 150)]
     doubled = align(NUMBERS, [*NUMBERS[:10], "x", "y", *NUMBERS[10:]])
     assert doubled[:2] == (200, 2)
     assert align(NUMBERS, [*NUMBERS[:5], "x", *NUMBERS[6:]])[:2] == (199, 1)

@@ -1,15 +1,94 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages inside the content of one chunk."""
+"""Chunks: their compression (none, bz2, lz4 in the framing of ROS), and the messages inside."""
 
 from __future__ import annotations
 
+import bz2
+import struct
 from struct import Struct
-from typing import List, NamedTuple
+from types import ModuleType
+from typing import Callable, List, NamedTuple, cast
 
 from cassandra_ros.bag import format as bagformat
-from cassandra_ros.errors import BagError
-from cassandra_ros.keys import MAX_NS
+from cassandra_ros.errors import BagError, MissingDependency
+from cassandra_ros.keys import MAX_NS, SECOND_NS
+
+COMPRESSIONS = ("none", "bz2", "lz4")
+MAX_CHUNK_BYTES = 2**30
+"""rosbag closes a chunk at 768 KB; only a single larger message makes a larger one."""
+_FEED_BYTES = 1 << 16
+"""Compressed bytes handed over at once, so that a bomb is noticed before it fills the memory."""
+
+
+def compressChunk(name: str, data: bytes) -> bytes:
+    """Compress the records of a chunk with one of COMPRESSIONS.
+
+    Raises:
+        MissingDependency: lz4, and the package roslz4 is not installed.
+    """
+    if name == "bz2":
+        return bz2.compress(data)
+    return bytes(_roslz4().compress(data)) if name == "lz4" else data
+
+
+def decompressChunk(name: str, data: bytes, size: int, where: str) -> bytes:
+    """Give back the content of a chunk.
+
+    Args:
+        name: What the chunk's header calls its compression.
+        data: The bytes that stand in the file.
+        size: Length of the content as the header states it; never more is unpacked.
+        where: Subject of the error's sentence.
+
+    Raises:
+        BagError: The compression is unknown, or the data does not give ``size`` bytes.
+        MissingDependency: lz4, and the package roslz4 is not installed.
+    """
+    if size > MAX_CHUNK_BYTES:
+        raise BagError(
+            f"{where} states {size} bytes of content; chunks of over {MAX_CHUNK_BYTES} bytes are "
+            "taken for damaged"
+        )
+    if name == "none":
+        content = data
+    elif name == "bz2":
+        content = _unpack(bz2.BZ2Decompressor().decompress, data, size, where)
+    elif name == "lz4":
+        step = _roslz4().LZ4Decompressor().decompress
+        # At most one block of 4 MiB and 255 times the input comes out, whatever is declared.
+        content = _unpack(lambda part, most: bytes(step(part)), data, size, where)
+    else:
+        raise BagError(f"{where} is compressed with {name!r}; known are {', '.join(COMPRESSIONS)}")
+    if len(content) != size:
+        raise BagError(f"{where} is damaged: it holds {len(content)} bytes, not {size}")
+    return content
+
+
+def _unpack(step: Callable[[bytes, int], bytes], data: bytes, size: int, where: str) -> bytes:
+    parts, have, position = [], 0, 0
+    try:
+        while position < len(data) and have <= size:
+            part = step(data[position : position + _FEED_BYTES], size + 1 - have)
+            parts.append(part)
+            have += len(part)
+            position += _FEED_BYTES
+    except (OSError, EOFError, ValueError) as exc:
+        raise BagError(f"{where} is damaged: its compressed data is not valid ({exc})") from exc
+    if have > size:
+        raise BagError(f"{where} is damaged: it unpacks to more than {size} bytes")
+    return b"".join(parts)
+
+
+def _roslz4() -> ModuleType:
+    try:
+        import roslz4
+    except ImportError as exc:
+        raise MissingDependency(
+            "chunks compressed with lz4 need the Python package roslz4: "
+            "sudo apt-get install python3-roslz4"
+        ) from exc
+    return cast(ModuleType, roslz4)
 
 
 class ChunkMessage(NamedTuple):
@@ -58,7 +137,7 @@ def findMessages(content: bytes, where: str) -> List[ChunkMessage]:
                 known = head == _PYTHON_HEAD and middle == _PYTHON_MIDDLE
             if known:
                 start = position + _FIXED_BYTES
-                t_ns = secs * 1_000_000_000 + nsecs
+                t_ns = secs * SECOND_NS + nsecs
                 stop = start + size
                 if stop > end or t_ns > MAX_NS:
                     raise BagError(f"{where} is damaged: a message at byte {position} of it")
@@ -72,17 +151,15 @@ def findMessages(content: bytes, where: str) -> List[ChunkMessage]:
 def _otherRecord(content: bytes, position: int, where: str, found: List[ChunkMessage]) -> int:
     """Read a connection record, or a message in another layout; return where it ends."""
     place = f"{where} (byte {position} of its content)"
-    header_start = position + 4
-    if header_start > len(content):
-        raise BagError(f"{place} is damaged: a record runs over the end")
-    data_size_at = header_start + int(bagformat.U32.unpack_from(content, position)[0])
-    start = data_size_at + 4
-    if start > len(content):
-        raise BagError(f"{place} is damaged: a record runs over the end")
-    stop = start + int(bagformat.U32.unpack_from(content, data_size_at)[0])
+    try:
+        data_size_at = position + 4 + int(bagformat.U32.unpack_from(content, position)[0])
+        start = data_size_at + 4
+        stop = start + int(bagformat.U32.unpack_from(content, data_size_at)[0])
+    except struct.error:
+        stop = len(content) + 1
     if stop > len(content):
         raise BagError(f"{place} is damaged: a record runs over the end")
-    fields = bagformat.splitFields(content[header_start:data_size_at], place)
+    fields = bagformat.splitFields(content[position + 4 : data_size_at], place)
     op = bagformat.number(fields, b"op", bagformat.U8, place)
     if op == bagformat.OP_MESSAGE:
         file_id = bagformat.number(fields, b"conn", bagformat.U32, place)
@@ -96,5 +173,5 @@ def _otherRecord(content: bytes, position: int, where: str, found: List[ChunkMes
 
 def messageHead(number: int, t_ns: int, size: int) -> bytes:
     """Build what stands before the bytes of a message in a chunk."""
-    secs, nsecs = divmod(t_ns, 1_000_000_000)
+    secs, nsecs = divmod(t_ns, SECOND_NS)
     return _MESSAGE_HEAD.pack(_PYTHON_HEAD, number, _PYTHON_MIDDLE, secs, nsecs, size)

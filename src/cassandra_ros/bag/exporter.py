@@ -6,19 +6,19 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field, replace
-from typing import Any, Callable, Dict, Iterable, Sequence, Tuple
+from typing import Dict, Iterable, Sequence, Tuple
 
+from cassandra_ros.bag.reader import Progress
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError, MessageNotFound
 from cassandra_ros.keys import splitSeq
+from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import isoTime
 from cassandra_ros.topics.across import Conditions
 from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.selection import Time
 from cassandra_ros.topics.stored_row import StoredRow
 
-Progress = Callable[[int, int], None]
-
-_REPORT_EACH = 500
 _RUN_NUMBERS = 1 << 16
 """Connection numbers that are set aside for each recording or import."""
 
@@ -38,8 +38,8 @@ def exportBag(
     rosCas: RosCassandra,
     path: str | os.PathLike[str],
     topics: Iterable[str] | None = None,
-    start: Any = None,
-    end: Any = None,
+    start: Time = None,
+    end: Time = None,
     nodeID: str | None = None,
     compression: str = "none",
     force: bool = False,
@@ -62,7 +62,7 @@ def exportBag(
         nodeID: Only what this node recorded; None = all nodes.
         compression: 'none', 'bz2' or 'lz4'.
         force: Replace a file that exists.
-        progress: Called with the messages and bytes written since the last call.
+        progress: Told what was written.
         where: Topic -> condition, as readMessages takes it: of these topics only the messages
             that satisfy it; the others are written whole.
         empty: Write a bag also where there is no message for it.
@@ -82,22 +82,16 @@ def exportBag(
     report = ExportReport(os.fspath(path))
     with BagWriter(path, compression) as writer:
         numbers = ConnectionNumbers(writer)
-        messages = size = 0
         for row in rows:
             number = numbers.of(row)
             wire = row.wire
             writer.write(number, row.received, wire)
             report.messages[row.topic] = report.messages.get(row.topic, 0) + 1
             report.bytes += len(wire)
-            messages += 1
-            size += len(wire)
-            if progress is not None and messages == _REPORT_EACH:
-                progress(messages, size)
-                messages = size = 0
+            if progress is not None:
+                progress(1, len(wire))
         if not report.messages and not empty:
             raise MessageNotFound(_nothing(rosCas, report.path, names, nodeID))
-        if progress is not None:
-            progress(messages, size)
     return report
 
 
@@ -156,7 +150,7 @@ class ConnectionNumbers:
             self._bases[run] = -(-self._free // _RUN_NUMBERS) * _RUN_NUMBERS
         return self._next(connection, self._bases[run] + connection.number)
 
-    def _next(self, connection: Any, wanted: int | None = None) -> int:
+    def _next(self, connection: Connection, wanted: int | None = None) -> int:
         try:
             number = self._writer.connection(connection, wanted)
         except BagError:

@@ -12,7 +12,7 @@ from struct import Struct
 from typing import BinaryIO, Dict, Iterable, NamedTuple, Tuple
 
 from cassandra_ros.errors import BagError, BagUnindexed
-from cassandra_ros.keys import MAX_NS
+from cassandra_ros.keys import MAX_NS, SECOND_NS
 
 MAGIC = b"#ROSBAG V2.0\n"
 FILE_HEADER_BYTES = 4096
@@ -99,7 +99,7 @@ def timeNs(fields: Fields, name: bytes, where: str) -> int:
     if value is None or len(value) != TIME.size:
         raise BagError(f"{where} is damaged: its header has no valid field '{name.decode()}'")
     secs, nsecs = TIME.unpack(value)
-    return checkNs(secs * 1_000_000_000 + nsecs, where)
+    return checkNs(secs * SECOND_NS + nsecs, where)
 
 
 def checkNs(t_ns: int, where: str) -> int:
@@ -115,7 +115,7 @@ def checkNs(t_ns: int, where: str) -> int:
 
 def packTime(t_ns: int) -> bytes:
     """Write nanoseconds as the seconds and nanoseconds of a ROS time."""
-    return TIME.pack(*divmod(t_ns, 1_000_000_000))
+    return TIME.pack(*divmod(t_ns, SECOND_NS))
 
 
 def readRecord(file: BinaryIO, file_bytes: int, op: int, where: str) -> Record:

@@ -11,18 +11,15 @@ from __future__ import annotations
 import hashlib
 from itertools import chain, takewhile
 from struct import Struct
-from typing import Callable, Dict, NamedTuple
+from typing import Dict, NamedTuple
 
-from cassandra_ros.bag.reader import BagReader
+from cassandra_ros.bag.reader import BagReader, Progress
 from cassandra_ros.errors import BagError
 from cassandra_ros.keys import MAX_WRITER
 from cassandra_ros.store.registry import Run
 
 EARLIER_SAMPLE = 1000
 """Messages at each end of the bag that counted for an id of an earlier release."""
-
-Reading = Callable[[int, int], None]
-"""Called with the messages and bytes that were read since the last call."""
 
 CONTENT = "content"
 """Label of an import's run: the digest of its bag. Runs of earlier releases have none."""
@@ -51,7 +48,7 @@ class BagContent(NamedTuple):
         return run.labels.get(CONTENT) == self.digest
 
 
-def readContent(reader: BagReader, reading: Reading | None = None) -> BagContent:
+def readContent(reader: BagReader, reading: Progress | None = None) -> BagContent:
     """Read all messages of a bag and hash them in the order of the file.
 
     A chunk that is damaged counts as such. Nothing of it can be stored: the import that reaches it

@@ -7,24 +7,16 @@ from __future__ import annotations
 import logging
 import os
 from dataclasses import dataclass, field
-from typing import AbstractSet, Callable, Dict, Iterable, List, Set
+from typing import AbstractSet, Dict, Iterable, List, Mapping, Set, Tuple
 
 from cassandra_ros.arguments import check_new_topic
-from cassandra_ros.bag.identity import (
-    CONTENT,
-    BagContent,
-    Reading,
-    earlierWriterId,
-    isEarlier,
-    readContent,
-)
-from cassandra_ros.bag.rates import bucketLengths
-from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.bag.topics import chosenConnections
+from cassandra_ros.bag.identity import CONTENT, BagContent, earlierWriterId, isEarlier, readContent
+from cassandra_ros.bag.reader import BagReader, Progress, chosenConnections
 from cassandra_ros.bag.verify import Import, holdsNothingElse
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import DEFAULT_FORMAT
-from cassandra_ros.keys import MAX_WRITER
+from cassandra_ros.keys import MAX_WRITER, SECOND_NS
+from cassandra_ros.store.buckets import bucketFor
 from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.message_writer import (
     FALLBACK_FORMAT,
@@ -36,11 +28,7 @@ from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
 
-Progress = Callable[[int, int], None]
-"""Called with the messages and bytes that were handled since the last call."""
-
-_REPORT_EACH = 500
-"""Messages between two calls of Progress."""
+_WINDOW_NS = 10 * SECOND_NS
 
 
 @dataclass
@@ -85,7 +73,7 @@ def importBag(
     topics: Iterable[str] | None = None,
     nodeID: str = "",
     progress: Progress | None = None,
-    reading: Reading | None = None,
+    reading: Progress | None = None,
 ) -> ImportReport:
     """Store the messages of a bag.
 
@@ -234,23 +222,68 @@ def _writeMessages(
     progress: Progress | None,
 ) -> None:
     counted = {number: report.topics[handle.topic] for number, handle in handles.items()}
-    messages = size = 0
     try:
         for position, number, t_ns, data in reader.messages(handles.keys()):
             writer.write(handles[number], t_ns, position, data)
             topic = counted[number]
             topic.messages += 1
             topic.bytes += len(data)
-            messages += 1
-            size += len(data)
-            if progress is not None and messages == _REPORT_EACH:
-                progress(messages, size)
-                messages = size = 0
+            if progress is not None:
+                progress(1, len(data))
     except BagError as exc:
         raise type(exc)(
             f"{exc}; the {report.messages} messages before it are stored. A repaired copy counts "
             "as another bag: import it into another keyspace, or remove these topics first"
         ) from exc
     writer.flush()
-    if progress is not None:
-        progress(messages, size)
+
+
+@dataclass
+class _Rate:
+    start_ns: int
+    end_ns: int
+    count: int = 0
+    bytes: float = 0.0
+    peak_hz: float = 0.0
+    peak_bytes: float = 0.0
+
+    def finish(self, start_ns: int, last: bool = False) -> None:
+        """End a window; a short one at the end counts only where it is the only one."""
+        if not last or not self.peak_hz:
+            seconds = max(1.0, (self.end_ns - self.start_ns) / SECOND_NS)
+            self.peak_hz = max(self.peak_hz, self.count / seconds)
+            self.peak_bytes = max(self.peak_bytes, self.bytes / seconds)
+        self.start_ns, self.count, self.bytes = start_ns, 0, 0.0
+
+
+def bucketLengths(reader: BagReader, sizes: Mapping[int, int]) -> Dict[int, int]:
+    """Choose the bucket length of each connection's table.
+
+    The highest rate over stretches of at least 10 s decides, as the counts of the chunks show
+    it: a single stray stamp stretches the whole bag, but not all of its parts.
+
+    Args:
+        reader: The bag.
+        sizes: Serialised bytes by number of the connection.
+
+    Returns:
+        Nanoseconds by number of the connection, equal for those that share a table.
+    """
+    # Topic and md5sum: what shares one table.
+    rates: Dict[Tuple[str, str], _Rate] = {}
+    means = {number: sizes[number] / total.count for number, total in reader.totals.items()}
+    keys = {number: (c.topic, c.md5sum) for number, c in reader.connections.items()}
+    for chunk in range(reader.chunk_count):
+        info = reader.chunkInfo(chunk)
+        seen = set()
+        for number, count in info.counts.items():
+            rate = rates.setdefault(keys[number], _Rate(info.start_ns, info.end_ns))
+            if keys[number] not in seen and rate.end_ns - rate.start_ns >= _WINDOW_NS:
+                rate.finish(info.start_ns)
+            seen.add(keys[number])
+            rate.end_ns = max(rate.start_ns, info.end_ns)
+            rate.count += count
+            rate.bytes += count * means[number]
+    for rate in rates.values():
+        rate.finish(rate.end_ns, last=True)
+    return {n: bucketFor(rates[key].peak_hz, rates[key].peak_bytes) for n, key in keys.items()}

@@ -5,17 +5,22 @@
 from __future__ import annotations
 
 import os
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import Counter
-from types import TracebackType
-from typing import AbstractSet, BinaryIO, Dict, Iterator, List, NamedTuple
+from difflib import get_close_matches
+from typing import AbstractSet, BinaryIO, Callable, Dict, Iterable, Iterator, List, NamedTuple, Set
 
 from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.chunk import ChunkMessage, findMessages
-from cassandra_ros.bag.compression import decompressChunk
+from cassandra_ros.bag.chunk import ChunkMessage, decompressChunk, findMessages
 from cassandra_ros.bag.index import BagIndex, ChunkInfo, ConnectionTotals, readChunkInfo, readIndex
-from cassandra_ros.errors import BagError
+from cassandra_ros.errors import BagError, TopicNotFound
 from cassandra_ros.messages.connection import Connection
+
+LISTED = 10
+"""Topics that an error names."""
+
+Progress = Callable[[int, int], None]
+"""Called with the messages and bytes that were handled since the last call."""
 
 
 class RawMessage(NamedTuple):
@@ -53,12 +58,11 @@ class BagReader:
             raise BagError(f"{self.path} cannot be read: {exc.strerror}") from exc
         try:
             self._index: BagIndex = readIndex(self._file, self.file_bytes, self.path)
-        except OSError as exc:
+        except (OSError, BagError) as exc:
             self._file.close()
+            if isinstance(exc, BagError):
+                raise
             raise BagError(f"{self.path} cannot be read: {exc.strerror}") from exc
-        except BagError:
-            self._file.close()
-            raise
 
     def close(self) -> None:
         """Close the file; twice is harmless."""
@@ -67,12 +71,7 @@ class BagReader:
     def __enter__(self) -> BagReader:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exc: object) -> None:
         self.close()
 
     @property
@@ -208,3 +207,98 @@ class BagReader:
 
     def _where(self, chunk: int) -> str:
         return f"{self.path}: chunk {chunk + 1} of {self.chunk_count}"
+
+
+class Ordered(NamedTuple):
+    """A message of a bag, comparable in the order of reading."""
+
+    t_ns: int
+    rank: int
+    """Place of the connection in the bag's index."""
+    position: int
+    value: bytes
+    """What was asked to be kept of the message."""
+
+
+def readInOrder(
+    reader: BagReader,
+    keep: Callable[[RawMessage], bytes],
+    numbers: AbstractSet[int] | None = None,
+) -> Iterator[Ordered]:
+    """Yield the messages of a bag in the order in which rosbag reads them.
+
+    Chunks are read by their first time, each once. Held in memory are the largest chunk, and
+    about 250 bytes beside the kept value for each message that a later chunk may still precede:
+    one or two chunks' worth in a recorded bag, all of the bag when every chunk spans all of it.
+
+    Args:
+        reader: The bag.
+        keep: Makes what is kept of a message.
+        numbers: Only these connections; None = all.
+
+    Raises:
+        BagError: A chunk is damaged, or holds times that the index denies.
+    """
+    rank = {number: place for place, number in enumerate(reader.connections)}
+    order = sorted(range(reader.chunk_count), key=reader.chunkTimes)
+    waiting: List[Ordered] = []
+    for place, chunk in enumerate(order):
+        start_ns, end_ns = reader.chunkTimes(chunk)
+        for message in reader.chunkMessages(chunk, numbers):
+            if not start_ns <= message.t_ns <= end_ns:
+                raise BagError(
+                    f"{reader.path}: chunk {chunk + 1} holds a message outside the times that "
+                    f"the index states; repair it with: rosbag reindex {reader.path}"
+                )
+            entry = Ordered(message.t_ns, rank[message.number], message.position, keep(message))
+            waiting.append(entry)
+        waiting.sort()  # runs that are in order already cost one comparison a message
+        if place + 1 < len(order):
+            next_ns = reader.chunkTimes(order[place + 1])[0]
+            ready = bisect_left(waiting, (next_ns,))
+        else:
+            ready = len(waiting)
+        yield from waiting[:ready]
+        del waiting[:ready]
+
+
+def matchTopics(names: Iterable[str], present: AbstractSet[str], where: str) -> Set[str]:
+    """Find topics by name, with or without the leading slash.
+
+    Args:
+        names: What was asked for.
+        present: Topics that exist, spelt as they are stored.
+        where: Where they should be, for the error's sentence.
+
+    Raises:
+        TopicNotFound: One of the names is not there; the text lists what is, the nearest first.
+    """
+    found: Set[str] = set()
+    for name in names:
+        matches = {name} & present or {t for t in present if t.strip("/") == name.strip("/")}
+        if not matches:
+            raise TopicNotFound(f"there is no topic {name} in {where}; {_listing(name, present)}")
+        found |= matches
+    return found
+
+
+def _listing(name: str, present: AbstractSet[str]) -> str:
+    if not present:
+        return "it has none"
+    near = get_close_matches(name, sorted(present), n=LISTED, cutoff=0.4)
+    every = [*near, *sorted(present - set(near))]
+    more = f" and {len(every) - LISTED} more" if len(every) > LISTED else ""
+    return f"it has {', '.join(every[:LISTED])}{more} ({len(every)} topics)"
+
+
+def chosenConnections(reader: BagReader, topics: Iterable[str] | None) -> Set[int]:
+    """Return the numbers of the connections of some topics of a bag (None = of all).
+
+    Raises:
+        TopicNotFound: The bag has no such topic.
+    """
+    connections = reader.connections
+    if topics is None:
+        return set(connections)
+    names = matchTopics(topics, {c.topic for c in connections.values()}, reader.path)
+    return {number for number, c in connections.items() if c.topic in names}

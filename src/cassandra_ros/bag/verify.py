@@ -1,47 +1,40 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Compare a bag with the store exactly: what, when, over which connection, in which order."""
+"""Compare a bag with the store: the messages of both, side by side in their order."""
 
 from __future__ import annotations
 
-from itertools import groupby
-from typing import Any, Dict, Iterable, Iterator, List, NamedTuple, Set, Tuple
+import hashlib
+import os
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import groupby, islice
+from typing import AbstractSet, Deque, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Tuple
 
-from cassandra_ros.bag.differences import (
-    Progress,
-    VerifyReport,
-    describeBytes,
-    describePlace,
-    fingerprint,
-    rowFingerprint,
-)
-from cassandra_ros.bag.identity import Reading, earlierWriterId, isEarlier, readContent
-from cassandra_ros.bag.order import Ordered, readInOrder
-from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.bag.topics import chosenConnections
-from cassandra_ros.errors import InvalidKey
+from cassandra_ros.bag.identity import earlierWriterId, isEarlier, readContent
+from cassandra_ros.bag.reader import BagReader, Progress, RawMessage, chosenConnections, readInOrder
+from cassandra_ros.errors import CorruptMessage, InvalidKey
 from cassandra_ros.keys import splitSeq
 from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.stamps import isoTime
 from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.selection import Time
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
+SHOWN = 10
+"""Differences that are kept in words; all are counted."""
+WINDOW = 50
+"""Messages ahead, on either side, among which a counterpart is looked for."""
+
+_SIZE_BYTES = 8
 _FOREIGN = 1 << 32
-"""Rank of rows whose connection is none of the bag's."""
+"""Rank of stored messages whose connection is none of the bag's."""
 
-
-class _Seen(NamedTuple):
-    """A stored message, comparable in the order in which rosbag reads."""
-
-    t_ns: int
-    rank: int
-    """Place of its connection in the bag, or _FOREIGN."""
-    order: int
-    """Decides between equal ones: its position in the bag, or its seq where that is not known."""
-    value: bytes
-    topic: str
-    type: str
-    md5sum: str
+# How much of an entry's time, rank and place must agree before two messages are compared.
+_NO_ORDER = 0
+_BY_CONNECTION = 2
+_BY_POSITION = 3
 
 
 class Import(NamedTuple):
@@ -51,13 +44,45 @@ class Import(NamedTuple):
     writer_id: int
 
 
+@dataclass
+class VerifyReport:
+    """Outcome of a comparison."""
+
+    path: str
+    scope: str
+    """Which stored messages were compared, in words."""
+    equal_messages: int = 0
+    differences: int = 0
+    """Messages that are missing, superfluous or different."""
+    missing: int = 0
+    """Those of them that the store lacks; the others are rows that are not of this bag."""
+    first: List[str] = field(default_factory=list)
+    """The first differences, a line each."""
+
+    @property
+    def equal(self) -> bool:
+        """Whether bag and store hold the same."""
+        return not self.differences
+
+    def add(self, text: str, messages: int = 1) -> None:
+        """Note a difference.
+
+        Args:
+            text: A line that says which message, and in what it differs.
+            messages: How many messages it concerns.
+        """
+        self.differences += messages
+        if len(self.first) < SHOWN:
+            self.first.append(text)
+
+
 def verifyBag(
     rosCas: RosCassandra,
-    path: Any,
+    path: str | os.PathLike[str],
     topics: Iterable[str] | None = None,
     nodeID: str | None = None,
     progress: Progress | None = None,
-    reading: Reading | None = None,
+    reading: Progress | None = None,
 ) -> VerifyReport:
     """Compare a bag with the store, message by message, in the order in which rosbag reads.
 
@@ -71,7 +96,7 @@ def verifyBag(
         path: The bag.
         topics: Only these; None = all of the bag.
         nodeID: Compare what is stored for this node; None = whichever node it is.
-        progress: Told how far it is.
+        progress: Told which messages of the bag were compared.
         reading: Told how far the pass over the bag is that finds its import.
 
     Raises:
@@ -81,18 +106,64 @@ def verifyBag(
     """
     with BagReader(path) as reader:
         numbers = chosenConnections(reader, topics)
-        chosen = {n: c for n, c in reader.connections.items() if n in numbers}
-        names = {c.topic for c in chosen.values()}
-        stored = names & {topic.name for topic in rosCas.getAllTopics()}
-        scope = _findImport(rosCas, reader, stored, nodeID, reading)
-        report = VerifyReport(reader.path, _describe(scope, nodeID))
-        for topic in sorted(names - stored):
-            gone = [n for n, c in chosen.items() if c.topic == topic]
+        chosen = {n: reader.connections[n].topic for n in numbers}
+        stored = _storedTopics(rosCas, chosen.values())
+        found = _findImport(rosCas, reader, stored, nodeID, reading)
+        report = VerifyReport(reader.path, _describe(found, nodeID))
+        for topic in sorted(set(chosen.values()) - stored):
+            gone = {n for n in chosen if chosen[n] == topic}
             count = sum(reader.totals[n].count for n in gone)
             report.add(f"{topic} is not stored: its {count} messages are missing", count)
-            numbers.difference_update(gone)
-        rows = _storedRows(rosCas, reader, stored, scope, nodeID)
-        _compare(reader, numbers, rows, scope, report, progress)
+            numbers -= gone
+        comparison = _byPlace(rosCas, reader, stored, found, nodeID, report)
+        _compare(reader, numbers, dict.fromkeys(stored, comparison), progress)
+    return report
+
+
+def verifyContent(
+    rosCas: RosCassandra,
+    path: str | os.PathLike[str],
+    topics: Iterable[str] | None = None,
+    nodeID: str | None = None,
+    mapping: Mapping[str, str] | None = None,
+    start: Time = None,
+    end: Time = None,
+    progress: Progress | None = None,
+) -> VerifyReport:
+    """Compare each topic's messages in their order by type, md5sum and bytes alone.
+
+    Times and connections are not compared: they differ when a bag was played and recorded live.
+    Memory: two pages of rows for each topic, and what readInOrder needs; of a topic whose key is a
+    time in the message, all keys.
+
+    Args:
+        rosCas: Connected to a keyspace.
+        path: The bag.
+        topics: Only these topics of the bag; None = all.
+        nodeID: Only what this node recorded; None = all nodes.
+        mapping: Topic of the bag -> topic under which it was recorded.
+        start: First time of reception (genpy.Time, int ns, float s, text); None = open.
+        end: Last time, included; None = open.
+        progress: Told which messages of the bag were compared.
+
+    Raises:
+        BagError: The bag cannot be read to its end.
+        TopicNotFound: The bag has no such topic.
+    """
+    renamed = dict(mapping or {})
+    with BagReader(path) as reader:
+        numbers = chosenConnections(reader, topics)
+        report = VerifyReport(reader.path, "all stored messages on its topics, by content")
+        ranks = _Ranks((), positions=False)
+        wanted = {reader.connections[n].topic for n in numbers}
+        stored = _storedTopics(rosCas, {renamed.get(topic, topic) for topic in wanted})
+        comparisons: Dict[str, Comparison] = {}
+        for topic in wanted:
+            names = stored & {renamed.get(topic, topic)}
+            # In the order of the bag, whatever the topic's key is.
+            rows = rosCas.readMessages(names, start, end, nodeID=nodeID, received=True)
+            comparisons[topic] = Comparison(map(ranks.see, rows), report, _NO_ORDER)
+        _compare(reader, numbers, comparisons, progress)
     return report
 
 
@@ -102,31 +173,36 @@ def holdsNothingElse(rosCas: RosCassandra, reader: BagReader, found: Import) -> 
     Raises:
         BagError: The bag cannot be read to its end.
     """
-    names = {c.topic for c in reader.connections.values()}
-    stored = names & {topic.name for topic in rosCas.getAllTopics()}
+    topics = {c.topic for c in reader.connections.values()}
     report = VerifyReport(reader.path, "")
-    rows = _storedRows(rosCas, reader, stored, found, None)
-    _compare(reader, set(reader.connections), rows, found, report, None)
+    stored = _storedTopics(rosCas, topics)
+    comparison = _byPlace(rosCas, reader, stored, found, None, report)
+    _compare(reader, reader.connections.keys(), dict.fromkeys(topics, comparison), None)
     return report.equal_messages > 0 and report.differences == report.missing
+
+
+# ---------------------------------------------------------------- which rows
+
+
+def _storedTopics(rosCas: RosCassandra, names: Iterable[str]) -> AbstractSet[str]:
+    return {topic.name for topic in rosCas.getAllTopics()}.intersection(names)
 
 
 def _findImport(
     rosCas: RosCassandra,
     reader: BagReader,
-    topics: Set[str],
+    topics: AbstractSet[str],
     nodeID: str | None,
-    reading: Reading | None,
+    reading: Progress | None,
 ) -> Import | None:
     """Find the rows of an import of this bag, by the writer ids in the directory."""
     parts = rosCas.parts
+    nodes = None if nodeID is None else (nodeID,)
     writers = {
         Import(row.node, row.writer)
         for topic in topics
         for table in parts.tables.ofTopic(topic)
-        for row in parts.directory.buckets(
-            *(table.name, *_bucketsOf(table, reader)),
-            None if nodeID is None else (nodeID,),
-        )
+        for row in parts.directory.buckets(table.name, *_bucketsOf(table, reader), nodes)
     }
     runs = [run for run in rosCas.runs() if Import(run.node, run.writer) in writers]
     runs = [run for run in runs if run.kind == "import"]
@@ -138,9 +214,9 @@ def _findImport(
         if run.node not in found and run.writer == earlierWriterId(reader, run.node):
             found[run.node] = run.writer
     if len(found) > 1:
-        nodes = ", ".join(map(repr, sorted(found)))
+        names = ", ".join(map(repr, sorted(found)))
         raise InvalidKey(
-            f"{reader.path} was imported for the nodes {nodes}; choose one with --node-id"
+            f"{reader.path} was imported for the nodes {names}; choose one with --node-id"
         )
     return next((Import(node, writer) for node, writer in found.items()), None)
 
@@ -151,127 +227,226 @@ def _bucketsOf(table: TopicTable, reader: BagReader) -> Tuple[int, int]:
     return table.bucketOf(reader.start_ns), table.bucketOf(reader.end_ns)
 
 
-def _describe(scope: Import | None, nodeID: str | None) -> str:
-    if scope is not None:
-        return "the import of this bag" + (f" for node {scope.node}" if scope.node else "")
+def _describe(found: Import | None, nodeID: str | None) -> str:
+    if found is not None:
+        return "the import of this bag" + (f" for node {found.node}" if found.node else "")
     whose = "" if nodeID is None else f" of node {nodeID}"
     return f"all stored messages{whose} on its topics"
 
 
-def _storedRows(
+def _byPlace(
     rosCas: RosCassandra,
     reader: BagReader,
-    topics: Set[str],
-    scope: Import | None,
+    topics: AbstractSet[str],
+    found: Import | None,
     nodeID: str | None,
-) -> Iterator[StoredRow]:
-    if scope is None:
-        yield from rosCas.readMessages(topics, nodeID=nodeID, received=True)
-        return
-    ends = (reader.start_ns, reader.end_ns)
-    for row in rosCas.readMessages(topics, *ends, nodeID=scope.node, received=True):
-        if splitSeq(row.seq)[0] == scope.writer_id:
-            yield row
+    report: VerifyReport,
+) -> Comparison:
+    """Compare the rows of an import, or all rows of the topics, by time and connection."""
+    ranks = _Ranks(reader.connections.values(), positions=found is not None)
+    if found is None:
+        rows = rosCas.readMessages(topics, nodeID=nodeID, received=True)
+        return Comparison(_inOrder(rows, ranks), report, _BY_CONNECTION)
+    start_ns, end_ns = reader.start_ns, reader.end_ns
+    rows = rosCas.readMessages(topics, start_ns, end_ns, nodeID=found.node, received=True)
+    own = (row for row in rows if splitSeq(row.seq)[0] == found.writer_id)
+    # These rows know their positions, so that one which is missing shifts no others.
+    return Comparison(_inOrder(own, ranks), report, _BY_POSITION)
 
 
-def _inOrder(
-    rows: Iterator[StoredRow], connections: List[Connection], scope: Import | None
-) -> Iterator[_Seen]:
-    """Put rows of equal time in the order of their connections."""
-    ranks = _Ranks(connections, scope is not None)
-    for _, group in groupby(rows, lambda row: row.received):
-        yield from sorted(map(ranks.see, group))
+# ---------------------------------------------------------------- what is compared
+
+
+class Entry(NamedTuple):
+    """A message of the bag, or a stored one; entries sort in the order in which rosbag reads."""
+
+    t_ns: int
+    rank: int
+    """Place of its connection in the bag's index, or _FOREIGN."""
+    place: int
+    """Its position in the bag, or its seq where that is not known."""
+    type: str
+    md5sum: str
+    value: bytes
+    """Its fingerprint."""
+    topic: str
+
+    @property
+    def content(self) -> Tuple[str, str, bytes]:
+        """What must be equal, wherever the messages stand."""
+        return self[3:6]
+
+    def __str__(self) -> str:
+        return f"{self.topic} at {isoTime(self.t_ns)}"
+
+
+def fingerprint(wire: bytes) -> bytes:
+    """Shorten a message to 24 bytes that differ when the messages differ."""
+    digest = hashlib.blake2b(wire, digest_size=16).digest()
+    return len(wire).to_bytes(_SIZE_BYTES, "little") + digest
 
 
 class _Ranks:
-    """Finds the connections of rows among those of the bag."""
+    """Finds the connections of rows among those of the bag, and shortens the rows to entries."""
 
-    def __init__(self, connections: List[Connection], positions: bool) -> None:
+    def __init__(self, connections: Iterable[Connection], positions: bool) -> None:
         self._positions = positions
-        self._exact = {(c.topic, c.header, c.number): i for i, c in enumerate(connections)}
+        self._exact: Dict[Tuple[str, bytes, int], int] = {}
         # The number is lost where the messages did not come from this very bag.
         self._alike: Dict[Tuple[str, bytes], int] = {}
-        for place, c in enumerate(connections):
-            self._alike.setdefault((c.topic, c.header), place)
+        for rank, c in enumerate(connections):
+            self._exact[c.topic, c.header, c.number] = rank
+            self._alike.setdefault((c.topic, c.header), rank)
         self._known: Dict[Tuple[str, int], Tuple[int, str]] = {}
 
-    def see(self, row: StoredRow) -> _Seen:
-        """Shorten a row to what is compared."""
+    def see(self, row: StoredRow) -> Entry:
+        """Shorten a row to what is compared; one that cannot be read back equals no message."""
         key = (row.table.name, row.conn)
         if key not in self._known:
             c = row.connection
             alike = self._alike.get((c.topic, c.header), _FOREIGN)
-            rank = self._exact.get((c.topic, c.header, c.number), alike)
-            self._known[key] = (rank, c.type)
+            self._known[key] = (self._exact.get((c.topic, c.header, c.number), alike), c.type)
         rank, msg_type = self._known[key]
-        order = splitSeq(row.seq)[1] if self._positions else row.seq
-        value = rowFingerprint(row)
-        return _Seen(row.received, rank, order, value, row.topic, msg_type, row.md5sum)
+        place = splitSeq(row.seq)[1] if self._positions else row.seq
+        try:
+            value = fingerprint(row.wire)
+        except CorruptMessage:
+            value = b""
+        return Entry(row.received, rank, place, msg_type, row.md5sum, value, row.topic)
 
 
-def _reporting(bag: Iterator[Ordered], progress: Progress | None) -> Iterator[Ordered]:
-    for entry in bag:
-        if progress is not None:
-            progress(1)
-        yield entry
+def _inOrder(rows: Iterable[StoredRow], ranks: _Ranks) -> Iterator[Entry]:
+    """Put rows of equal time in the order of their connections."""
+    for _, group in groupby(rows, lambda row: row.received):
+        yield from sorted(map(ranks.see, group))
 
 
 def _compare(
     reader: BagReader,
-    numbers: Set[int],
-    rows: Iterator[StoredRow],
-    scope: Import | None,
-    report: VerifyReport,
+    numbers: AbstractSet[int],
+    comparisons: Mapping[str, Comparison],
     progress: Progress | None,
 ) -> None:
+    """Walk through a bag in the order of rosbag, each topic against its stored messages."""
     connections = list(reader.connections.values())
-    read = readInOrder(reader, lambda message: fingerprint(message.data), numbers)
-    bag, store = _reporting(read, progress), _inOrder(rows, connections, scope)
-    # The rows of an import know their positions, so that one which is missing shifts no others.
-    width = 2 if scope is None else 3
-    wanted, seen = next(bag, None), next(store, None)
-    while wanted is not None and seen is not None:
-        if wanted[:width] < seen[:width]:
-            _missing(wanted, connections, report)
-            wanted = next(bag, None)
-        elif seen[:width] < wanted[:width]:
-            _superfluous(seen, report)
-            seen = next(store, None)
+
+    def keep(message: RawMessage) -> bytes:
+        return fingerprint(message.data)
+
+    for t_ns, rank, position, value in readInOrder(reader, keep, numbers):
+        c = connections[rank]
+        wanted = Entry(t_ns, rank, position, c.type, c.md5sum, value, c.topic)
+        comparisons[c.topic].add(wanted)
+        if progress is not None:
+            progress(1, int.from_bytes(value[:_SIZE_BYTES], "little"))
+    for comparison in comparisons.values():
+        comparison.finish()
+
+
+class Comparison:
+    """Compares messages of a bag with stored ones so that a lost one does not make others differ.
+
+    Messages at different places are missing on one side; at one place, the next equal one decides.
+
+    Args:
+        store: The stored messages in the order of the bag; read a window ahead.
+        report: Gets what is found.
+        order: How many of (time, rank, place) say where a message stands; 0 = only its turn does.
+    """
+
+    def __init__(self, store: Iterator[Entry], report: VerifyReport, order: int) -> None:
+        self._store = store
+        self._report = report
+        self._order = order
+        self._bag: Deque[Entry] = deque()
+        self._seen: Deque[Entry] = deque()
+
+    def add(self, message: Entry) -> None:
+        """Take the next message of the bag."""
+        self._bag.append(message)
+        self._advance(WINDOW)
+
+    def finish(self) -> None:
+        """Compare what is left; there are no more messages in the bag."""
+        self._advance(1)
+        while self._seen or self._fill():
+            self._superfluous(1)
+
+    def _fill(self) -> bool:
+        self._seen.extend(islice(self._store, WINDOW - len(self._seen)))
+        return bool(self._seen)
+
+    def _advance(self, wanted: int) -> None:
+        """Compare while at least so many messages of the bag wait, or the next two are equal."""
+        bag, seen, order = self._bag, self._seen, self._order
+        while bag:
+            if not (seen or self._fill()):
+                self._missing(1)
+            elif bag[0][:order] < seen[0][:order]:
+                self._missing(1)
+            elif seen[0][:order] < bag[0][:order]:
+                self._superfluous(1)
+            elif bag[0].content == seen[0].content:
+                self._report.equal_messages += 1
+                bag.popleft()
+                seen.popleft()
+            elif len(bag) < wanted:
+                return
+            else:
+                self._resolve()
+
+    def _resolve(self) -> None:
+        """Decide what the first difference at one place is, and step behind it."""
+        self._fill()
+        further = self._ahead(self._bag[0], self._seen)
+        missing = self._ahead(self._seen[0], self._bag)
+        if further and (not missing or further <= missing):
+            self._superfluous(further)
+        elif missing:
+            self._missing(missing)
         else:
-            _compareMessages(wanted, seen, connections[wanted.rank], report)
-            wanted, seen = next(bag, None), next(store, None)
-    while wanted is not None:
-        _missing(wanted, connections, report)
-        wanted = next(bag, None)
-    while seen is not None:
-        _superfluous(seen, report)
-        seen = next(store, None)
+            self._different(self._bag.popleft(), self._seen.popleft())
 
+    def _ahead(self, message: Entry, others: Iterable[Entry]) -> int:
+        """Return how many messages at its place come before an equal one; 0 = there is none."""
+        for count, other in enumerate(others):
+            if other[: self._order] != message[: self._order]:
+                return 0
+            if other.content == message.content:
+                return count
+        return 0
 
-def _missing(wanted: Ordered, connections: List[Connection], report: VerifyReport) -> None:
-    place = describePlace(connections[wanted.rank].topic, wanted.t_ns)
-    report.add(f"{place}: message {wanted.position} of the bag is not in the store")
-    report.missing += 1
+    def _missing(self, count: int) -> None:
+        known = self._order or self._seen
+        why = "is not in the store" if known else "has no counterpart: the store has fewer messages"
+        self._report.missing += count
+        for _ in range(count):
+            wanted = self._bag.popleft()
+            self._report.add(f"{wanted}: message {wanted.place} of the bag {why}")
 
+    def _superfluous(self, count: int) -> None:
+        for _ in range(count):
+            seen, why = self._seen.popleft(), "" if self._order else " here"
+            if self._order and seen.rank == _FOREIGN:
+                why = " over this connection"
+            self._report.add(f"{seen}: the bag has no such message{why}")
 
-def _superfluous(seen: _Seen, report: VerifyReport) -> None:
-    why = " over this connection" if seen.rank == _FOREIGN else ""
-    report.add(f"{describePlace(seen.topic, seen.t_ns)}: the bag has no such message{why}")
-
-
-def _compareMessages(
-    wanted: Ordered, seen: _Seen, connection: Connection, report: VerifyReport
-) -> None:
-    reasons = []
-    if (connection.type, connection.md5sum) != (seen.type, seen.md5sum):
-        reasons.append(
-            f"type {connection.type} [{connection.md5sum}] in the bag, "
-            f"{seen.type} [{seen.md5sum}] in the store"
-        )
-    if wanted.value != seen.value:
-        reasons.append(describeBytes(wanted.value, seen.value))
-    if reasons:
-        place = describePlace(connection.topic, wanted.t_ns)
-        report.add(f"{place}: message {wanted.position} of the bag: {'; '.join(reasons)}")
-    else:
-        report.equal_messages += 1
+    def _different(self, wanted: Entry, seen: Entry) -> None:
+        reasons = []
+        if wanted[3:5] != seen[3:5]:
+            reasons.append(
+                f"type {wanted.type} [{wanted.md5sum}] in the bag, "
+                f"{seen.type} [{seen.md5sum}] in the store"
+            )
+        if not seen.value:
+            reasons.append("the stored message is damaged")
+        elif wanted.value != seen.value:
+            sizes = [int.from_bytes(e.value[:_SIZE_BYTES], "little") for e in (wanted, seen)]
+            reasons.append(
+                f"its {sizes[0]} bytes differ"
+                if sizes[0] == sizes[1]
+                else f"{sizes[0]} bytes in the bag, {sizes[1]} in the store"
+            )
+        stored = "" if str(wanted) == str(seen) else f" (stored as {seen})"
+        text = f"{wanted}: message {wanted.place} of the bag: {'; '.join(reasons)}{stored}"
+        self._report.add(text)

@@ -9,12 +9,10 @@ import os
 import tempfile
 from array import array
 from contextlib import suppress
-from types import TracebackType
 from typing import IO, Dict, Set
 
 from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.chunk import messageHead
-from cassandra_ros.bag.compression import COMPRESSIONS, compressChunk
+from cassandra_ros.bag.chunk import COMPRESSIONS, compressChunk, messageHead
 from cassandra_ros.errors import BagError
 from cassandra_ros.messages.connection import Connection
 
@@ -160,12 +158,7 @@ class BagWriter:
     def __enter__(self) -> BagWriter:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
         if kind is None:
             self.close()
         else:

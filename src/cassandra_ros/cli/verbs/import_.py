@@ -68,8 +68,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _import(rosCas: RosCassandra, path: str, options: argparse.Namespace) -> ImportReport:
     from cassandra_ros.bag.importer import importBag
-    from cassandra_ros.bag.reader import BagReader
-    from cassandra_ros.bag.topics import chosenConnections
+    from cassandra_ros.bag.reader import BagReader, chosenConnections
 
     with BagReader(path) as reader:
         chosen = chosenConnections(reader, options.topics)

@@ -21,7 +21,7 @@ from cassandra_ros.cli.progress import MessageBar
 from cassandra_ros.cli.table import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.bag.differences import VerifyReport
+    from cassandra_ros.bag.verify import VerifyReport
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,8 +73,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _compare(options: argparse.Namespace) -> VerifyReport:
     from cassandra_ros.bag.reader import BagReader
-    from cassandra_ros.bag.verify import verifyBag
-    from cassandra_ros.bag.verify_content import verifyContent
+    from cassandra_ros.bag.verify import verifyBag, verifyContent
 
     start, end = read_times(options)
     with BagReader(options.bag) as reader:
