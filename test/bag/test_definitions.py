@@ -19,7 +19,7 @@ from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize, toYaml
 from cassandra_ros.messages.connection import liveConnection
 from cassandra_ros.messages.definition import parseDefinition
-from cassandra_ros.recording.recorder import Recorder
+from cassandra_ros.recording.recording import Recording
 
 T0 = 1_500_000_000 * 10**9
 every_format = pytest.mark.parametrize("form", FORMATS)
@@ -74,7 +74,7 @@ def by_writer(rosCas, tmp_path, messages, form):
 
 def by_recorder(rosCas, tmp_path, messages, form):
     times = iter(range(T0, T0 + len(messages)))
-    recorder = Recorder(rosCas, format=form, clock=lambda: next(times))
+    recorder = Recording(rosCas, format=form, clock=lambda: next(times))
     for fields, wire in messages:
         recorder.received("/t", fields, wire)
     assert sum(report.lost for report in recorder.close()) == 0

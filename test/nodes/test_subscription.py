@@ -13,8 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from cassandra_ros.nodes.subscription import _hasHungUp, _isRead
-from cassandra_ros.nodes.tcpros_reading import readHeader, receivedBytes
+from cassandra_ros.nodes.subscription import _hasHungUp, _isRead, _received, readHeader
 
 
 @pytest.fixture
@@ -74,7 +73,7 @@ def test_messages_that_come_with_the_header_are_not_handed_on_yet(pair):
         behind = io.BytesIO()
         reading = other.submit(readHeader, ours, behind, 4096)
         theirs.sendall(header[:9])
-        while receivedBytes(ours) == 0:
+        while _received.get(ours, 0) == 0:
             time.sleep(0.001)
         assert not _isRead(connection)
         theirs.sendall(header[9:] + b"12345")

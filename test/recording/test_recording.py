@@ -16,10 +16,9 @@ from std_msgs.msg import Header, String
 
 from cassandra_ros.errors import ClockNotSet
 from cassandra_ros.messages.connection import liveConnection
-from cassandra_ros.recording.buffer import ITEM_BYTES, Buffer, Item
+from cassandra_ros.recording.buffer import ITEM_BYTES, Buffer, Feed, Item, Source, startsWithHeader
 from cassandra_ros.recording.counts import Counts
-from cassandra_ros.recording.recorder import Recorder
-from cassandra_ros.recording.source import Feed, Source, startsWithHeader
+from cassandra_ros.recording.recording import Recording
 
 T0 = 1_400_000_000 * 10**9
 
@@ -115,7 +114,7 @@ def test_any_definition_text(definition):
 
 
 def test_messages_are_stored_as_they_came(rosCas):
-    recorder = Recorder(rosCas, format="ros", nodeID="husky")
+    recorder = Recording(rosCas, format="ros", nodeID="husky")
     header = header_of(String)
     before = time.time_ns()
     for n in range(500):
@@ -142,7 +141,7 @@ def test_stamps_and_counters_have_one_order(rosCas):
         with clock_lock:
             return next(ticks) // 10 * 10  # ten messages share a stamp
 
-    recorder = Recorder(rosCas, clock=clock)
+    recorder = Recording(rosCas, clock=clock)
 
     def publish(name):
         header = header_of(String, callerid=name)
@@ -164,7 +163,7 @@ def test_stamps_and_counters_have_one_order(rosCas):
 
 
 def test_what_does_not_fit_is_counted(rosCas):
-    recorder = Recorder(rosCas, buffer_bytes=100_000)
+    recorder = Recording(rosCas, buffer_bytes=100_000)
     header = header_of(String)
     for n in range(2000):
         recorder.received("/text", header, text(n))
@@ -176,7 +175,7 @@ def test_what_does_not_fit_is_counted(rosCas):
 
 
 def test_the_limit(rosCas):
-    recorder = Recorder(rosCas, limit=3)
+    recorder = Recording(rosCas, limit=3)
     for n in range(10):
         recorder.received("/a", header_of(String), text(n))
     recorder.received("/b", header_of(String), text(0))
@@ -191,7 +190,7 @@ def test_a_clock_that_is_not_set(rosCas):
     def clock():
         raise ClockNotSet("no /clock")
 
-    recorder = Recorder(rosCas, clock=clock)
+    recorder = Recording(rosCas, clock=clock)
     recorder.received("/text", header_of(String), text(0))
     (report,) = recorder.close()
     assert (report.received, report.stored, report.reasons) == (1, 0, {"no /clock": 1})
@@ -210,7 +209,7 @@ def test_a_clock_that_is_not_set(rosCas):
     ],
 )
 def test_headers_that_lack_or_lie(rosCas, header):
-    recorder = Recorder(rosCas, format="ros")
+    recorder = Recording(rosCas, format="ros")
     wires = [text(0), b"", bytes(range(256))]
     for wire in wires:
         recorder.received("/text", header, wire)
@@ -224,7 +223,7 @@ def test_headers_that_lack_or_lie(rosCas, header):
 
 
 def test_a_topic_that_cannot_have_a_table(rosCas):
-    recorder = Recorder(rosCas)
+    recorder = Recording(rosCas)
     recorder.received("", header_of(String), text(0))
     recorder.received("/good", header_of(String), text(0))
     reports = by_topic(recorder.close())
@@ -233,7 +232,7 @@ def test_a_topic_that_cannot_have_a_table(rosCas):
 
 
 def test_the_first_second_fixes_the_bucket(rosCas):
-    recorder = Recorder(rosCas)
+    recorder = Recording(rosCas)
     imu = message(Imu())
     header = header_of(Imu)
     for _ in range(6000):

@@ -1,18 +1,28 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Names of nodes: never that of a node that lives, for the master would shut that one down."""
+"""Becoming a node: its name, its log on /rosout, its time."""
 
 from __future__ import annotations
 
+import logging
 import socket
+import struct
+import time
 import xmlrpc.client
 from http.client import HTTPException
-from typing import Sequence
+from typing import Mapping, Sequence
 from urllib.parse import urlparse
 from xml.parsers.expat import ExpatError
 
 import rospy
 
+from cassandra_ros.errors import ClockNotSet
+from cassandra_ros.nodes.subscription import subscribe
+
+_OURS = "cassandra_ros"
+_ROSPY = "rosout"
+"""The logger behind rospy.logwarn and its like."""
+_STAMP = struct.Struct("<II")
 _REMAP = "__name:="
 _TIMEOUT_SEC = 2.0
 MASTER_ERRORS = (OSError, HTTPException, xmlrpc.client.Error, ExpatError)
@@ -56,3 +66,59 @@ def isTaken(full_name: str) -> bool:
     except OSError:
         return True  # out of reach is not dead
     return True
+
+
+class _Forwarder(logging.Handler):
+    """Hands records to rospy's logger, with the place in the code that they come from."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        target = logging.getLogger(_ROSPY)
+        if target.isEnabledFor(record.levelno):
+            target.handle(record)
+
+
+def forwardLogging() -> None:
+    """Forward the logger ``cassandra_ros``; call it after rospy.init_node."""
+    logger = logging.getLogger(_OURS)
+    if any(isinstance(handler, _Forwarder) for handler in logger.handlers):
+        return
+    logger.addHandler(_Forwarder())
+    logger.setLevel(logging.INFO)
+    logger.propagate = False  # rospy's logger writes to the node's log file already
+    for name in list(logging.root.manager.loggerDict):
+        # init_node configures logging anew, which disables loggers that exist.
+        if name.split(".")[0] == _OURS:
+            logging.getLogger(name).disabled = False
+    # The driver's own warnings speak of things that its caller chose.
+    logging.getLogger("cassandra").setLevel(logging.ERROR)
+
+
+def followClock() -> None:
+    """Let rospy's time be the simulated one where /use_sim_time says so.
+
+    rospy subscribes to /clock itself with a queue of one message, which a second subscription in
+    the process then shares: a recorder of /clock would lose most of it. So the node is started with
+    ``disable_rostime=True``, and /clock is followed here.
+    """
+    if rospy.get_param("/use_sim_time", False):
+        rospy.rostime._set_rostime(rospy.Time(0, 0))
+        subscribe("/clock", _take)
+
+
+def nowNs() -> int:
+    """Tell the time; exactly, while rospy's wall clock goes through a float.
+
+    Raises:
+        ClockNotSet: Simulated time is in use and no /clock message has come.
+    """
+    if rospy.rostime.is_wallclock():
+        return time.time_ns()
+    now = int(rospy.rostime.get_rostime().to_nsec())
+    if not now:
+        raise ClockNotSet("simulated time is in use and no /clock message had come")
+    return now
+
+
+def _take(topic: str, header: Mapping[str, str], wire: bytes) -> None:
+    if len(wire) == _STAMP.size:
+        rospy.rostime._set_rostime(rospy.Time(*_STAMP.unpack(wire)))

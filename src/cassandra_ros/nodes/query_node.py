@@ -5,15 +5,15 @@
 from __future__ import annotations
 
 import logging
-from typing import Any, Callable, Sequence
+from typing import Callable, Sequence
 
 import rospy
 
 from cassandra_ros.errors import InvalidName
-from cassandra_ros.nodes.node_name import fullName, isTaken, wantedName
-from cassandra_ros.nodes.rosout import forwardLogging
+from cassandra_ros.nodes.node import forwardLogging, fullName, isTaken, wantedName
 from cassandra_ros.nodes.services import Services
 from cassandra_ros.srv import ExecuteCQL, GetData, LookupTransform, Range
+from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 NAME = "cassandra_ros"
 PARAMETERS = ("host", "port", "keyspace", "allow_writes")
@@ -51,7 +51,7 @@ def startNode(argv: Sequence[str]) -> dict[str, str]:
     return {name: str(value) for name, value in given.items() if value is not None}
 
 
-def serve(rosCas: Any, say: Say, allow_writes: bool = False) -> None:
+def serve(rosCas: RosCassandra, say: Say, allow_writes: bool = False) -> None:
     """Answer requests until the node is shut down.
 
     Args:
@@ -60,10 +60,10 @@ def serve(rosCas: Any, say: Say, allow_writes: bool = False) -> None:
         allow_writes: Let ~executeCQL change what is stored.
     """
     services = Services(rosCas, allow_writes)
-    rospy.Service("~getData", GetData, services.getData)
+    rospy.Service("~getData", GetData, services.get_data)
     rospy.Service("~range", Range, services.range)
-    rospy.Service("~executeCQL", ExecuteCQL, services.executeCQL)
-    rospy.Service("~lookupTransform", LookupTransform, services.lookupTransform)
+    rospy.Service("~executeCQL", ExecuteCQL, services.execute_cql)
+    rospy.Service("~lookupTransform", LookupTransform, services.lookup_transform)
     absence = rosCas.parts.side_tables.absence()
     if absence:
         _log.warning("%s; until then no topic is found", absence)

@@ -10,17 +10,26 @@ import signal
 import threading
 import time
 from dataclasses import dataclass
-from typing import Any, Callable, Sequence
+from types import FrameType
+from typing import Callable, Optional, Sequence
 
 import rospy
 
 from cassandra_ros.formats.table import DEFAULT_FORMAT
-from cassandra_ros.nodes.node_name import MASTER_ERRORS, fullName, isTaken, wantedName, withoutName
-from cassandra_ros.nodes.ros_clock import followClock, nowNs
-from cassandra_ros.nodes.rosout import forwardLogging
+from cassandra_ros.nodes.node import (
+    MASTER_ERRORS,
+    followClock,
+    forwardLogging,
+    fullName,
+    isTaken,
+    nowNs,
+    wantedName,
+    withoutName,
+)
 from cassandra_ros.nodes.subscription import connectedUris, isDrained, subscribe
 from cassandra_ros.recording.counts import TopicReport
-from cassandra_ros.recording.recorder import DEFAULT_BUFFER_BYTES, Recorder
+from cassandra_ros.recording.recording import DEFAULT_BUFFER_BYTES, Recording
+from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
 
@@ -60,15 +69,18 @@ class RecorderOptions:
         """Whether topics are chosen while they appear."""
         return self.all or self.regex
 
+    def excludes(self, topic: str) -> bool:
+        """Say whether a topic is left out whatever else is said."""
+        return bool(self.exclude and re.fullmatch(self.exclude, topic))
+
     def chooses(self, topic: str) -> bool:
         """Say whether a topic that appeared is to be recorded."""
-        if self.exclude and re.fullmatch(self.exclude, topic):
-            return False
-        return self.all or any(re.fullmatch(wanted, topic) for wanted in self.topics)
+        wanted = self.all or any(re.fullmatch(name, topic) for name in self.topics)
+        return wanted and not self.excludes(topic)
 
 
 def record(
-    rosCas: Any, options: RecorderOptions, argv: Sequence[str], say: Say
+    rosCas: RosCassandra, options: RecorderOptions, argv: Sequence[str], say: Say
 ) -> list[TopicReport]:
     """Record until a signal, the master, the duration or the limit ends it.
 
@@ -82,7 +94,7 @@ def record(
         What became of the messages of each topic.
     """
     name = _startNode(argv)
-    recorder = Recorder(
+    recorder = Recording(
         rosCas,
         clock=nowNs,
         format=options.format,
@@ -105,7 +117,7 @@ def record(
 class _Session:
     """One recording from its first subscription to its last message."""
 
-    def __init__(self, recorder: Recorder, options: RecorderOptions, say: Say) -> None:
+    def __init__(self, recorder: Recording, options: RecorderOptions, say: Say) -> None:
         self._recorder = recorder
         self._options = options
         self._say = say
@@ -134,12 +146,8 @@ class _Session:
             return
         for topic in self._options.topics:
             resolved = rospy.resolve_name(topic)
-            if not self._isExcluded(resolved):
+            if not self._options.excludes(resolved):
                 self._subscribe(resolved)
-
-    def _isExcluded(self, topic: str) -> bool:
-        exclude = self._options.exclude
-        return bool(exclude and re.fullmatch(exclude, topic))
 
     def _discover(self, announce: bool) -> None:
         try:
@@ -217,7 +225,7 @@ class _Session:
                 return
             time.sleep(0.01)
 
-    def _signalled(self, number: int, frame: Any) -> None:
+    def _signalled(self, number: int, frame: Optional[FrameType]) -> None:
         self._signals += 1
         self._stop.set()
 

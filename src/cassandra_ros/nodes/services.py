@@ -7,44 +7,58 @@ from __future__ import annotations
 import functools
 import logging
 from itertools import islice
-from typing import Any, Callable, Iterator, Optional
+from typing import Callable, Iterator, Optional, TypeVar
 
-from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidKey
-from cassandra_ros.keys import decodeCursor, encodeCursor
-from cassandra_ros.messages.stamps import toNs
-from cassandra_ros.msg import Row
-from cassandra_ros.nodes.stored_messages import clean, pack, sizeOf
+import rospy
+
+from cassandra_ros.errors import CassandraRosError, CorruptMessage, DefinitionError, InvalidKey
+from cassandra_ros.keys import SECOND_NS, decodeCursor, encodeCursor
+from cassandra_ros.messages.classes import toYaml
+from cassandra_ros.messages.stamps import isoTime, toNs
+from cassandra_ros.msg import Row, StoredMessage
 from cassandra_ros.query.conditions import Condition
 from cassandra_ros.query.json_values import fromJson, toJson
 from cassandra_ros.query.parse import parseStatement
 from cassandra_ros.query.syntax import Select
 from cassandra_ros.srv import (
+    ExecuteCQLRequest,
     ExecuteCQLResponse,
+    GetDataRequest,
     GetDataResponse,
+    LookupTransformRequest,
     LookupTransformResponse,
+    RangeRequest,
     RangeResponse,
 )
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.stored_row import StoredRow
 
 _log = logging.getLogger(__name__)
 
 DEFAULT_LIMIT = 100
 MAX_REPLY_BYTES = 16 * 1024 * 1024
 """A page ends behind the message that passes this."""
+YAML_BYTES = 1024 * 1024
+"""Larger messages are not written as YAML: it takes seconds, and ten times the bytes."""
 READ_ONLY = (
     "the statement changes what is stored, and this node only reads; start it with the parameter "
     "~allow_writes, as rosrun cassandra_ros query_server _allow_writes:=true, or run the statement "
     "with RosCassandra.executeCQL"
 )
 
-Handler = Callable[[Any, Any], Any]
+Request = TypeVar("Request")
+Response = TypeVar("Response")
+Handler = Callable[["Services", Request], Response]
 
 
-def _answers(response_class: Any) -> Callable[[Handler], Handler]:
+def _answers(
+    response_class: Callable[..., Response],
+) -> Callable[[Handler[Request, Response]], Handler[Request, Response]]:
     """Let a handler answer ``success: false`` for whatever goes wrong in it."""
 
-    def decorate(handler: Handler) -> Handler:
+    def decorate(handler: Handler[Request, Response]) -> Handler[Request, Response]:
         @functools.wraps(handler)
-        def answer(self: Any, request: Any) -> Any:
+        def answer(self: Services, request: Request) -> Response:
             try:
                 return handler(self, request)
             except CassandraRosError as exc:
@@ -67,28 +81,26 @@ class Services:
         allow_writes: Run statements that change what is stored.
     """
 
-    def __init__(self, rosCas: Any, allow_writes: bool = False) -> None:
+    def __init__(self, rosCas: RosCassandra, allow_writes: bool = False) -> None:
         self._rosCas = rosCas
         self._allow_writes = allow_writes
 
     @_answers(GetDataResponse)
-    def getData(self, request: Any) -> Any:
+    def get_data(self, request: GetDataRequest) -> GetDataResponse:
         """Answer GetData."""
         topic = self._rosCas.getTopic(request.topic)
-        which = {
-            "nearest": request.nearest or None,
-            "nodeID": request.node_id or None,
-            "where": request.where or None,
-        }
         key = topic.keyOfText(request.key_text) if request.key_text.strip() else request.key
-        row = topic.getRow(key, **which)
-        if row is None:
-            topic.getData(key, **which)  # raises with what lies near
-            row = topic.getRow(key, **which)
+        nearest, node = request.nearest or None, request.node_id or None
+        where = request.where or None
+        row = topic.getRow(key, nearest=nearest, nodeID=node, where=where)
+        while row is None:
+            # Raises with what lies near; or the message has come just now.
+            topic.getData(key, nearest=nearest, nodeID=node, where=where)
+            row = topic.getRow(key, nearest=nearest, nodeID=node, where=where)
         return GetDataResponse(True, "", pack(row, request.omit_data, request.omit_yaml))
 
     @_answers(RangeResponse)
-    def range(self, request: Any) -> Any:
+    def range(self, request: RangeRequest) -> RangeResponse:
         """Answer Range."""
         limit = request.limit or DEFAULT_LIMIT
         response = RangeResponse(success=True)
@@ -114,7 +126,7 @@ class Services:
             response.next_cursor = ""
         return response
 
-    def _rows(self, request: Any, most: int) -> Iterator[Any]:
+    def _rows(self, request: RangeRequest, most: int) -> Iterator[StoredRow]:
         topic = self._rosCas.getTopic(request.topic)
         low = toNs(request.key)
         high = toNs(request.to_key) or None
@@ -124,11 +136,10 @@ class Services:
         node = request.node_id or None
         if request.where:
             return Condition(request.where, nodeID=node).rows(topic, low, high, after)
-        rows: Iterator[Any] = topic.rows(low, high, nodeID=node, limit=most, after=after)
-        return rows
+        return topic.rows(low, high, nodeID=node, limit=most, after=after)
 
     @_answers(ExecuteCQLResponse)
-    def executeCQL(self, request: Any) -> Any:
+    def execute_cql(self, request: ExecuteCQLRequest) -> ExecuteCQLResponse:
         """Answer ExecuteCQL."""
         params = [fromJson(text, f"params[{n}]") for n, text in enumerate(request.params)]
         statement = parseStatement(request.statement, params)
@@ -143,7 +154,9 @@ class Services:
         rows = [Row([toJson(value) for value in values]) for values in found]
         return ExecuteCQLResponse(success=True, columns=list(found.columns), rows=rows)
 
-    def _page(self, select: Select, node: Optional[str], limit: int, cursor: str) -> Any:
+    def _page(
+        self, select: Select, node: Optional[str], limit: int, cursor: str
+    ) -> ExecuteCQLResponse:
         with self._rosCas.statements.select(
             select, nodeID=node, limit=limit + 1, after=cursor
         ) as result:
@@ -162,11 +175,46 @@ class Services:
         return response
 
     @_answers(LookupTransformResponse)
-    def lookupTransform(self, request: Any) -> Any:
+    def lookup_transform(self, request: LookupTransformRequest) -> LookupTransformResponse:
         """Answer LookupTransform."""
         asked = {"nodeID": request.node_id, "tf": request.tf, "tf_static": request.tf_static}
         found = self._rosCas.lookupTransform(
-            *(request.target_frame, request.source_frame, request.time),
+            request.target_frame,
+            request.source_frame,
+            request.time,
             **{name: value for name, value in asked.items() if value},
         )
         return LookupTransformResponse(True, "", found)
+
+
+def pack(row: StoredRow, omit_data: bool, omit_yaml: bool) -> StoredMessage:
+    """Make a StoredMessage of a stored row."""
+    return StoredMessage(
+        key=rospy.Time(*divmod(row.t, SECOND_NS)),
+        key_text=clean(row.name) or (isoTime(row.t) if row.table.valued else str(row.t)),
+        node_id=clean(row.node),
+        topic=clean(row.topic),
+        type=clean(row.type),
+        md5sum=clean(row.md5sum),
+        data=b"" if omit_data else row.wire,
+        yaml="" if omit_yaml else clean(_yaml(row)),
+    )
+
+
+def sizeOf(message: StoredMessage) -> int:
+    """Return about how many bytes a StoredMessage takes in a reply."""
+    return len(message.data) + len(message.yaml) + 200
+
+
+def clean(text: str) -> str:
+    """Return text that is valid UTF-8, for what came from outside may hold anything."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+
+
+def _yaml(row: StoredRow) -> str:
+    if row.size > YAML_BYTES:
+        return f"# {row.size} bytes of {row.type}, too many to be shown here: read data"
+    try:
+        return toYaml(row.message())
+    except (CorruptMessage, DefinitionError) as exc:
+        return "# " + " ".join(str(exc).split())

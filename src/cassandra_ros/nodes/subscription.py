@@ -12,25 +12,31 @@ What plain ``rospy.Subscriber`` loses or doubles (rospy 1.15, seen with publishe
 * A publisher that comes again under its URI while its old connection is still being read is taken
   for connected, and not heard any more. Here a connection whose other end is closed does not
   count, and a publisher that was taken for connected is tried again when its connection ends.
-* A connection header that is not UTF-8 is refused: see ``tcpros_reading``.
+* A connection header that is not UTF-8 (a degree sign in an old .msg file) is refused by rosgraph,
+  and its publisher never heard. Here the bytes are kept as surrogates.
+
+What was read is counted, so that the end of a recording can wait until all of it was handled.
 """
 
 from __future__ import annotations
 
+import fcntl
+import io
 import select
+import socket
+import struct
+import termios
 import threading
-from typing import Any, Callable, Mapping
+from typing import Callable, Mapping
+from weakref import WeakKeyDictionary
 
 import rospy
-from rospy.impl.registration import (
-    Registration,
-    get_registration_listeners,
-    get_topic_manager,
-)
+from rospy.impl import tcpros_base
+from rospy.impl.registration import Registration, get_registration_listeners, get_topic_manager
+from rospy.impl.transport import Transport
 from rospy.topics import _SubscriberImpl
 
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.nodes.tcpros_reading import mendReading, receivedBytes, unreadBytes
 
 BUFF_SIZE = 16 * 1024 * 1024
 """Most bytes that are read at once; with rospy's 64 KiB large messages lag."""
@@ -38,6 +44,12 @@ BUFF_SIZE = 16 * 1024 * 1024
 # Not POLLHUP, which a socket has also before it is connected.
 _HUNG_UP = select.POLLRDHUP | select.POLLERR
 _CLOSING = "#closing"
+
+MAX_HEADER_BYTES = 16 * 1024 * 1024
+
+_length = struct.Struct("<I").unpack_from
+_received: WeakKeyDictionary[socket.socket, int] = WeakKeyDictionary()
+"""Socket of a connection → bytes that came behind its header; -1 while that is read."""
 
 Callback = Callable[[str, Mapping[str, str], bytes], None]
 """Called with topic, connection header and serialised message."""
@@ -54,9 +66,11 @@ def subscribe(topic: str, callback: Callback, tcp_nodelay: bool = False) -> rosp
     Returns:
         The subscriber; ``impl`` is rospy's.
     """
-    mendReading()
+    # Let rospy read with the functions below, in this process.
+    tcpros_base.read_ros_handshake_header = readHeader
+    tcpros_base.recv_buff = receive
 
-    def take(msg: Any) -> None:
+    def take(msg: rospy.AnyMsg) -> None:
         # rospy itself may be subscribed with a class: /clock under simulated time.
         wire = msg._buff if isinstance(msg, rospy.AnyMsg) else serialize(msg)
         callback(topic, msg._connection_header, wire)
@@ -87,7 +101,7 @@ def connectedUris(subscriber: rospy.Subscriber) -> set[str]:
 class _Subscription(_SubscriberImpl):
     """rospy's side of a subscription, with the faults above mended."""
 
-    def __init__(self, name: str, take: Callable[[Any], None], tcp_nodelay: bool) -> None:
+    def __init__(self, name: str, take: Callable[[rospy.AnyMsg], None], tcp_nodelay: bool) -> None:
         super().__init__(name, rospy.AnyMsg)
         self.set_buff_size(BUFF_SIZE)
         self.set_tcp_nodelay(tcp_nodelay)
@@ -111,7 +125,7 @@ class _Subscription(_SubscriberImpl):
             other.join(1.0)
         return True
 
-    def add_connection(self, c: Any) -> bool:
+    def add_connection(self, c: Transport) -> bool:
         """Add a connection beside an old one of the same publisher that is still being read."""
         with self.c_lock:
             for old in self.connections:
@@ -119,7 +133,7 @@ class _Subscription(_SubscriberImpl):
                     old.endpoint_id += _CLOSING
             return bool(super().add_connection(c))
 
-    def remove_connection(self, c: Any) -> None:
+    def remove_connection(self, c: Transport) -> None:
         """Forget a connection that has ended; look whether its publisher is there again."""
         super().remove_connection(c)
         with self.c_lock:
@@ -133,14 +147,14 @@ class _Subscription(_SubscriberImpl):
             if connect is not None:
                 threading.Thread(target=connect, args=(self.name, again), daemon=True).start()
 
-    def receive_callback(self, msgs: list[Any], connection: Any) -> None:
+    def receive_callback(self, msgs: list[rospy.AnyMsg], connection: Transport) -> None:
         """Hand on messages and note how many of the connection's bytes they were."""
         super().receive_callback(msgs, connection)
         nbytes = sum(len(msg._buff) + 4 for msg in msgs)
         connection.handled = getattr(connection, "handled", 0) + nbytes
 
 
-def _hasHungUp(connection: Any) -> bool:
+def _hasHungUp(connection: Transport) -> bool:
     """Say whether the publisher has closed its end."""
     sock = connection.socket
     if sock is None:
@@ -153,7 +167,7 @@ def _hasHungUp(connection: Any) -> bool:
         return True
 
 
-def _isRead(connection: Any) -> bool:
+def _isRead(connection: Transport) -> bool:
     sock = connection.socket
     if sock is None or connection.done:
         return True
@@ -162,4 +176,77 @@ def _isRead(connection: Any) -> bool:
         unread = unreadBytes(sock)
     except (OSError, ValueError):
         return True
-    return not unread and getattr(connection, "handled", 0) == receivedBytes(sock)
+    return not unread and getattr(connection, "handled", 0) == _received.get(sock, 0)
+
+
+def unreadBytes(sock: socket.socket) -> int:
+    """Return how many bytes lie in a socket."""
+    return int(_length(fcntl.ioctl(sock, termios.FIONREAD, bytes(4)))[0])
+
+
+def receive(sock: socket.socket, b: io.BytesIO, buff_size: int) -> int:
+    """Read what is there, as rospy's recv_buff; count it before it leaves the socket.
+
+    Args:
+        sock: Blocking socket.
+        b: What is read is appended to it.
+        buff_size: At most so many bytes.
+
+    Returns:
+        The number of bytes.
+    """
+    try:
+        poller = select.poll()
+        poller.register(sock, select.POLLIN)
+        poller.poll()
+        size = min(unreadBytes(sock), buff_size)
+        _received[sock] = _received.get(sock, 0) + size
+        data = sock.recv(max(size, 1))
+    except (OSError, ValueError) as exc:
+        raise rospy.exceptions.TransportTerminated(f"the connection broke: {exc}") from exc
+    if not data:
+        raise rospy.exceptions.TransportTerminated("the publisher has closed the connection")
+    b.write(data)
+    return len(data)
+
+
+def readHeader(sock: socket.socket, b: io.BytesIO, buff_size: int) -> dict[str, str]:
+    """Read a connection header as rosgraph does, keeping bytes that are not UTF-8.
+
+    Args:
+        sock: Blocking socket.
+        b: Afterwards holds what came behind the header.
+        buff_size: Bytes to read at once.
+    """
+    while b.tell() < 4 or b.tell() - 4 < _length(b.getvalue())[0]:
+        if sock.recv(1, socket.MSG_PEEK):
+            _received[sock] = -1  # before it leaves the socket: messages may come with it
+        data = sock.recv(buff_size)
+        if not data:
+            raise rospy.exceptions.TransportInitError("the publisher closed before its header")
+        b.write(data)
+        if b.tell() >= 4 and _length(b.getvalue()[:4])[0] > MAX_HEADER_BYTES:
+            raise rospy.exceptions.TransportInitError(
+                f"the publisher announces a header of over {MAX_HEADER_BYTES} bytes"
+            )
+    received = b.getvalue()
+    end = 4 + _length(received)[0]
+    b.seek(0)
+    b.truncate(0)
+    b.write(received[end:])
+    _received[sock] = len(received) - end
+    return _fields(received[4:end])
+
+
+def _fields(header: bytes) -> dict[str, str]:
+    fields: dict[str, str] = {}
+    at = 0
+    while at + 4 <= len(header):
+        (size,) = _length(header, at)
+        name, equals, value = header[at + 4 : at + 4 + size].partition(b"=")
+        at += 4 + size
+        if not equals or at > len(header):
+            raise rospy.exceptions.TransportInitError("a connection header is malformed")
+        text = name.decode("utf-8", "surrogateescape").strip()
+        fields[text] = value.decode("utf-8", "surrogateescape")
+    return fields

@@ -1,22 +1,37 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The queue between callbacks and the writing thread, bounded in bytes."""
+"""Messages that wait for the store: over which connection each came, and a bound for all."""
 
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
-from typing import Any, NamedTuple
+from typing import Mapping, NamedTuple, Optional
+
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.connection import Connection
+from cassandra_ros.store.buckets import bucketFor
+from cassandra_ros.topics.message_writer import Handle
 
 ITEM_BYTES = 300
 """What an item takes besides its message: small messages would else fill the memory unseen."""
+
+FIRST_SEC = 1.0
+"""How long a topic is watched before its table is made: its rate fixes the bucket length."""
+FIRST_MESSAGES = 5_000
+FIRST_BYTES = 8_000_000
+LONGEST_BUCKET_NS = 600 * SECOND_NS
+"""Live rates may grow: never longer, whatever the first second says."""
+
+_HEADERS = ("Header", "std_msgs/Header", "roslib/Header")
 
 
 class Item(NamedTuple):
     """One message on its way into the store."""
 
-    source: Any
-    """The Source over which it came."""
+    source: Source
+    """Over which it came."""
     t: int
     """Time of arrival, ns."""
     counter: int
@@ -27,6 +42,59 @@ class Item(NamedTuple):
     def nbytes(self) -> int:
         """What it counts for in the buffer."""
         return len(self.wire) + ITEM_BYTES
+
+
+class Source:
+    """Messages of one topic with one connection header.
+
+    Attributes:
+        connection: Topic and header.
+        handle: Where the messages go; None until the table stands.
+        error: Why they cannot be stored, or ''.
+        waiting: Messages that came before the table stood.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self.connection = connection
+        self.topic = connection.topic
+        self.handle: Optional[Handle] = None
+        self.error = ""
+        self.waiting: deque[Item] = deque()
+        self.submitted = False
+        self.has_header = startsWithHeader(connection.definition_text)
+        self._since = 0.0
+        self._seen = 0
+        self._seen_bytes = 0
+
+    def hold(self, item: Item) -> None:
+        """Keep a message until the table stands."""
+        if not self._seen:
+            self._since = time.monotonic()
+        self._seen += 1
+        self._seen_bytes += len(item.wire)
+        self.waiting.append(item)
+
+    def isRipe(self) -> bool:
+        """Whether enough was seen to fix the bucket length."""
+        enough = self._seen >= FIRST_MESSAGES or self._seen_bytes >= FIRST_BYTES
+        return enough or self._watched() >= FIRST_SEC
+
+    def bucketLength(self) -> int:
+        """Return the bucket length for the rate that was seen, ns."""
+        # What came in a burst is no rate; what came within a second is one.
+        seconds = max(self._watched(), 0.1 if self._seen > 1 else 1.0)
+        return bucketFor(self._seen / seconds, self._seen_bytes / seconds, LONGEST_BUCKET_NS)
+
+    def _watched(self) -> float:
+        return time.monotonic() - self._since if self._seen else 0.0
+
+
+class Feed(NamedTuple):
+    """One connection of rospy."""
+
+    header: Mapping[str, str]
+    """rospy's object, kept alive, for its id names the connection."""
+    source: Source
 
 
 class Buffer:
@@ -104,3 +172,17 @@ class Buffer:
     def held_bytes(self) -> int:
         """What the items take that were put and not released."""
         return self._held
+
+
+def startsWithHeader(definition_text: str) -> bool:
+    """Say whether the first field of a message is a std_msgs/Header.
+
+    Only the text is looked at, for it may be hostile or broken and still have a sequence number.
+    """
+    for line in definition_text.split("\n"):
+        code = line.split("#")[0].strip()
+        if code.startswith("="):
+            return False
+        if code and "=" not in code:
+            return code.split()[0] in _HEADERS
+    return False

@@ -11,13 +11,15 @@ import time
 from dataclasses import dataclass, field
 from typing import Mapping, Optional
 
-from cassandra_ros.recording.source import Feed
+from cassandra_ros.recording.buffer import Feed
 
 _log = logging.getLogger(__name__)
 
 REPORT_SEC = 10.0
 """A topic that loses messages is warned of at once, then at most this often."""
 MAX_REASONS = 5
+MAX_SEQUENCES = 1024
+"""Publishers of a topic whose numbers are followed: anonymous ones come without end."""
 LEFT_OVER = "the recorder ended before they were stored"
 
 _JUMP = 100_000
@@ -43,10 +45,6 @@ class TopicReport:
     rate_hz: float
 
 
-MAX_SEQUENCES = 1024
-"""Publishers of a topic whose numbers are followed: anonymous ones come without end."""
-
-
 @dataclass
 class _Topic:
     types: set[str] = field(default_factory=set)
@@ -60,13 +58,12 @@ class _Topic:
     past_gaps: int = 0
     """Gaps of publishers that are not remembered any more."""
 
-    def newSequence(self, callerid: str) -> _Sequence:
-        """Begin to follow a publisher; of too many the oldest is forgotten."""
-        while len(self.sequences) >= MAX_SEQUENCES:
+    def sequence(self, callerid: str) -> _Sequence:
+        """Return what is known of a publisher; of too many the oldest is forgotten."""
+        while callerid not in self.sequences and len(self.sequences) >= MAX_SEQUENCES:
             oldest = self.sequences.pop(next(iter(self.sequences)))
             self.past_gaps += oldest.gaps if oldest.reliable else 0
-        sequence = self.sequences[callerid] = _Sequence()
-        return sequence
+        return self.sequences.setdefault(callerid, _Sequence())
 
 
 class _Sequence:
@@ -75,23 +72,19 @@ class _Sequence:
     def __init__(self) -> None:
         self._last: Optional[int] = None
         self._feed: Optional[Feed] = None
-        self._counts = True
-        self.gaps = 0
-
-    @property
-    def reliable(self) -> bool:
+        self.reliable = True
         """Whether the numbers are those of one counter."""
-        return self._counts
+        self.gaps = 0
 
     def see(self, number: int, feed: Feed) -> None:
         """Take the number of the next message."""
-        if self._last is not None and self._counts:
+        if self._last is not None and self.reliable:
             step = (number - self._last) & 0xFFFFFFFF
             if 0 < step < _JUMP:
                 self.gaps += step - 1
             elif feed is self._feed:
                 # No number, or several counters behind one publisher (a played bag, a relay).
-                self._counts = False
+                self.reliable = False
                 self.gaps = 0
         self._last, self._feed = number, feed
 
@@ -126,10 +119,7 @@ class Counts:
             counted = self._topic(topic)
             counted.types.add(connection.type)
             if feed.source.has_header and len(wire) >= 4:
-                sequence = counted.sequences.get(connection.callerid)
-                if sequence is None:
-                    sequence = counted.newSequence(connection.callerid)
-                sequence.see(_sequence(wire, 0)[0], feed)
+                counted.sequence(connection.callerid).see(_sequence(wire, 0)[0], feed)
 
     def lost(self, topic: str, messages: int, reason: str) -> None:
         """Count messages that will not be stored."""

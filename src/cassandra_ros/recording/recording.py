@@ -10,21 +10,22 @@ cannot be stored, is counted by topic and reason.
 from __future__ import annotations
 
 import logging
+import queue
 import threading
 import time
 import weakref
 from functools import partial
-from typing import Any, Callable, Mapping, Optional
+from typing import Callable, Mapping, Optional
 
-from cassandra_ros.errors import CassandraRosError, ClockNotSet
+from cassandra_ros.errors import CassandraRosError, ClockNotSet, SchemaConflict, StoreUnavailable
 from cassandra_ros.formats.table import DEFAULT_FORMAT
 from cassandra_ros.keys import COUNTER_BITS, newWriterId
 from cassandra_ros.messages.connection import liveConnection
-from cassandra_ros.recording.buffer import Buffer, Item
+from cassandra_ros.recording.buffer import Buffer, Feed, Item, Source
 from cassandra_ros.recording.counts import Counts, TopicReport
-from cassandra_ros.recording.source import Feed, Source
-from cassandra_ros.recording.tables import TableMaker
 from cassandra_ros.store.registry import Run
+from cassandra_ros.topics.message_writer import Handle, MessageWriter
+from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
 
@@ -32,13 +33,18 @@ DEFAULT_BUFFER_BYTES = 256 * 1024 * 1024
 BATCH_ITEMS = 256
 BATCH_BYTES = 1024 * 1024
 POLL_SEC = 0.05
+PAUSE_SEC = 1.0
+MAX_CONFLICTS = 5
+"""A schema lock may be held by others for a while; a table of another kind stays one."""
+LAST_TRIES_SEC = 20.0
+"""How long a store that does not answer is waited for when the recorder ends."""
 GIVE_UP_SEC = 300.0
 """How long the writing of one message is tried."""
 MAX_FEEDS = 4096
 """Connections remembered by their header object; publishers come and go for days."""
 
 
-class Recorder:
+class Recording:
     """Stores messages as they arrive.
 
     Args:
@@ -54,7 +60,7 @@ class Recorder:
 
     def __init__(
         self,
-        rosCas: Any,
+        rosCas: RosCassandra,
         *,
         clock: Callable[[], int] = time.time_ns,
         format: str = DEFAULT_FORMAT,
@@ -81,7 +87,7 @@ class Recorder:
         self._most_waiting = buffer_bytes // 2 or 2**63
         self._waiting: list[Source] = []
         self._waiting_bytes = 0
-        self._tables = TableMaker(self._connect, self._buffer.wake)
+        self._tables = _TableMaker(self._connect, self._buffer.wake)
         self._thread = threading.Thread(target=self._run, name="recorder-writer", daemon=True)
         self._thread.start()
 
@@ -91,7 +97,7 @@ class Recorder:
         """Let a topic appear in the reports even if nothing ever comes."""
         self._counts.expect(topic)
 
-    def received(self, topic: str, header: Mapping[str, Any], wire: bytes) -> None:
+    def received(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
         """Take one message that has just arrived. Never waits for the store.
 
         Args:
@@ -108,11 +114,11 @@ class Recorder:
             try:
                 lost = self._take(topic, header, wire)
             except Exception as exc:  # noqa: BLE001 - rospy would only log it: counted
-                lost = [(topic, f"internal error: {type(exc).__name__}: {exc}")]
+                lost = [(topic, _mistake(exc))]
         for lost_topic, reason in lost:
             self._counts.lost(lost_topic, 1, reason)
 
-    def _take(self, topic: str, header: Mapping[str, Any], wire: bytes) -> list[tuple[str, str]]:
+    def _take(self, topic: str, header: Mapping[str, str], wire: bytes) -> list[tuple[str, str]]:
         """Stamp and queue a message; return topic and reason of what is lost by that."""
         try:
             t = self._clock()
@@ -125,7 +131,7 @@ class Recorder:
         dropped = self._buffer.put(Item(feed.source, t, counter, wire))
         return [(item.source.topic, "the buffer was full (option -b)") for item in dropped]
 
-    def _feed(self, topic: str, header: Mapping[str, Any]) -> Feed:
+    def _feed(self, topic: str, header: Mapping[str, str]) -> Feed:
         feed = self._feeds.get(id(header))
         if feed is None:
             connection = liveConnection(topic, header)
@@ -170,7 +176,7 @@ class Recorder:
         return ending and not self._waiting
 
     def _route(self, item: Item) -> None:
-        source: Source = item.source
+        source = item.source
         if source.handle is None and not source.error:
             if not source.waiting and not source.submitted:
                 self._waiting.append(source)
@@ -178,10 +184,10 @@ class Recorder:
             self._waiting_bytes += item.nbytes
             self._boundWaiting(source)
             return
-        if source.error:
+        if source.handle is None:
             self._counts.lost(source.topic, 1, source.error)
         else:
-            self._write(item)
+            self._write(item, source.handle)
         self._buffer.release(item)
 
     def _boundWaiting(self, source: Source) -> None:
@@ -195,29 +201,29 @@ class Recorder:
         self._waiting_bytes -= item.nbytes
         return item
 
-    def _write(self, item: Item) -> None:
+    def _write(self, item: Item, handle: Handle) -> None:
         generation, counter = divmod(item.counter, 1 << COUNTER_BITS)
-        source: Source = item.source
+        source = item.source
         try:
             writer = self._writer(generation)
             if generation:  # the counter ran over: another writer, with handles of its own
-                source.handle = writer.connect(source.connection)
-            writer.write(source.handle, item.t, counter, item.wire)
+                handle = writer.connect(source.connection)
+            writer.write(handle, item.t, counter, item.wire)
         except CassandraRosError as exc:
             self._counts.lost(source.topic, 1, str(exc))
         except Exception as exc:  # noqa: BLE001 - our mistake: counted, the other topics go on
             _log.exception("a message of topic %s could not be stored", source.topic)
-            self._counts.lost(source.topic, 1, f"internal error: {type(exc).__name__}: {exc}")
+            self._counts.lost(source.topic, 1, _mistake(exc))
 
-    def _connect(self, source: Source, bucket_ns: int) -> object:
-        return self._writers[0].connect(source.connection, bucket_ns)
+    def _connect(self, source: Source) -> Handle:
+        return self._writers[0].connect(source.connection, source.bucketLength())
 
-    def _writer(self, generation: int) -> Any:
+    def _writer(self, generation: int) -> MessageWriter:
         while len(self._writers) <= generation:
             self._writers.append(self._makeWriter())
         return self._writers[generation]
 
-    def _makeWriter(self) -> Any:
+    def _makeWriter(self) -> MessageWriter:
         number = newWriterId()
         run = Run(self._nodeID, number, "recording", name=self._name, format=self._format)
         return self._rosCas.messageWriter(
@@ -271,9 +277,93 @@ class Recorder:
         return self._counts.reports(stored, final)
 
 
+def _mistake(exc: Exception) -> str:
+    return f"internal error: {type(exc).__name__}: {exc}"
+
+
 def _tryTo(work: Callable[[], None]) -> None:
     # The closing table must come whatever happens: it is where losses are told.
     try:
         work()
     except CassandraRosError as exc:
         _log.error("the recording could not be closed properly: %s", exc)
+
+
+class _TableMaker:
+    """Gives sources their handles, one after the other, on a thread of its own.
+
+    Args:
+        connect: Makes a source's handle.
+        done: Called on the thread when a source got its handle or error.
+    """
+
+    def __init__(self, connect: Callable[[Source], Handle], done: Callable[[], None]) -> None:
+        self._connect = connect
+        self._done = done
+        self._asked: queue.Queue[Optional[Source]] = queue.Queue()
+        self._finished: queue.Queue[Source] = queue.Queue()
+        self._conflicts: dict[Source, int] = {}
+        self._deadline: Optional[float] = None
+        self._thread = threading.Thread(target=self._run, name="recorder-tables", daemon=True)
+        self._thread.start()
+
+    def submit(self, source: Source) -> None:
+        """Ask for the handle of a source."""
+        source.submitted = True
+        self._asked.put(source)
+
+    def finished(self) -> list[Source]:
+        """Return the sources that got a handle or an error since the last call."""
+        found: list[Source] = []
+        while not self._finished.empty():
+            found.append(self._finished.get())
+        return found
+
+    def hurry(self) -> None:
+        """Note that the recorder ends: a store that is gone is not waited for much longer."""
+        if self._deadline is None:
+            self._deadline = time.monotonic() + LAST_TRIES_SEC
+
+    def close(self) -> None:
+        """End the thread when it has done what was asked."""
+        self._asked.put(None)
+        self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            source = self._asked.get()
+            if source is None:
+                return
+            if self._try(source):
+                self._finished.put(source)
+                self._done()
+            else:
+                time.sleep(PAUSE_SEC)
+                self._asked.put(source)
+
+    def _try(self, source: Source) -> bool:
+        """Return whether it is decided what becomes of a source."""
+        try:
+            source.handle = self._connect(source)
+        except (StoreUnavailable, SchemaConflict) as exc:
+            if self._again(source, exc):
+                return False
+            source.error = str(exc)
+        except CassandraRosError as exc:
+            source.error = str(exc)
+        except Exception as exc:  # noqa: BLE001 - our mistake: counted, the other topics go on
+            _log.exception("the table of topic %s could not be made", source.topic)
+            source.error = _mistake(exc)
+        if source.error:
+            _log.error("topic %s cannot be recorded: %s", source.topic, source.error)
+        return True
+
+    def _again(self, source: Source, exc: CassandraRosError) -> bool:
+        if isinstance(exc, SchemaConflict):
+            self._conflicts[source] = self._conflicts.get(source, 0) + 1
+            if self._conflicts[source] >= MAX_CONFLICTS:
+                return False
+        if self._deadline is not None and time.monotonic() > self._deadline:
+            return False
+        _log.warning("topic %s waits for its table: %s", source.topic, exc)
+        return True
