@@ -126,8 +126,8 @@ def verifyContent(
     topics: Iterable[str] | None = None,
     nodeID: str | None = None,
     mapping: Mapping[str, str] | None = None,
-    start: Time = None,
-    end: Time = None,
+    start: Time | None = None,
+    end: Time | None = None,
     progress: Progress | None = None,
 ) -> VerifyReport:
     """Compare each topic's messages in their order by type, md5sum and bytes alone.
