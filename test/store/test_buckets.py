@@ -6,15 +6,14 @@ from __future__ import annotations
 
 import pytest
 
+from cassandra_ros.arguments import MAX_TTL_SEC, check_ttl
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.store.buckets import (
+from cassandra_ros.store.directory import (
     BUCKET_LENGTHS,
     MAX_BUCKET_BYTES,
     MAX_BUCKET_ROWS,
-    MAX_TTL_SEC,
     SECOND_NS,
     bucketFor,
-    checkTtl,
     limitForTtl,
 )
 
@@ -52,7 +51,7 @@ def test_the_shortest_ttl_has_the_shortest_buckets():
 
 
 def test_ends_of_a_ttl():
-    assert [checkTtl(ttl) for ttl in (0, 1, MAX_TTL_SEC)] == [0, 1, MAX_TTL_SEC]
+    assert [check_ttl(ttl) for ttl in (0, 1, MAX_TTL_SEC)] == [0, 1, MAX_TTL_SEC]
     for ttl in (-1, MAX_TTL_SEC + 1, 0.5, True, "1", None):
         with pytest.raises(InvalidOption):
-            checkTtl(ttl)
+            check_ttl(ttl)

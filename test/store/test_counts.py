@@ -11,7 +11,7 @@ from std_msgs.msg import String
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
-from cassandra_ros.store import counting, directory, slot_notes, writer
+from cassandra_ros.store import counting, directory, writer
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -307,12 +307,12 @@ def test_the_note_of_a_node_outlives_the_rows_that_rely_on_it(rosCas, monkeypatc
     with rosCas.messageWriter(ttl=ttl) as target:
         write(target, range(3))
         # A row that is written right before the note is renewed lives for its ttl from then on.
-        assert noted and min(noted) >= ttl + slot_notes.AGAIN_SEC
+        assert noted and min(noted) >= ttl + directory.NOTE_SEC
         del noted[:]
         monkeypatch.setattr(writer, "REOPEN_SEC", -1.0)
         write(target, range(3, 6))
         assert noted == []
-        monkeypatch.setattr(slot_notes, "AGAIN_SEC", -1.0)
+        monkeypatch.setattr(directory, "NOTE_SEC", -1.0)
         write(target, range(6, 9))
         assert len(noted) == 3
 

@@ -21,7 +21,7 @@ from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
 from cassandra_ros.metadata import TopicMetadata, fromComment
 from cassandra_ros.store import schema as schema_module
-from cassandra_ros.store.directory import Totals
+from cassandra_ros.store.directory import BucketTotals
 from cassandra_ros.store.index import builds as index_builds
 from cassandra_ros.store.index import changes as index_changes
 from cassandra_ros.store.index import compaction as merging
@@ -157,11 +157,11 @@ def test_what_a_recount_says_fails_where_something_changed(rosCas):
     time.sleep(0.005)
     directory.open(*place, 0, {"_ix0"})
     wanted = row._replace(filled=frozenset({"_ix1"}))
-    assert directory.putRecount(table.name, wanted, Totals(), 0) is False
+    assert directory.putRecount(table.name, wanted, BucketTotals(), 0) is False
     (row,) = directory.find(*place[:3])
     assert not row.closed and row.filled == {"_ix0"} and row.rows == 5
     wanted = row._replace(filled=row.filled | {"_ix1"})
-    totals = Totals(5, 50, 10, T0, T0 + 4, 3)
+    totals = BucketTotals(5, 50, 10, T0, T0 + 4, 3)
     assert directory.putRecount(table.name, wanted, totals, 0) is True
     (row,) = directory.buckets(table.name, *(table.bucketOf(T0),) * 2)
     assert row.closed and row.filled == {"_ix0", "_ix1"} and (row.rows, row.odd) == (5, 3)
@@ -624,7 +624,7 @@ def test_what_is_a_ttl(ttl):
 
 
 def test_a_slot_is_noted_again_while_it_is_written(rosCas, monkeypatch):
-    from cassandra_ros.store import slot_notes
+    from cassandra_ros.store import directory as listing
 
     writer = rosCas.messageWriter(ttl=500)
     handle = writer.connect(apiConnection("/t", definitionOf(String), "/w"), bucket_ns=600 * SEC)
@@ -639,7 +639,7 @@ def test_a_slot_is_noted_again_while_it_is_written(rosCas, monkeypatch):
 
     monkeypatch.setattr(directory, "addNode", counting)
     clock = [time.monotonic()]
-    monkeypatch.setattr(slot_notes, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    monkeypatch.setattr(listing, "time", SimpleNamespace(monotonic=lambda: clock[0]))
     wire = serialize(String(data="x"))
     writer.write(handle, T0, 0, wire)
     writer.write(handle, T0 + 600 * SEC, 1, wire)

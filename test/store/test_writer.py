@@ -17,7 +17,7 @@ from cassandra_ros.keys import splitSeq
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
-from cassandra_ros.store.directory import Totals
+from cassandra_ros.store.directory import BucketTotals
 from cassandra_ros.store.row_table import CHUNK_BYTES
 
 SEC = 10**9
@@ -122,7 +122,7 @@ def test_a_stale_open_bucket_is_recounted_and_closed(rosCas, monkeypatch):
     assert row.closed and row.rows == 10
     # A writer that came back meanwhile is not overridden.
     directory.open(name, "", bucket, 99, 0)
-    directory.putRecount(name, row._replace(closed=False), Totals(), 0)
+    directory.putRecount(name, row._replace(closed=False), BucketTotals(), 0)
     assert not directory.find(name, "", bucket)[0].closed
     writer.close()
 

@@ -429,9 +429,9 @@ def test_the_index_of_the_key(rosCas, monkeypatch):
 
 
 def rosCas_totals(row):
-    from cassandra_ros.store.directory import Totals
+    from cassandra_ros.store.directory import BucketTotals
 
-    return Totals(row.rows, row.bytes, row.largest, row.t_min, row.t_max, row.odd)
+    return BucketTotals(row.rows, row.bytes, row.largest, row.t_min, row.t_max, row.odd)
 
 
 def test_what_cannot_be_indexed_says_why(rosCas):

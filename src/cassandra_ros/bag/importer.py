@@ -16,7 +16,7 @@ from cassandra_ros.bag.verify import Import, holdsNothingElse
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import DEFAULT_FORMAT
 from cassandra_ros.keys import MAX_WRITER, SECOND_NS
-from cassandra_ros.store.buckets import bucketFor
+from cassandra_ros.store.directory import bucketFor
 from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.message_writer import (
     FALLBACK_FORMAT,

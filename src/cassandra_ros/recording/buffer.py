@@ -11,7 +11,7 @@ from typing import Mapping, NamedTuple, Optional
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.store.buckets import bucketFor
+from cassandra_ros.store.directory import bucketFor
 from cassandra_ros.topics.message_writer import Handle
 
 ITEM_BYTES = 300

@@ -6,32 +6,85 @@ from __future__ import annotations
 
 import heapq
 import logging
-import struct
-from typing import Any, Iterator, Sequence
+from typing import Callable, Iterable, Iterator, NamedTuple, Optional, Protocol, Sequence, Tuple
+
+from cassandra.query import BoundStatement, PreparedStatement
 
 from cassandra_ros.errors import SchemaConflict
+from cassandra_ros.keys import Position
 from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.directory import BucketRow
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isRefused
-from cassandra_ros.store.patience import Patience
+from cassandra_ros.store.paging import Asked, RawRow, never_refused
 from cassandra_ros.store.row_table import (
     MAX_SEQ,
     MIN_SEQ,
+    Order,
     RowTable,
     TableRow,
     bind,
-    decodeLong,
+    encode_ends,
+    encodeInt,
     encodeLong,
 )
-from cassandra_ros.store.scan import Piece, Query, Scan
 
 _log = logging.getLogger(__name__)
 
-_INT = struct.Struct(">i")
-_ALL: Query = ((), False)
 KEYS_AT_ONCE = 100
 """Rows that are fetched with one statement."""
 TURNED_PAGES = 2
 """So many pages of what an index finds are held to be turned."""
+
+Terms = Tuple[Tuple[str, str, bytes], ...]
+"""Column, operator and encoded value; all of them hold."""
+Query = Tuple[Terms, bool]
+"""What the server is to check, and whether it finds the rows by an index."""
+
+
+class Chooser(Protocol):
+    """Decides, bucket by bucket, what the server is to check."""
+
+    def choose(self, table: RowTable, bucket: Sequence[BucketRow]) -> Optional[Sequence[Query]]:
+        """Return the queries whose rows together are those of the bucket that may be wanted.
+
+        None = all rows of the bucket; empty = none of them.
+        """
+
+    def few(self, table: RowTable) -> bool:
+        """Say whether the server is expected to let few rows of a bucket through."""
+
+    def learn(self, table: RowTable, bucket: Sequence[BucketRow], found: int) -> None:
+        """Take note of how many rows the queries of a bucket found."""
+
+
+class Scan(NamedTuple):
+    """What to read: t in [low, high], rows after a position, by chosen columns."""
+
+    low: int
+    high: int
+    after: Optional[Position] = None
+    nodes: Optional[Sequence[str]] = None
+    reverse: bool = False
+    columns: Optional[Callable[[RowTable], Optional[Sequence[str]]]] = None
+    """Which of the format's columns to read, in their order; None = all."""
+    chooser: Optional[Chooser] = None
+    """None = all rows."""
+
+
+class Piece(NamedTuple):
+    """The part of one bucket that a scan reads."""
+
+    start: int
+    """Where in time it begins, in the direction of reading, ns."""
+    table: RowTable
+    node: str
+    bucket: int
+    rows: Sequence[BucketRow]
+    """What its writers say in the directory."""
+    page_rows: int
+
+
+_ALL: Query = ((), False)
 
 
 class BucketStream:
@@ -80,8 +133,8 @@ class _Stream:
         self._cassandra = cassandra
         self._piece = piece
         self._scan = scan
-        self._low = _lowest(piece, scan)
-        self._high = _highest(piece, scan)
+        self._place = (piece.node.encode(), encodeLong(piece.bucket))
+        self._what = f"reading topic {piece.table.metadata.topic}"
         self._terms, indexed = query
         # To look at a row the server needs fewer columns than to answer with it: where it lets
         # few through, only their keys are asked for, and then these rows.
@@ -91,154 +144,117 @@ class _Stream:
         self._turned = scan.reverse and indexed
         self.refused = False
         """The server did not do what it was asked for; all rows are read."""
-        self._statement: Any = None
-        self._future: Any = None
         self._at_once = min(KEYS_AT_ONCE, piece.page_rows)
-        self._early: tuple[Sequence[Any], Any] = ((), None)
-        self._start()
+        self._early: Tuple[Sequence[RawRow], Optional[Asked]] = ((), None)
+        self._asked = self._start(None)
 
-    def _start(self) -> None:
+    def _start(self, last: RawRow | None) -> Asked:
+        """Ask for the rows behind the last one that was read."""
         table, terms = self._piece.table, [term[:2] for term in self._terms]
         reverse = self._scan.reverse and not self._turned
         columns = None if self._keyed else self._columns()
         try:
-            self._statement = table.selectRange(columns, reverse=reverse, terms=terms)
+            statement = table.selectRange(columns, reverse=reverse, terms=terms)
         except SchemaConflict as exc:
             if not self._terms:
                 raise
-            self._readAll(exc)
-            return
-        self._future = self._ask()
+            return self._all(exc, last)
+        if self._keyed:
+            self._these()  # prepared here: the driver's thread must not wait for the server
+        low, high = _lowest(self._piece, self._scan), _highest(self._piece, self._scan)
+        values = [value for _, _, value in self._terms]
+
+        def rest(read: RawRow | None) -> BoundStatement:
+            ends = encode_ends(low, high, read or last, reverse=reverse)
+            return bind(statement, (*self._place, *ends, *values), self._piece.page_rows)
+
+        return self._cassandra.ask(
+            rest,
+            self._what,
+            refused=isRefused if self._terms else never_refused,
+            on_page=self._fetchEarly if self._keyed else None,
+        )
 
     def _columns(self) -> Sequence[str]:
         wanted = None if self._scan.columns is None else self._scan.columns(self._piece.table)
         return self._piece.table.columns if wanted is None else wanted
 
-    def _ask(self) -> Any:
-        bounds = [encodeLong(v) for v in (*self._low, *self._high)]
-        key = (self._piece.node.encode(), encodeLong(self._piece.bucket))
-        values = [value for _, _, value in self._terms]
-        bound = bind(self._statement, (*key, *bounds, *values))
-        bound.fetch_size = self._piece.page_rows
-        future = self._cassandra.sendRaw(bound)
-        if self._keyed:
-            # Prepared before: the driver's thread must not wait for the server.
-            self._these()
-            future.add_callback(self._fetchEarly)
-        return future
+    def _all(self, exc: object, last: RawRow | None) -> Asked:
+        """Go on with all rows from here: a server may forbid to filter, or be too slow at it."""
+        topic = self._piece.table.metadata.topic
+        _log.info("topic %s is read whole, the server does not filter it: %s", topic, exc)
+        self._terms, self._turned, self._keyed, self.refused = (), False, False, True
+        return self._start(last)
 
-    def _fetchEarly(self, keys: Sequence[Any]) -> None:
+    def rows(self) -> Iterator[TableRow]:
+        if self._turned:
+            found = self._found()
+            if found is not None:
+                yield from sorted(found, key=_place, reverse=True)
+                return
+            # From the newest on, all rows.
+            self._asked = self._all("an index does not give its rows, or too many", None)
+        while True:
+            try:
+                for page in self._asked.pages():
+                    yield from self._made(self._fetched(page) if self._keyed else page)
+                return
+            except DRIVER_ERRORS as exc:
+                self._asked = self._all(exc, self._asked.last)
+
+    def _found(self) -> list[TableRow] | None:
+        """Read what an index finds, to be turned; None where that fails, or it is too much."""
+        found: list[TableRow] = []
+        try:
+            for page in self._asked.pages():
+                found.extend(self._made(page))
+                if len(found) > TURNED_PAGES * self._piece.page_rows:
+                    return None
+        except DRIVER_ERRORS as exc:
+            _log.info("%s by an index: %s", self._what, exc)
+            return None
+        return found
+
+    def _made(self, values: Iterable[RawRow]) -> Iterator[TableRow]:
+        table, node = self._piece.table, self._piece.node
+        return (table.rowFromValues(node, each) for each in values if not table.isRest(each))
+
+    def _fetched(self, keys: Sequence[RawRow]) -> Iterator[RawRow]:
+        """Fetch the rows of keys, in their order."""
+        for n in range(0, len(keys), self._at_once):
+            part = keys[n : n + self._at_once]
+            early, asked = self._early
+            if asked is None or early != part:
+                asked = self._askThese(part)
+            yield from asked.page()
+
+    def _fetchEarly(self, keys: Sequence[RawRow]) -> None:
         """Ask for the first rows as soon as their keys are here, on the driver's thread."""
         if keys:
             part = keys[: self._at_once]
             self._early = part, self._askThese(part)
 
-    def _these(self) -> Any:
-        wanted = _rowsOf(self._piece.table, self._columns(), self._scan.reverse)
-        return self._cassandra.prepare(wanted)
-
-    def _askThese(self, part: Sequence[Any]) -> Any:
-        place = (self._piece.node.encode(), encodeLong(self._piece.bucket))
-        bound = bind(self._these(), (*place, _pairs(part)))
-        bound.fetch_size = self._at_once
-        return self._cassandra.sendRaw(bound)
-
-    def _readAll(self, exc: object) -> None:
-        """Go on with all rows from here: a server may forbid to filter, or be too slow at it."""
-        _log.info(
-            "topic %s is read whole, the server does not filter it: %s",
-            *(self._piece.table.metadata.topic, exc),
-        )
-        self._terms, self._turned, self._keyed, self.refused = (), False, False, True
-        self._start()
-
-    def _page(self) -> list[Any]:
-        patience = Patience(f"reading topic {self._piece.table.metadata.topic}")
-        while True:
-            try:
-                return self._future.result().current_rows  # type: ignore[no-any-return]
-            except DRIVER_ERRORS as exc:
-                if self._terms and isRefused(exc):
-                    self._readAll(exc)
-                    continue
-                patience.wait(exc)
-                self._future = self._ask()
-
-    def rows(self) -> Iterator[TableRow]:
-        if self._turned:
-            found: list[TableRow] = []
-            for row in self._pages():
-                if not self._turned or len(found) >= TURNED_PAGES * self._piece.page_rows:
-                    break
-                found.append(row)
-            else:
-                yield from sorted(found, key=_place, reverse=True)
-                return
-            # Too much to be held, or the index failed: from the newest on, all rows.
-            del found
-            self._low, self._high = (
-                _lowest(self._piece, self._scan),
-                _highest(self._piece, self._scan),
-            )
-            self._readAll("an index finds too many rows to turn their order")
-        yield from self._pages()
-
-    def _pages(self) -> Iterator[TableRow]:
-        table, node = self._piece.table, self._piece.node
-        make = table.rowFromValues
-        while True:
-            page = self._page()
-            more = self._future.has_more_pages
-            if page and more:
-                # Where a later page fails the rest is asked for from here.
-                t, seq = map(decodeLong, page[-1][:2])
-                if self._scan.reverse and not self._turned:
-                    self._high = (t, seq - 1)
-                elif not self._turned:
-                    self._low = (t, seq + 1)
-            if more:
-                self._future.start_fetching_next_page()
-            for values in self._fetched(page) if self._keyed else page:
-                if not table.isRest(values):
-                    yield make(node, values)
-            if not more:
-                return
-
-    def _fetched(self, keys: Sequence[Any]) -> Iterator[Any]:
-        """Fetch the rows of keys, in their order."""
+    def _these(self) -> PreparedStatement:
         table = self._piece.table
-        parts = [keys[n : n + self._at_once] for n in range(0, len(keys), self._at_once)]
-        for part in parts:
-            patience = Patience(f"reading topic {table.metadata.topic}")
-            asked, future = self._early
-            if asked != part:
-                future = self._askThese(part)
-            while True:
-                try:
-                    rows = future.result().current_rows
-                    break
-                except DRIVER_ERRORS as exc:
-                    patience.wait(exc)
-                    future = self._askThese(part)
-            yield from rows
+        order = ' ORDER BY "_t" DESC, "_seq" DESC' if self._scan.reverse else ""
+        return self._cassandra.prepare(
+            f'SELECT {table.listing(self._columns())} FROM {table.qualified} WHERE "_node" = ? AND '
+            f'"{table.partition}" = ? AND ("_t", "_seq") IN ?{order}'
+        )
+
+    def _askThese(self, part: Sequence[RawRow]) -> Asked:
+        bound = bind(self._these(), (*self._place, _pairs(part)), self._at_once)
+        return self._cassandra.ask(lambda last: bound, self._what)
 
 
-def _rowsOf(table: RowTable, columns: Sequence[str], reverse: bool) -> str:
-    order = ' ORDER BY "_t" DESC, "_seq" DESC' if reverse else ""
-    return (
-        f'SELECT {table.listing(columns)} FROM {table.qualified} WHERE "_node" = ? AND '
-        f'"{table.partition}" = ? AND ("_t", "_seq") IN ?{order}'
-    )
-
-
-def _pairs(keys: Sequence[Any]) -> bytes:
+def _pairs(keys: Sequence[RawRow]) -> bytes:
     """Encode (t, seq), each encoded already, as a list of tuples."""
-    size = _INT.pack(8)
-    pairs = (size + t + size + seq for t, seq in keys)
-    return _INT.pack(len(keys)) + b"".join(_INT.pack(24) + pair for pair in pairs)
+    size = encodeInt(8)
+    pairs = (encodeInt(24) + size + (t or b"") + size + (seq or b"") for t, seq in keys)
+    return encodeInt(len(keys)) + b"".join(pairs)
 
 
-def _lowest(piece: Piece, scan: Scan) -> tuple[int, int]:
+def _lowest(piece: Piece, scan: Scan) -> Order:
     after = scan.after
     if after is None or scan.reverse or after.t < scan.low:
         return (scan.low, MIN_SEQ)
@@ -249,7 +265,7 @@ def _lowest(piece: Piece, scan: Scan) -> tuple[int, int]:
     return (after.t, after.seq + 1) if after.seq < MAX_SEQ else (after.t + 1, MIN_SEQ)
 
 
-def _highest(piece: Piece, scan: Scan) -> tuple[int, int]:
+def _highest(piece: Piece, scan: Scan) -> Order:
     after = scan.after
     if after is None or not scan.reverse or after.t > scan.high:
         return (scan.high, MAX_SEQ)

@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
-import logging
 import socket
+import ssl
 import threading
 import time
-from typing import Any, Iterable, Sequence
+from collections import deque
+from typing import Any, Callable, Deque, Iterable, List, Optional, Sequence, Tuple
 
 from cassandra import ConsistencyLevel, UnresolvableContactPoints
 from cassandra.auth import PlainTextAuthProvider
@@ -18,33 +19,72 @@ from cassandra.cluster import (
     ExecutionProfile,
     NoHostAvailable,
     ResponseFuture,
+    Session,
 )
+from cassandra.cqltypes import BytesType
 from cassandra.policies import (
     DCAwareRoundRobinPolicy,
     ExponentialReconnectionPolicy,
     TokenAwarePolicy,
 )
-from cassandra.query import PreparedStatement, SimpleStatement, tuple_factory
+from cassandra.pool import Host
+from cassandra.protocol import ProtocolHandler, ResultMessage
+from cassandra.query import PreparedStatement, SimpleStatement, Statement, tuple_factory
 
-from cassandra_ros.errors import ConnectionFailed
+from cassandra_ros.errors import ConnectionFailed, KeyspaceNotFound, TopicNotFound
 from cassandra_ros.store.address import host_names, port_number
 from cassandra_ros.store.driver_errors import (
     DRIVER_ERRORS,
     START_HINT,
-    isPassing,
-    isTableGone,
     translate,
     translated,
 )
-from cassandra_ros.store.nodes_in_reach import nodesInReach
-from cassandra_ros.store.patience import RETRY_SEC, Patience
-from cassandra_ros.store.raw_rows import RawProtocolHandler
-
-_log = logging.getLogger(__name__)
+from cassandra_ros.store.paging import RETRY_SEC, Asked, RawRow, never_refused, retried
 
 CONNECT_TIMEOUT_SEC = 10.0
 REQUEST_TIMEOUT_SEC = 20.0
 NEW_TABLE_SEC = 1.0
+POOL_PAUSE_SEC = 0.05
+AT_ONCE = 16
+"""Statements of executeMany that are in the air together."""
+
+CqlRow = Tuple[Any, ...]
+"""The decoded values of a row."""
+
+# Our columns are encoded straight from the wire buffer and go back into one: decoding them into
+# Python values and encoding those again would cost twice and change signalling NaNs. So a session
+# of its own hands out each column as the bytes that Cassandra stores.
+_Decoding = ProtocolHandler.message_types_by_opcode[ResultMessage.opcode]
+
+
+class _RawResultMessage(_Decoding):  # type: ignore[misc, valid-type]
+    column_metadata: Optional[List[CqlRow]]
+
+    def recv_results_metadata(self, f: object, user_type_map: object) -> None:
+        super().recv_results_metadata(f, user_type_map)
+        self.column_metadata = _as_bytes(self.column_metadata)
+
+    def recv_results_rows(
+        self,
+        f: object,
+        version: int,
+        user_type_map: object,
+        result_metadata: Optional[List[CqlRow]],
+        policy: object,
+    ) -> None:
+        # The compiled parser binds self.recv_results_metadata, so ours above is called.
+        super().recv_results_rows(f, version, user_type_map, _as_bytes(result_metadata), policy)
+
+
+def _as_bytes(metadata: list[CqlRow] | None) -> list[CqlRow] | None:
+    return [(*column[:3], BytesType) for column in metadata] if metadata else metadata
+
+
+class _RawProtocolHandler(ProtocolHandler):
+    message_types_by_opcode = {
+        **ProtocolHandler.message_types_by_opcode,
+        ResultMessage.opcode: _RawResultMessage,
+    }
 
 
 class Cassandra:
@@ -72,7 +112,7 @@ class Cassandra:
         consistency: str = "LOCAL_QUORUM",
         username: str | None = None,
         password: str | None = None,
-        ssl_context: Any = None,
+        ssl_context: ssl.SSLContext | None = None,
     ) -> None:
         self.hosts = host_names(host)
         self.port = port_number(port)
@@ -92,7 +132,7 @@ class Cassandra:
         self._session, self._raw_session = self._connect()
         self._connecting_until = time.monotonic() + CONNECT_TIMEOUT_SEC
 
-    def _makeCluster(self, auth: Any, ssl_context: Any) -> Cluster:
+    def _makeCluster(self, auth: PlainTextAuthProvider | None, ssl_context: object) -> Cluster:
         profile = ExecutionProfile(
             load_balancing_policy=TokenAwarePolicy(
                 DCAwareRoundRobinPolicy(), shuffle_replicas=True
@@ -120,7 +160,7 @@ class Cassandra:
             reconnection_policy=ExponentialReconnectionPolicy(0.5, 10),
         )
 
-    def _connect(self) -> tuple[Any, Any]:
+    def _connect(self) -> tuple[Session, Session]:
         try:
             session = self._cluster.connect()
             raw_session = self._cluster.connect()
@@ -136,7 +176,7 @@ class Cassandra:
         for each in (session, raw_session):
             # Robots' clocks are wrong, and a fast one would hide later rows.
             each.use_client_timestamp = False
-        raw_session.client_protocol_handler = RawProtocolHandler
+        raw_session.client_protocol_handler = _RawProtocolHandler
         return session, raw_session
 
     # ---------------------------------------------------------------- statements
@@ -165,21 +205,18 @@ class Cassandra:
         return statement
 
     def _prepareNew(self, cql: str) -> PreparedStatement:
-        # A table that another client is making can be read in system_schema a moment before
-        # every coordinator knows it.
         pause = 0.05
-        patience = Patience("preparing a statement")
         while True:
             try:
-                statement = self._session.prepare(cql)
+                what = "preparing a statement"
+                statement = retried(what, lambda: self._session.prepare(cql))
                 statement.is_idempotent = True
                 return statement
-            except DRIVER_ERRORS as exc:
-                if not isTableGone(exc):
-                    patience.wait(exc)
-                    continue
+            except (TopicNotFound, KeyspaceNotFound):
+                # A table that another client is making can be read in system_schema a moment
+                # before every coordinator knows it.
                 if pause > NEW_TABLE_SEC:
-                    raise translate(exc, "preparing a statement") from exc
+                    raise
             time.sleep(pause)
             pause *= 2
 
@@ -196,7 +233,7 @@ class Cassandra:
         what: str = "a query",
         consistency: int | None = None,
         retry_sec: float = RETRY_SEC,
-    ) -> list[tuple[Any, ...]]:
+    ) -> list[CqlRow]:
         """Run one idempotent statement, all pages, trying again what may pass.
 
         Args:
@@ -206,32 +243,51 @@ class Cassandra:
         Returns:
             The rows as tuples of decoded values.
         """
-        patience = Patience(what, retry_sec)
-        while True:
-            try:
-                bound = self.prepare(cql).bind(tuple(params))
-                if consistency is not None:
-                    bound.consistency_level = consistency
-                return list(self._session.execute(bound))
-            except DRIVER_ERRORS as exc:
-                patience.wait(exc)
+
+        def run() -> list[CqlRow]:
+            bound = self.prepare(cql).bind(tuple(params))
+            if consistency is not None:
+                bound.consistency_level = consistency
+            return list(self._session.execute(bound))
+
+        return retried(what, run, seconds=retry_sec)
 
     def executeOnEach(
         self, cql: str, params: Sequence[Any] = (), *, what: str
-    ) -> dict[str, list[tuple[Any, ...]]]:
+    ) -> dict[str, list[CqlRow]]:
         """Run one statement on every node in reach; return address → rows (system_views)."""
-        patience = Patience(what)
-        while True:
-            try:
-                bound = self.prepare(cql).bind(tuple(params))
-                nodes = nodesInReach(self._session, self._connecting_until)
-                return {str(n.endpoint): list(self._session.execute(bound, host=n)) for n in nodes}
-            except DRIVER_ERRORS as exc:
-                patience.wait(exc)
 
-    def executeOnce(
-        self, cql: str, params: Sequence[Any] = (), *, what: str
-    ) -> list[tuple[Any, ...]]:
+        def run() -> dict[str, list[CqlRow]]:
+            bound = self.prepare(cql).bind(tuple(params))
+            nodes = self._nodesInReach()
+            return {str(n.endpoint): list(self._session.execute(bound, host=n)) for n in nodes}
+
+        return retried(what, run)
+
+    def _nodesInReach(self) -> list[Host]:
+        """Return the nodes of our data centre that the driver can ask.
+
+        Raises:
+            NoHostAvailable: There is none; the driver's own, to be translated.
+        """
+        # A session is connected as soon as one node answers, and goes on with the others, which
+        # are waited for.
+        while True:
+            connected = self._session.get_pool_state()
+            centres = {host.datacenter for host in connected}
+            coming = any(
+                host.is_up is not False and host not in connected and host.datacenter in centres
+                for host in self._cluster.metadata.all_hosts()
+            )
+            if not coming or time.monotonic() > self._connecting_until:
+                break
+            time.sleep(POOL_PAUSE_SEC)
+        found = [host for host in connected if host.is_up]
+        if not found:
+            raise NoHostAvailable("no node is in reach", {})
+        return found
+
+    def executeOnce(self, cql: str, params: Sequence[Any] = (), *, what: str) -> list[CqlRow]:
         """Run a statement that is not idempotent (a lightweight transaction), once."""
         bound = self.prepare(cql).bind(tuple(params))
         bound.is_idempotent = False
@@ -240,23 +296,21 @@ class Cassandra:
 
     def executeMany(
         self, cql: str, params: Iterable[Sequence[Any]], *, what: str
-    ) -> list[list[tuple[Any, ...]]]:
+    ) -> list[list[CqlRow]]:
         """Run one idempotent statement with several sets of parameters, 16 at a time."""
-        results: list[list[tuple[Any, ...]]] = []
-        pending: list[tuple[Sequence[Any], ResponseFuture]] = []
+        results: list[list[CqlRow]] = []
+        pending: Deque[tuple[Sequence[Any], ResponseFuture]] = deque()
         prepared = self.prepare(cql)
 
         def collect() -> None:
-            values, future = pending.pop(0)
+            values, future = pending.popleft()
             try:
                 results.append(list(future.result()))
-            except DRIVER_ERRORS as exc:
-                if not isPassing(exc):
-                    raise translate(exc, what) from exc
+            except DRIVER_ERRORS:
                 results.append(self.execute(cql, values, what=what))
 
         for values in params:
-            if len(pending) >= 16:
+            if len(pending) >= AT_ONCE:
                 collect()
             pending.append((values, self._session.execute_async(prepared.bind(tuple(values)))))
         while pending:
@@ -287,10 +341,21 @@ class Cassandra:
 
     # ---------------------------------------------------------------- for writer and reader
 
-    def sendRaw(self, statement: Any, timeout_sec: float = REQUEST_TIMEOUT_SEC) -> ResponseFuture:
+    def sendRaw(self, statement: Statement) -> ResponseFuture:
         """Send a bound or batch statement; the rows of its answer are undecoded bytes."""
         self.require_open()
-        return self._raw_session.execute_async(statement, timeout=timeout_sec)
+        return self._raw_session.execute_async(statement, timeout=REQUEST_TIMEOUT_SEC)
+
+    def ask(
+        self,
+        statement_from: Callable[[RawRow | None], Statement],
+        what: str,
+        *,
+        refused: Callable[[BaseException], bool] = never_refused,
+        on_page: Callable[[list[RawRow]], None] | None = None,
+    ) -> Asked:
+        """Send a statement whose pages, of raw rows, are asked for again where one fails."""
+        return Asked(self.sendRaw, statement_from, what, refused=refused, on_page=on_page)
 
     def liveNodes(self) -> int:
         """Count the nodes that the driver knows in the local data centre."""

@@ -2,23 +2,32 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The directory: which buckets a table has, by node, and what lies in each.
 
-A bucket's row is written *open* before its first data row, so the directory always lists a
-superset of what is there. The values of a row count only when it is *closed*; of an open one
-they are estimates. Heartbeats are the server's time: robots' clocks are wrong.
+A bucket is the partition of a stretch of key time. Its row in the directory is written *open*
+before its first data row, so the directory always lists a superset of what is there. The values
+of a row count only when it is *closed*; of an open one they are estimates. Heartbeats are the
+server's time: robots' clocks are wrong.
 """
 
 from __future__ import annotations
 
+import time
 from copy import copy
 from dataclasses import dataclass
-from typing import Any, Iterable, NamedTuple, Sequence
+from datetime import datetime
+from typing import FrozenSet, Iterable, Mapping, NamedTuple, Optional, Sequence
 
-from cassandra_ros.store.buckets import slotOf
-from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.store.connection import Cassandra, CqlRow
 from cassandra_ros.store.names import quoteName
-from cassandra_ros.store.patience import RETRY_SEC
+from cassandra_ros.store.paging import RETRY_SEC
+from cassandra_ros.store.row_table import RowTable
 from cassandra_ros.store.side_tables import SideTables
 
+BUCKET_LENGTHS = tuple(s * SECOND_NS for s in (1, 10, 60, 600, 3600, 6 * 3600, 86400))
+MAX_BUCKET_BYTES = 64_000_000
+MAX_BUCKET_ROWS = 100_000
+SLOT_BUCKETS = 4096
+"""Buckets per partition of the directory."""
 STALE_SEC = 60.0
 """An open bucket whose heartbeat is older than this has no living writer."""
 HEARTBEAT_SEC = 10.0
@@ -26,6 +35,43 @@ TTL_MARGIN_SEC = 900
 """How much longer than its rows a bucket is listed: so long a row may be tried."""
 CLOCKS_SEC = 2.0
 """How far the clocks of two servers may be apart."""
+NOTE_SEC = 3600.0
+"""A note that expires with its rows is renewed after so long, while rows are written."""
+NOTE_MARGIN_SEC = 7200
+"""How much longer than a row written now a note must stay."""
+
+
+def bucketFor(rate_hz: float, bytes_per_sec: float, longest_ns: int = BUCKET_LENGTHS[-1]) -> int:
+    """Choose the length of a topic's buckets.
+
+    Args:
+        rate_hz: Messages a second, >= 0.
+        bytes_per_sec: Serialised bytes a second, >= 0.
+        longest_ns: Upper bound of the answer, ns; shorter where the rate may still grow.
+
+    Returns:
+        The longest of 1 s, 10 s, 1 min, 10 min, 1 h, 6 h, 1 day with at most 64 MB and
+        100,000 rows a bucket, in ns; 1 s where none fits.
+    """
+    for length in reversed(BUCKET_LENGTHS):
+        seconds = length / SECOND_NS
+        fits = rate_hz * seconds <= MAX_BUCKET_ROWS and bytes_per_sec * seconds <= MAX_BUCKET_BYTES
+        if length <= longest_ns and fits:
+            return length
+    return BUCKET_LENGTHS[0]
+
+
+def limitForTtl(bucket_ns: int, ttl_sec: int) -> int:
+    """Shorten a bucket so that at least 24 of them fit into a TTL (0 = none)."""
+    if not ttl_sec:
+        return bucket_ns
+    fitting = [n for n in BUCKET_LENGTHS if n <= min(bucket_ns, ttl_sec * SECOND_NS // 24)]
+    return fitting[-1] if fitting else BUCKET_LENGTHS[0]
+
+
+def slotOf(bucket: int) -> int:
+    """Return the directory partition in which a bucket is listed."""
+    return bucket // SLOT_BUCKETS
 
 
 class BucketRow(NamedTuple):
@@ -36,7 +82,7 @@ class BucketRow(NamedTuple):
     writer: int
     closed: bool
     """The values hold."""
-    heartbeat: Any
+    heartbeat: Optional[datetime]
     rows: int
     bytes: int
     largest: int
@@ -46,7 +92,7 @@ class BucketRow(NamedTuple):
     odd: int
     age_sec: float
     """Seconds since the heartbeat, by the server's clock."""
-    filled: frozenset[str] = frozenset()
+    filled: FrozenSet[str] = frozenset()
     """Shadow columns that are filled in all rows of this writer in the bucket."""
 
     def expired(self, ttl: int) -> bool:
@@ -58,7 +104,7 @@ class BucketRow(NamedTuple):
 
 
 @dataclass
-class Totals:
+class BucketTotals:
     """Values of a bucket that a writer closes."""
 
     rows: int = 0
@@ -78,6 +124,10 @@ class Totals:
         if not chunked:
             self.largest = max(self.largest, size)
 
+    def columns(self) -> dict[str, int]:
+        """Return the columns of cr_bucket that hold them."""
+        return {"n": self.rows, **{name: v for name, v in vars(self).items() if name != "rows"}}
+
 
 class Directory:
     """Reads and writes cr_node and cr_bucket of one keyspace."""
@@ -86,40 +136,12 @@ class Directory:
         self._cassandra = cassandra
         self._side_tables = side_tables
         self._retry_sec = RETRY_SEC
-        space = quoteName(side_tables.keyspace)
-        self._nodes = (
-            f"SELECT slot, node FROM {space}.cr_node WHERE tbl = ? AND slot >= ? AND slot <= ?"
-        )
-        self._add_node = (
-            f"INSERT INTO {space}.cr_node (tbl, slot, node) VALUES (?, ?, ?) USING TTL ?"
-        )
-        self._buckets = (
+        self._space = quoteName(side_tables.keyspace)
+        self._select = (
             "SELECT bucket, writer, state, heartbeat, n, bytes, largest, t_min, t_max, odd, "
-            f"deleted, filled, toTimestamp(now()) FROM {space}.cr_bucket "
+            f"deleted, filled, toTimestamp(now()) FROM {self._space}.cr_bucket "
             "WHERE tbl = ? AND node = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
         )
-        self._values = (
-            f"INSERT INTO {space}.cr_bucket (tbl, node, slot, bucket, writer, state, heartbeat, "
-            "filled, n, bytes, largest, t_min, t_max, odd) "
-            "VALUES (?, ?, ?, ?, ?, ?, toTimestamp(now()), ?, ?, ?, ?, ?, ?, ?) USING TTL ?"
-        )
-        self._reopen = (
-            f"INSERT INTO {space}.cr_bucket (tbl, node, slot, bucket, writer, state, heartbeat, "
-            "filled) VALUES (?, ?, ?, ?, ?, 'open', toTimestamp(now()), ?) USING TTL ?"
-        )
-        self._deleted = (
-            f"INSERT INTO {space}.cr_bucket (tbl, node, slot, bucket, writer, state, heartbeat, "
-            "deleted) VALUES (?, ?, ?, ?, ?, 'open', toTimestamp(now()), true) USING TTL ?"
-        )
-        self._recount = (
-            f"UPDATE {space}.cr_bucket USING TTL ? SET state = 'closed', filled = ?, "
-            "n = ?, bytes = ?, largest = ?, t_min = ?, t_max = ?, odd = ?, deleted = false, "
-            "heartbeat = toTimestamp(now()) "
-            "WHERE tbl = ? AND node = ? AND slot = ? AND bucket = ? AND writer = ? "
-            "IF heartbeat = ?"
-        )
-        self._drop = f"DELETE FROM {space}.cr_bucket WHERE tbl = ? AND node = ? AND slot = ?"
-        self._drop_node = f"DELETE FROM {space}.cr_node WHERE tbl = ?"
 
     def patient(self, retry_sec: float) -> Directory:
         """Return the same directory for a writer that tries for so many seconds."""
@@ -127,15 +149,20 @@ class Directory:
         directory._retry_sec = retry_sec
         return directory
 
-    def _run(self, cql: str, params: Sequence[Any], what: str) -> list[tuple[Any, ...]]:
+    def _run(self, cql: str, params: Sequence[object], what: str) -> list[CqlRow]:
         return self._cassandra.execute(cql, params, what=what, retry_sec=self._retry_sec)
+
+    # ---------------------------------------------------------------- reading
 
     def nodes(self, table: str, first_slot: int, last_slot: int) -> list[tuple[int, str]]:
         """List the (slot, node) of a table in [first_slot, last_slot]."""
         if not self._side_tables.has("cr_node"):
             return []
         rows = self._run(
-            self._nodes, (table, first_slot, last_slot), what="reading the directory of nodes"
+            f"SELECT slot, node FROM {self._space}.cr_node "
+            "WHERE tbl = ? AND slot >= ? AND slot <= ?",
+            (table, first_slot, last_slot),
+            what="reading the directory of nodes",
         )
         return [(row[0], row[1]) for row in rows]
 
@@ -161,7 +188,7 @@ class Directory:
             if nodes is None or node in nodes
         ]
         answers = self._cassandra.executeMany(
-            self._buckets,
+            self._select,
             [(table, node, slot, first, last) for slot, node in found],
             what="reading the directory of buckets",
         )
@@ -172,12 +199,11 @@ class Directory:
         """List the writers of one bucket."""
         if not self._side_tables.has("cr_bucket"):
             return []
-        rows = self._run(
-            self._buckets,
-            (table, node, slotOf(bucket), bucket, bucket),
-            what="reading the directory of buckets",
-        )
+        params = (table, node, slotOf(bucket), bucket, bucket)
+        rows = self._run(self._select, params, what="reading the directory of buckets")
         return [_bucketRow(node, row) for row in rows]
+
+    # ---------------------------------------------------------------- writing
 
     def addNode(self, table: str, slot: int, node: str, ttl: int = 0) -> None:
         """Note that a node has buckets in this slot; before the first of them.
@@ -185,19 +211,36 @@ class Directory:
         Args:
             ttl: Seconds until the last row in the slot may have expired; 0 = never.
         """
-        params = (table, slot, node, _ttl(ttl))
-        self._run(self._add_node, params, what="writing the directory of nodes")
+        self._run(
+            f"INSERT INTO {self._space}.cr_node (tbl, slot, node) VALUES (?, ?, ?) USING TTL ?",
+            (table, slot, node, _ttl(ttl)),
+            what="writing the directory of nodes",
+        )
+
+    def _mark(
+        self,
+        place: tuple[str, str, int, int],
+        ttl: int,
+        state: str,
+        columns: Mapping[str, object],
+        what: str,
+    ) -> None:
+        table, node, bucket, writer = place
+        self._run(
+            f"INSERT INTO {self._space}.cr_bucket (tbl, node, slot, bucket, writer, heartbeat, "
+            f"state, {', '.join(columns)}) VALUES (?, ?, ?, ?, ?, toTimestamp(now()), ?"
+            f"{', ?' * len(columns)}) USING TTL ?",
+            (table, node, slotOf(bucket), bucket, writer, state, *columns.values(), _ttl(ttl)),
+            what,
+        )
 
     def markDeleted(self, table: str, node: str, bucket: int, writer: int, ttl: int) -> None:
         """Mark a bucket as deleted from: no count holds until the next recount.
 
         A flag of its own, for a living writer closes the bucket with the counts of what it wrote.
         """
-        self._run(
-            self._deleted,
-            (table, node, slotOf(bucket), bucket, writer, _ttl(ttl)),
-            what="marking a bucket in the directory",
-        )
+        what = "marking a bucket in the directory"
+        self._mark((table, node, bucket, writer), ttl, "open", {"deleted": True}, what)
 
     def open(
         self,
@@ -213,11 +256,8 @@ class Directory:
         Args:
             filled: Shadow columns that all of the writer's rows in it have, and will have.
         """
-        self._run(
-            self._reopen,
-            (table, node, slotOf(bucket), bucket, writer, set(filled), _ttl(ttl)),
-            what="opening a bucket in the directory",
-        )
+        what = "opening a bucket in the directory"
+        self._mark((table, node, bucket, writer), ttl, "open", {"filled": set(filled)}, what)
 
     def put(
         self,
@@ -225,7 +265,7 @@ class Directory:
         node: str,
         bucket: int,
         writer: int,
-        totals: Totals,
+        totals: BucketTotals,
         closed: bool,
         ttl: int,
         filled: Iterable[str] = (),
@@ -235,17 +275,11 @@ class Directory:
         Args:
             filled: As in open.
         """
-        self._run(
-            self._values,
-            (
-                *(table, node, slotOf(bucket), bucket, writer, "closed" if closed else "open"),
-                *(set(filled), *_values(totals)),
-                _ttl(ttl),
-            ),
-            what="writing the directory of buckets",
-        )
+        what, state = "writing the directory of buckets", "closed" if closed else "open"
+        columns = {"filled": set(filled), **totals.columns()}
+        self._mark((table, node, bucket, writer), ttl, state, columns, what)
 
-    def putRecount(self, table: str, row: BucketRow, totals: Totals, ttl: int) -> bool:
+    def putRecount(self, table: str, row: BucketRow, totals: BucketTotals, ttl: int) -> bool:
         """Close a bucket that has no living writer, unless something has changed in it meanwhile.
 
         Args:
@@ -255,12 +289,15 @@ class Directory:
         Returns:
             Whether it was done.
         """
+        columns = {"filled": set(row.filled), **totals.columns()}
+        place = (table, row.node, slotOf(row.bucket), row.bucket, row.writer)
         answer = self._cassandra.executeOnce(
-            self._recount,
-            (
-                *(_ttl(ttl), set(row.filled), *_values(totals)),
-                *(table, row.node, slotOf(row.bucket), row.bucket, row.writer, row.heartbeat),
-            ),
+            f"UPDATE {self._space}.cr_bucket USING TTL ? SET state = 'closed', "
+            f"{''.join(f'{name} = ?, ' for name in columns)}deleted = false, "
+            "heartbeat = toTimestamp(now()) "
+            "WHERE tbl = ? AND node = ? AND slot = ? AND bucket = ? AND writer = ? "
+            "IF heartbeat = ?",
+            (_ttl(ttl), *columns.values(), *place, row.heartbeat),
             what="closing a bucket in the directory",
         )
         return bool(answer[0][0])
@@ -268,27 +305,52 @@ class Directory:
     def forget(self, table: str) -> None:
         """Remove all that is known of a table that was dropped."""
         for slot, node in self.nodes(table, -(2**63), 2**63 - 1):
-            self._run(self._drop, (table, node, slot), what="clearing the directory of buckets")
-        self._run(self._drop_node, (table,), what="clearing the directory")
+            self._run(
+                f"DELETE FROM {self._space}.cr_bucket WHERE tbl = ? AND node = ? AND slot = ?",
+                (table, node, slot),
+                what="clearing the directory of buckets",
+            )
+        cql = f"DELETE FROM {self._space}.cr_node WHERE tbl = ?"
+        self._run(cql, (table,), what="clearing the directory")
 
 
 def _ttl(ttl: int) -> int:
     return ttl + TTL_MARGIN_SEC if ttl else 0
 
 
-def _values(totals: Totals) -> tuple[int, ...]:
-    return (
-        *(totals.rows, totals.bytes, totals.largest),
-        *(totals.t_min, totals.t_max, totals.odd),
-    )
-
-
-def _bucketRow(node: str, row: tuple[Any, ...]) -> BucketRow:
+def _bucketRow(node: str, row: CqlRow) -> BucketRow:
     bucket, writer, state, heartbeat, n, size, largest, t_min, t_max, odd, *rest = row
     deleted, filled, now = rest
-    age = (now - heartbeat).total_seconds() if heartbeat is not None else STALE_SEC + 1
     return BucketRow(
-        *(node, bucket, writer, state == "closed" and not deleted, heartbeat),
-        *(n or 0, size or 0, largest or 0, t_min or 0, t_max if t_max is not None else -1),
-        *(odd or 0, age, frozenset(filled or ())),
+        node=node,
+        bucket=bucket,
+        writer=writer,
+        closed=state == "closed" and not deleted,
+        heartbeat=heartbeat,
+        rows=n or 0,
+        bytes=size or 0,
+        largest=largest or 0,
+        t_min=t_min or 0,
+        t_max=t_max if t_max is not None else -1,
+        odd=odd or 0,
+        age_sec=(now - heartbeat).total_seconds() if heartbeat is not None else STALE_SEC + 1,
+        filled=frozenset(filled or ()),
     )
+
+
+class SlotNotes:
+    """The slots of nodes that one writer has noted in the directory; guarded by its lock."""
+
+    def __init__(self, directory: Directory) -> None:
+        self._directory = directory
+        self._noted: dict[tuple[str, int, str], float] = {}
+
+    def note(self, table: RowTable, node: str, bucket: int) -> None:
+        """Note the slot of a bucket, unless that was done lately; before rows are written."""
+        slot = (table.name, slotOf(bucket), node)
+        # What is found by name is found by this note alone.
+        ttl = 0 if table.named else table.metadata.ttl
+        noted, now = self._noted.get(slot), time.monotonic()
+        if noted is None or (ttl and now - noted > NOTE_SEC):
+            self._directory.addNode(*slot, ttl and ttl + NOTE_MARGIN_SEC)
+            self._noted[slot] = now

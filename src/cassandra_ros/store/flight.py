@@ -12,7 +12,7 @@ from typing import Any, Callable
 
 from cassandra_ros.errors import ConnectionFailed
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isBusy, isPassing
-from cassandra_ros.store.patience import BUSY_PAUSE_SEC, FIRST_PAUSE_SEC, LAST_PAUSE_SEC
+from cassandra_ros.store.paging import BUSY_PAUSE_SEC, FIRST_PAUSE_SEC, LAST_PAUSE_SEC
 
 _log = logging.getLogger(__name__)
 

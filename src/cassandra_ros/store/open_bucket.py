@@ -10,9 +10,16 @@ from typing import Any, Sequence
 
 from cassandra.query import BatchStatement, BatchType, BoundStatement
 
-from cassandra_ros.store.directory import Totals
-from cassandra_ros.store.new_row import NewRow, Shadows, encodeOwn
-from cassandra_ros.store.row_table import UNSET, RowTable, encodeInt, encodeLong
+from cassandra_ros.store.directory import BucketTotals
+from cassandra_ros.store.row_table import (
+    UNSET,
+    NewRow,
+    RowTable,
+    Shadows,
+    encodeInt,
+    encodeLong,
+    encodeOwn,
+)
 
 BATCH_ROWS = 200
 BATCH_BYTES = 64 * 1024
@@ -64,7 +71,7 @@ class OpenBucket:
         self.bucket = bucket
         self.must_recount = known
         """The bucket has rows that this state has not seen, so its totals are not final."""
-        self.totals = Totals()
+        self.totals = BucketTotals()
         self.in_air = 0
         self.mutex = threading.Lock()
         self.batch = Batch()

@@ -8,11 +8,10 @@ import heapq
 from collections import deque
 from typing import Any, Deque, Iterator, Sequence
 
-from cassandra_ros.store.bucket_stream import BucketStream
+from cassandra_ros.store.bucket_stream import BucketStream, Piece, Scan
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import BucketRow, Directory
 from cassandra_ros.store.row_table import RowTable, TableRow
-from cassandra_ros.store.scan import Piece, Scan
 
 PAGE_BYTES = 2 * 1024 * 1024
 ALL_PAGES_BYTES = 16 * 1024 * 1024

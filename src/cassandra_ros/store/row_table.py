@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import struct
-from typing import Any, NamedTuple, Sequence
+from typing import Callable, Iterable, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra.query import UNSET_VALUE, BoundStatement, PreparedStatement
 
@@ -14,7 +14,7 @@ from cassandra_ros.keys import Position
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.names import chunkTableName, quoteName
-from cassandra_ros.store.new_row import Shadows
+from cassandra_ros.store.paging import RawRow
 
 UNSET = UNSET_VALUE
 CHUNK_BYTES = 512 * 1024
@@ -23,9 +23,42 @@ INLINE_COLUMN_BYTES = 64 * 1024
 """Columns above this are left unset in the row of a chunked message."""
 MIN_SEQ, MAX_SEQ = -(2**63), 2**63 - 1
 _PACK = struct.Struct(">qqqi")
+_SPLIT = struct.Struct("8s8s8s4s")
 _LONG = struct.Struct(">q")
 _INT = struct.Struct(">i")
 _OWN = ("_t", "_seq", "_conn", "_size", "_nchunks", "_crc", "_odd", "_raw")
+
+Indexed = Tuple[Sequence[Optional[bytes]], bool]
+"""Encoded values of the shadow columns (None = unset), and whether the row must be marked odd."""
+Order = Tuple[int, int]
+"""``_t`` and ``_seq``: where a row lies in its partition."""
+FIRST: Order = (-(2**63), MIN_SEQ)
+LAST: Order = (2**63 - 1, MAX_SEQ)
+
+
+class NewRow(NamedTuple):
+    """A message on its way into a table."""
+
+    t: int
+    """Key time, ns; 0 where equal messages are kept once."""
+    seq: int
+    """Writer id << 32 | counter, fixed before the first attempt; 0 as above."""
+    conn: int
+    wire: bytes
+    columns: Sequence[Optional[bytes]]
+    """Encoded values of the format's columns, and of those that say when it was received; None =
+    unset."""
+    odd: bool
+    raw: Optional[bytes]
+    name: str = ""
+
+
+class Shadows(NamedTuple):
+    """The columns that carry a table's indexes."""
+
+    names: Tuple[str, ...]
+    values: Callable[[bytes], Indexed]
+    """From the serialised message."""
 
 
 class TableRow(NamedTuple):
@@ -220,11 +253,11 @@ class RowTable:
 
     # ---------------------------------------------------------------- values
 
-    def isRest(self, values: Sequence[bytes | None]) -> bool:
-        """Say whether a selectRange row has expired but for the value of an index."""
+    def isRest(self, values: RawRow) -> bool:
+        """Say whether a selectRange or selectKeys row has expired but for the value of an index."""
         return values[2] is None and bool(self.metadata.ttl)
 
-    def rowFromValues(self, node: str, values: Sequence[bytes | None], name: str = "") -> TableRow:
+    def rowFromValues(self, node: str, values: RawRow, name: str = "") -> TableRow:
         """Read the undecoded values of a selectRange row.
 
         Raises:
@@ -241,41 +274,30 @@ class RowTable:
         if self._received or self.named:
             return self._otherRow(node, values, name, (t, seq, conn, size))
         if nchunks is None and odd is None:
-            return TableRow(t, node, seq, self.name, conn, size, 0, 0, False, raw, values[8:])  # type: ignore[arg-type]
-        return TableRow(
-            *(t, node, seq, self.name, conn, size),
-            *_flags(nchunks, crc, odd, raw),
-            tuple(values[8:]),
-        )
+            return TableRow(t, node, seq, self.name, conn, size, 0, 0, False, raw, values[8:])
+        flags = _flags(nchunks, crc, odd, raw)
+        return TableRow(t, node, seq, self.name, conn, size, *flags, values[8:])
 
     def _otherRow(
-        self, node: str, values: Sequence[bytes | None], name: str, own: tuple[int, ...]
+        self, node: str, values: RawRow, name: str, own: tuple[int, int, int, int]
     ) -> TableRow:
         t, seq, conn, size = own
-        received = -1
-        if self._received:
-            received = _number(values[8])
+        received = decodeLong(values[8]) if self._received else -1
         if self._once:
-            t, seq = received, _number(values[9])
-        columns = tuple(values[8 + len(self._received) :])
-        return TableRow(
-            *(t, node, seq, self.name, conn, size),
-            *_flags(*values[4:8]),
-            *(columns, name, received),
-        )
+            t, seq = received, decodeLong(values[9])
+        columns, flags = values[8 + len(self._received) :], _flags(*values[4:8])
+        return TableRow(t, node, seq, self.name, conn, size, *flags, columns, name, received)
 
 
-def _number(value: bytes | None) -> int:
-    return int.from_bytes(value or b"", "big", signed=True)
+def _flags(
+    nchunks: bytes | None, crc: bytes | None, odd: bytes | None, raw: bytes | None
+) -> tuple[int, int, bool, bytes | None]:
+    return decodeLong(nchunks), decodeLong(crc), odd == b"\x01", raw
 
 
-def _flags(nchunks: Any, crc: Any, odd: Any, raw: Any) -> tuple[int, int, bool, bytes | None]:
-    return (
-        _INT.unpack(nchunks)[0] if nchunks else 0,
-        _LONG.unpack(crc)[0] if crc else 0,
-        odd == b"\x01",
-        raw,
-    )
+def encodeOwn(t: int, seq: int, conn: int, size: int) -> tuple[bytes, ...]:
+    """Encode ``_t``, ``_seq``, ``_conn`` and ``_size`` as Cassandra stores them."""
+    return _SPLIT.unpack(_PACK.pack(t, seq, conn, size))
 
 
 def encodeLong(value: int) -> bytes:
@@ -283,9 +305,9 @@ def encodeLong(value: int) -> bytes:
     return _LONG.pack(value)
 
 
-def decodeLong(raw: bytes) -> int:
-    """Decode a bigint."""
-    return int(_LONG.unpack(raw)[0])
+def decodeLong(raw: bytes | None) -> int:
+    """Decode a bigint or int; null is 0."""
+    return int.from_bytes(raw or b"", "big", signed=True)
 
 
 def encodeInt(value: int) -> bytes:
@@ -293,8 +315,30 @@ def encodeInt(value: int) -> bytes:
     return _INT.pack(value)
 
 
-def bind(statement: PreparedStatement, values: Sequence[Any]) -> Any:
-    """Bind values that are encoded already."""
+def encode_ends(
+    low: Order, high: Order, last: RawRow | None = None, *, reverse: bool = False
+) -> tuple[bytes, ...]:
+    """Encode the ends of a stretch of one partition, for selectRange and selectKeys.
+
+    Args:
+        low: The first row.
+        high: The last row, included.
+        last: A row of the stretch, ``_t`` and ``_seq`` first, behind which it is to begin.
+        reverse: It is read from its end.
+    """
+    if last is not None and reverse:
+        high = (decodeLong(last[0]), decodeLong(last[1]) - 1)
+    elif last is not None:
+        low = (decodeLong(last[0]), decodeLong(last[1]) + 1)
+    return tuple(map(encodeLong, (*low, *high)))
+
+
+def bind(
+    statement: PreparedStatement, values: Iterable[bytes], page_rows: int | None = None
+) -> BoundStatement:
+    """Bind values that are encoded already; the answer has pages of so many rows."""
     bound = BoundStatement(statement)
     bound.values = list(values)
+    if page_rows is not None:
+        bound.fetch_size = page_rows
     return bound

@@ -7,21 +7,19 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from dataclasses import dataclass
+from typing import Callable
 
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound, WriteFailed
-from cassandra_ros.store.chunks import isLarge
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.counting import recount
-from cassandra_ros.store.directory import HEARTBEAT_SEC, Directory, Totals
+from cassandra_ros.store.directory import HEARTBEAT_SEC, BucketTotals, Directory, SlotNotes
 from cassandra_ros.store.driver_errors import isTableGone, translate
 from cassandra_ros.store.flight import Flight
-from cassandra_ros.store.large import LargeMessages
-from cassandra_ros.store.new_row import NewRow
+from cassandra_ros.store.large import LargeMessages, isLarge
 from cassandra_ros.store.open_bucket import Batch, OpenBucket
-from cassandra_ros.store.row_table import RowTable
+from cassandra_ros.store.row_table import NewRow, RowTable
 from cassandra_ros.store.schema import Schema
-from cassandra_ros.store.slot_notes import SlotNotes
-from cassandra_ros.store.write_stats import LossCallback, WriteStats
 
 _log = logging.getLogger(__name__)
 
@@ -29,6 +27,21 @@ TICK_SEC = 0.02
 IDLE_SEC = 10.0
 REOPEN_SEC = 30.0
 """After so long without a heartbeat a bucket is marked open anew before it is written to."""
+
+LossCallback = Callable[[str, int, CassandraRosError], None]
+"""Takes (topic, rows, why) of what was given up; called on any thread."""
+
+
+@dataclass
+class WriteStats:
+    """What became of the rows of one table so far."""
+
+    stored: int = 0
+    bytes: int = 0
+    """Serialised bytes of the stored messages."""
+    lost: int = 0
+    reason: str = ""
+    """Why the first lost ones were lost."""
 
 
 class RowWriter:
@@ -236,10 +249,10 @@ class RowWriter:
         totals = bucket.totals
         if bucket.must_recount:
             counted = recount(self._cassandra, bucket.table, bucket.node, bucket.bucket)
-            totals = counted.get(self._writer_id, Totals())
+            totals = counted.get(self._writer_id, BucketTotals())
         self._put(bucket, totals, closed=True)
 
-    def _put(self, bucket: OpenBucket, totals: Totals, closed: bool) -> None:
+    def _put(self, bucket: OpenBucket, totals: BucketTotals, closed: bool) -> None:
         table = bucket.table
         self._directory.put(
             *(table.name, bucket.node, bucket.bucket, self._writer_id, totals, closed),

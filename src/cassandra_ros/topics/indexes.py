@@ -18,7 +18,7 @@ from cassandra_ros.keys import NAMED_FORMATS, splitSeq
 from cassandra_ros.messages.index_field import IndexField, nearestFields
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.directory import STALE_SEC, BucketRow, Directory, Totals
+from cassandra_ros.store.directory import STALE_SEC, BucketRow, BucketTotals, Directory
 from cassandra_ros.store.index.backfill import Backfill, Update, Written
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.keyspace import Keyspace
@@ -195,7 +195,7 @@ class IndexFilling:
         self, table: TopicTable, index: IndexField, writers: List[BucketRow]
     ) -> Tuple[int, int]:
         """Return the rows that were filled, and for how many writers the bucket is done."""
-        totals = {row.writer: Totals() for row in writers}
+        totals = {row.writer: BucketTotals() for row in writers}
         backfill = Backfill(self._cassandra, table, index.shadow)
         place = writers[0].node, writers[0].bucket
         every = self._directory.find(table.name, *place)
@@ -215,7 +215,7 @@ class IndexFilling:
         table: TopicTable,
         index: IndexField,
         page: List[Written],
-        totals: Dict[int, Totals],
+        totals: Dict[int, BucketTotals],
     ) -> Iterator[Update]:
         for written in page:
             row = written.row
@@ -233,7 +233,7 @@ class IndexFilling:
             if value is not None or (odd and not row.odd):
                 yield Update(written, value)
 
-    def _mark(self, table: TopicTable, row: BucketRow, shadow: str, totals: Totals) -> bool:
+    def _mark(self, table: TopicTable, row: BucketRow, shadow: str, totals: BucketTotals) -> bool:
         wanted = row._replace(filled=row.filled | {shadow})
         uncertain = False
         for _ in range(MAX_TRIES):

@@ -16,9 +16,8 @@ from cassandra_ros.messages.definition import Definition, definitionOf
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata, shadowColumn
-from cassandra_ros.store.buckets import limitForTtl
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.directory import Directory
+from cassandra_ros.store.directory import Directory, limitForTtl
 from cassandra_ros.store.index.changes import IndexChanges
 from cassandra_ros.store.registry import Registry
 from cassandra_ros.store.schema import Planned, Schema

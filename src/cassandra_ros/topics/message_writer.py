@@ -24,10 +24,9 @@ from cassandra_ros.messages.classes import installedDefinition
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.definition import Definition, parseDefinition
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.store.new_row import NewRow
 from cassandra_ros.store.registry import Run
-from cassandra_ros.store.write_stats import LossCallback, WriteStats
-from cassandra_ros.store.writer import RowWriter
+from cassandra_ros.store.row_table import NewRow
+from cassandra_ros.store.writer import LossCallback, RowWriter, WriteStats
 from cassandra_ros.topics.keyspace import Keyspace, defaultBucket
 from cassandra_ros.topics.topic_table import TopicTable
 

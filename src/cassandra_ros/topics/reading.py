@@ -12,16 +12,15 @@ from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
 from cassandra_ros.keys import Position, RowName, isBehind
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.protocols import Chooser
-from cassandra_ros.store.chunks import readChunks
+from cassandra_ros.store.bucket_stream import Query, Scan
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import BucketRow, Directory
-from cassandra_ros.store.fetch import Wanted, fetchRows
+from cassandra_ros.store.fetch import Wanted, fetchRows, firstAt
 from cassandra_ros.store.index.shadow import keysByShadow
-from cassandra_ros.store.lookup import firstAt
+from cassandra_ros.store.large import readChunks
 from cassandra_ros.store.named import listNames, versions
 from cassandra_ros.store.reader import readRows
 from cassandra_ros.store.row_table import RowTable, TableRow
-from cassandra_ros.store.scan import Query, Scan
 from cassandra_ros.topics.connections import Connections
 from cassandra_ros.topics.selection import LAST_NS, AnyKey, Named, Selection, Stretch, Valued
 from cassandra_ros.topics.stored_row import StoredRow

@@ -30,7 +30,7 @@ from cassandra_ros.query.run import QueryResult, Rows
 from cassandra_ros.store.address import from_environment
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.registry import Run
-from cassandra_ros.store.write_stats import LossCallback
+from cassandra_ros.store.writer import LossCallback
 from cassandra_ros.topics.across import AcrossTopics, Conditions, Pair
 from cassandra_ros.topics.adder import Adder, Clock
 from cassandra_ros.topics.cassandra_topic import CassandraTopic

@@ -18,8 +18,7 @@ from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.new_row import Indexed, NewRow, Shadows
-from cassandra_ros.store.row_table import RowTable, encodeLong
+from cassandra_ros.store.row_table import Indexed, NewRow, RowTable, Shadows, encodeLong
 from cassandra_ros.store.schema import Schema
 
 _log = logging.getLogger(__name__)

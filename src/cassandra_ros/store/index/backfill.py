@@ -8,21 +8,23 @@ deleted, and with what is left of the row's time to live.
 
 from __future__ import annotations
 
-from typing import Any, Iterator, NamedTuple, Sequence
+from functools import partial
+from typing import Iterator, NamedTuple, Sequence
 
-from cassandra.query import BatchStatement, BatchType
+from cassandra.query import BatchStatement, BatchType, BoundStatement
 
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.driver_errors import DRIVER_ERRORS
 from cassandra_ros.store.names import quoteName
 from cassandra_ros.store.open_bucket import BATCH_BYTES, BATCH_ROWS
-from cassandra_ros.store.patience import Patience
+from cassandra_ros.store.paging import RawRow
 from cassandra_ros.store.row_table import (
-    MIN_SEQ,
+    FIRST,
+    LAST,
     RowTable,
     TableRow,
     bind,
     decodeLong,
+    encode_ends,
     encodeInt,
     encodeLong,
 )
@@ -80,55 +82,32 @@ class Backfill:
         Args:
             largest: Bytes of the largest message that lies in its row.
         """
-        low = (-(2**63), MIN_SEQ)
         size = max(1, min(PAGE_ROWS, PAGE_BYTES // (largest + 64)))
-        while True:
-            page, following = self._page(node, bucket, low, size)
-            yield page
-            if following is None:
-                return
-            low = following
-
-    def _page(
-        self, node: str, bucket: int, low: tuple[int, int], size: int
-    ) -> tuple[list[Written], tuple[int, int] | None]:
-        """Return rows, and where the next page begins."""
-        patience = Patience(f"reading topic {self._table.metadata.topic}")
         place = (node.encode("utf-8"), encodeLong(bucket))
-        while True:
-            bound = bind(self._select, (*place, *map(encodeLong, low)))
-            bound.fetch_size = size
-            try:
-                result = self._cassandra.sendRaw(bound).result()
-                every, more = result.current_rows, result.has_more_pages
-            except DRIVER_ERRORS as exc:
-                patience.wait(exc)
-                continue
-            make = self._table.rowFromValues
-            rows = [
-                Written(make(node, values[:-2]), values[-2], _ttl(values[-1]))
-                for values in every
-                if not self._table.isRest(values)
+
+        def rest(last: RawRow | None) -> BoundStatement:
+            return bind(self._select, (*place, *encode_ends(FIRST, LAST, last)[:2]), size)
+
+        table = self._table
+        asked = self._cassandra.ask(rest, f"reading topic {table.metadata.topic}")
+        # What is back-filled competes with who records: nothing is asked for ahead.
+        for page in asked.pages(ahead=False):
+            yield [
+                Written(table.rowFromValues(node, values[:-2]), values[-2] or b"", _ttl(values[-1]))
+                for values in page
+                if not table.isRest(values)
             ]
-            if not (every and more):
-                return rows, None
-            t, seq = map(decodeLong, every[-1][:2])
-            return rows, (t, seq + 1)
 
     def write(self, updates: Sequence[Update]) -> None:
         """Write the values of rows of one bucket; return when they are acknowledged."""
-        sent = [(part, self._send(part)) for part in _parts(updates)]
-        for part, future in sent:
-            patience = Patience(f"indexing topic {self._table.metadata.topic}")
-            while True:
-                try:
-                    future.result()
-                    break
-                except DRIVER_ERRORS as exc:
-                    patience.wait(exc)
-                    future = self._send(part)
+        what = f"indexing topic {self._table.metadata.topic}"
+        sent = [
+            self._cassandra.ask(partial(self._statement, part), what) for part in _parts(updates)
+        ]
+        for each in sent:
+            each.page()
 
-    def _send(self, updates: Sequence[Update]) -> Any:
+    def _statement(self, updates: Sequence[Update], last: RawRow | None) -> BatchStatement:
         batch = BatchStatement(BatchType.UNLOGGED)
         batch.is_idempotent = True
         for (row, timestamp, ttl), value in updates:
@@ -136,11 +115,11 @@ class Backfill:
             statement = self._set_odd if value is None else self._set_value
             head = (timestamp, encodeInt(left), b"\x01" if value is None else value)
             batch.add(bind(statement, (*head, *self._table.keyOf(row))))
-        return self._cassandra.sendRaw(batch)
+        return batch
 
 
 def _ttl(value: bytes | None) -> int | None:
-    return None if value is None else int.from_bytes(value, "big", signed=True)
+    return None if value is None else decodeLong(value)
 
 
 def _parts(updates: Sequence[Update]) -> Iterator[list[Update]]:

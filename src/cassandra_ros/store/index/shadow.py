@@ -4,18 +4,18 @@
 
 from __future__ import annotations
 
-from typing import Any, Iterator, Sequence
+from typing import Iterator, Sequence
 
 from cassandra_ros.keys import Position
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import Directory
-from cassandra_ros.store.driver_errors import DRIVER_ERRORS
 from cassandra_ros.store.fetch import Wanted
-from cassandra_ros.store.patience import Patience
-from cassandra_ros.store.row_table import RowTable, bind, encodeLong
+from cassandra_ros.store.paging import RawRow, retried
+from cassandra_ros.store.row_table import FIRST, LAST, RowTable, bind, decodeLong, encodeLong
 
 FEW_ROWS = 1000
 """So many are asked for in one query over the whole table and put in order here."""
+PAGE_ROWS = 5000
 
 
 def keysByShadow(
@@ -38,21 +38,18 @@ def keysByShadow(
     """
     rows, more = _ask(cassandra, table, shadow, (), value, FEW_ROWS)
     if not more:
-        yield from sorted(
-            (key for key in rows if nodes is None or key.position.node in nodes),
-            key=lambda key: key.position,
-        )
+        rows = [key for key in rows if nodes is None or key.position.node in nodes]
+        yield from sorted(rows, key=_place)
         return
-    buckets = directory.buckets(table.name, -(2**63), 2**63 - 1, nodes)
     by_time: dict[int, set[str]] = {}
-    for row in buckets:
+    for row in directory.buckets(table.name, FIRST[0], LAST[0], nodes):
         by_time.setdefault(row.bucket, set()).add(row.node)
     for bucket in sorted(by_time):
         found: list[Wanted] = []
         for node in by_time[bucket]:
             place = (node.encode("utf-8"), encodeLong(bucket))
-            found += _ask(cassandra, table, shadow, place, value, None)[0]
-        yield from sorted(found, key=lambda key: key.position)
+            found += _ask(cassandra, table, shadow, place, value)[0]
+        yield from sorted(found, key=_place)
 
 
 def _ask(
@@ -61,23 +58,25 @@ def _ask(
     shadow: str,
     place: tuple[bytes, ...],
     value: bytes,
-    limit: int | None,
+    limit: int | None = None,
 ) -> tuple[list[Wanted], bool]:
     """Return keys, and whether there are more."""
-    patience = Patience(f"reading topic {table.metadata.topic}")
-    bound = bind(table.selectShadow(shadow, bucket=bool(place)), (*place, value))
-    bound.fetch_size = limit or 5000
-    while True:
-        try:
-            result = cassandra.sendRaw(bound).result()
-            rows = result.current_rows if limit else list(result)
-            return [_wanted(table, values) for values in rows], result.has_more_pages
-        except DRIVER_ERRORS as exc:
-            patience.wait(exc)
+    statement = table.selectShadow(shadow, bucket=bool(place))
+    bound = bind(statement, (*place, value), limit or PAGE_ROWS)
+
+    def read() -> tuple[list[Wanted], bool]:
+        result = cassandra.sendRaw(bound).result()
+        rows = result.current_rows if limit else list(result)
+        return [_wanted(table, values) for values in rows], result.has_more_pages
+
+    return retried(f"reading topic {table.metadata.topic}", read)
 
 
-def _wanted(table: RowTable, values: Sequence[Any]) -> Wanted:
+def _wanted(table: RowTable, values: RawRow) -> Wanted:
     node, t, seq = values
-    at = int.from_bytes(t, "big", signed=True)
-    number = int.from_bytes(seq, "big", signed=True)
-    return Wanted(table, Position(at, (node or b"").decode(), number, table.name))
+    position = Position(decodeLong(t), (node or b"").decode(), decodeLong(seq), table.name)
+    return Wanted(table, position)
+
+
+def _place(key: Wanted) -> Position:
+    return key.position

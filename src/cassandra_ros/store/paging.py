@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Requests that are asked again where a failure may pass; reads go on behind their last row."""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import Callable, Iterator, List, Optional, Tuple, TypeVar
+
+from cassandra.cluster import ResponseFuture
+from cassandra.query import Statement
+
+from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isBusy, isPassing, translate
+
+_log = logging.getLogger(__name__)
+
+RETRY_SEC = 30.0
+BUSY_PAUSE_SEC = 0.002
+FIRST_PAUSE_SEC = 0.1
+LAST_PAUSE_SEC = 5.0
+
+RawRow = Tuple[Optional[bytes], ...]
+"""The columns of a row as the bytes that Cassandra stores; None = null."""
+_T = TypeVar("_T")
+
+
+def never_refused(exc: BaseException) -> bool:
+    """Say that no error is to be raised as it is."""
+    return False
+
+
+def retried(
+    what: str,
+    call: Callable[[], _T],
+    *,
+    seconds: float = RETRY_SEC,
+    refused: Callable[[BaseException], bool] = never_refused,
+) -> _T:
+    """Make an idempotent request, again and again while it fails with what may pass.
+
+    Args:
+        what: What is being done, for log and error.
+        call: Makes the request.
+        seconds: How long it may be asked again.
+        refused: Tells of an error of the driver that it is to be raised as it is, at once.
+
+    Raises:
+        CassandraRosError: Another try cannot help, or the time is up.
+    """
+    deadline, later = time.monotonic() + seconds, FIRST_PAUSE_SEC
+    while True:
+        try:
+            return call()
+        except DRIVER_ERRORS as exc:
+            if refused(exc):
+                raise
+            pause = BUSY_PAUSE_SEC if isBusy(exc) else later
+            if not isPassing(exc) or time.monotonic() + pause > deadline:
+                raise translate(exc, what) from exc
+            if not isBusy(exc):
+                _log.warning("%s: %s; trying again", what, exc)
+                later = min(2 * later, LAST_PAUSE_SEC)
+        time.sleep(pause)
+
+
+class Asked:
+    """A request that is on its way from the start, of raw rows in one page or many.
+
+    Args:
+        send: Sends a statement, and returns the driver's future.
+        statement_from: Makes the statement, given the last row that was read (None = none yet):
+            where a later page fails the rest is asked for from there, so no row comes twice.
+        what: What is being done, for log and error.
+        refused: As of retried.
+        on_page: Called with the rows of each page as soon as they are here, on the driver's thread.
+
+    Attributes:
+        last: The last row that was read.
+    """
+
+    def __init__(
+        self,
+        send: Callable[[Statement], ResponseFuture],
+        statement_from: Callable[[Optional[RawRow]], Statement],
+        what: str,
+        *,
+        refused: Callable[[BaseException], bool] = never_refused,
+        on_page: Optional[Callable[[List[RawRow]], None]] = None,
+    ) -> None:
+        self._send = send
+        self._statement_from = statement_from
+        self._what = what
+        self._refused = refused
+        self._on_page = on_page
+        self.last: Optional[RawRow] = None
+        self._failed = False
+        self._future = self._ask()
+
+    def _ask(self) -> ResponseFuture:
+        future = self._send(self._statement_from(self.last))
+        if self._on_page is not None:
+            future.add_callback(self._on_page)
+        return future
+
+    def _result(self) -> list[RawRow]:
+        if self._failed:
+            self._future, self._failed = self._ask(), False
+        try:
+            return self._future.result().current_rows  # type: ignore[no-any-return]
+        except DRIVER_ERRORS:
+            self._failed = True
+            raise
+
+    def page(self) -> list[RawRow]:
+        """Wait for the page that is asked for.
+
+        Raises:
+            CassandraRosError: Another try cannot help, or the time is up.
+        """
+        return retried(self._what, self._result, refused=self._refused)
+
+    def pages(self, *, ahead: bool = True) -> Iterator[list[RawRow]]:
+        """Yield the pages.
+
+        Args:
+            ahead: The next one is asked for before one is yielded, not behind it.
+        """
+        more = True
+        while more:
+            page = self.page()
+            more = self._future.has_more_pages
+            if more and ahead:
+                self._future.start_fetching_next_page()
+            if page:
+                self.last = page[-1]
+            yield page
+            if more and not ahead:
+                self._future.start_fetching_next_page()
+
+    def rows(self, *, ahead: bool = True) -> Iterator[RawRow]:
+        """Yield the rows of all pages."""
+        for page in self.pages(ahead=ahead):
+            yield from page
