@@ -13,7 +13,6 @@ from std_msgs.msg import Header
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
-from cassandra_ros.query import execute
 from cassandra_ros.store import writer
 
 SEC = 10**9
@@ -47,7 +46,7 @@ def test_what_no_column_holds_is_found(rosCas, monkeypatch, plan, closed):
     assert [(row.closed, row.odd) for row in rows] == [(closed, 4 * closed)]
     statement = "select seq from /h where stamp >= ? and stamp <= ?"
     params = (T0 + 20 * SEC, T0 + 31 * SEC + SEC // 2)
-    result = execute(rosCas, statement, params, plan=plan)
+    result = rosCas.statements.select(statement, params, plan=plan)
     assert [seq for (seq,) in result] == list(range(20, 32))
     assert bool(result.pushdown.whole) == (plan == "client")
     target.close()

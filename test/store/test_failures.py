@@ -19,9 +19,9 @@ from cassandra_ros import RosCassandra
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
-from cassandra_ros.query import execute
-from cassandra_ros.store import backfill, counting, flight, named, reader
+from cassandra_ros.store import counting, fetch, flight, reader
 from cassandra_ros.store import writer as writing
+from cassandra_ros.store.index import backfill
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.row_table import bind
 
@@ -221,8 +221,8 @@ def small_pages(monkeypatch):
     """Pages of seven rows, which end between messages of equal stamps."""
     monkeypatch.setattr(reader, "MAX_PAGE_ROWS", 7)
     monkeypatch.setattr(counting, "COUNT_PAGE_ROWS", 7)
-    monkeypatch.setattr(named, "KEY_PAGE_ROWS", 7)
-    monkeypatch.setattr(named, "VERSION_PAGE_ROWS", 7)
+    monkeypatch.setattr(fetch, "KEY_PAGE_ROWS", 7)
+    monkeypatch.setattr(fetch, "VERSION_PAGE_ROWS", 7)
 
 
 def fill(rosCas, **options):
@@ -282,6 +282,6 @@ def test_an_index_is_filled_across_pages(rosCas, monkeypatch):
     topic = rosCas.getTopic("/h")
     topic.createIndex("frame_id")
     statement = "select seq from /h where frame_id = 'same'"
-    result = execute(rosCas, statement, plan="index")
+    result = rosCas.statements.select(statement, plan="index")
     assert len(list(result)) == 2 * COUNT
     assert result.pushdown.indexed

@@ -65,7 +65,7 @@ def index_names(cql, rosCas, table):
 
 def test_a_row_deleted_between_read_and_write_stays_deleted(rosCas, cql):
     table = store(rosCas, "/t", 20)
-    backfill = Backfill(rosCas.cassandra, table, add(rosCas, table))
+    backfill = Backfill(table, add(rosCas, table))
     (page,) = backfill.pages("", table.bucketOf(T0), 10)
     assert rosCas.getTopic("/t").removeData(T0 + 3, T0 + 9) == 7
     backfill.write(
@@ -82,7 +82,7 @@ def test_a_row_deleted_between_read_and_write_stays_deleted(rosCas, cql):
 def test_a_row_written_anew_keeps_its_new_value(rosCas, cql):
     table = store(rosCas, "/t", 2, writer_id=9)
     shadow = add(rosCas, table)
-    backfill = Backfill(rosCas.cassandra, table, shadow)
+    backfill = Backfill(table, shadow)
     (page,) = backfill.pages("", table.bucketOf(T0), 10)
     cql.execute(
         f'UPDATE {table.qualified} SET "_ix0" = \'newer\' WHERE "_node" = \'\' AND "_bucket" = %s '
@@ -95,7 +95,7 @@ def test_a_row_written_anew_keeps_its_new_value(rosCas, cql):
 
 def test_pages_are_small_where_messages_are_large(rosCas):
     table = store(rosCas, "/t", 2500)
-    backfill = Backfill(rosCas.cassandra, table, add(rosCas, table))
+    backfill = Backfill(table, add(rosCas, table))
     for largest, most in ((10, 1000), (2 * 1024 * 1024 // 7, 6), (10**8, 1)):
         pages = backfill.pages("", table.bucketOf(T0), largest)
         sizes = [len(page) for _, page in zip(range(4), pages)]
@@ -118,7 +118,7 @@ def test_what_is_left_of_a_row_when_it_expires_is_no_row(rosCas, cql):
     for ttl in (5, 20, 80):
         topic_name = f"/t{ttl}"
         table = store(rosCas, topic_name, 20, ttl=ttl)
-        backfill = Backfill(rosCas.cassandra, table, add(rosCas, table))
+        backfill = Backfill(table, add(rosCas, table))
         pages = list(backfill.pages("", table.bucketOf(T0), 10))
         for page in pages:
             # As if the server had been slow: the values stay much longer.

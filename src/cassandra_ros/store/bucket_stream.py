@@ -8,11 +8,10 @@ import heapq
 import logging
 from typing import Callable, Iterable, Iterator, NamedTuple, Optional, Protocol, Sequence, Tuple
 
-from cassandra.query import BoundStatement, PreparedStatement
+from cassandra.query import PreparedStatement
 
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.keys import Position
-from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import BucketRow
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isRefused
 from cassandra_ros.store.paging import Asked, RawRow, never_refused
@@ -23,7 +22,6 @@ from cassandra_ros.store.row_table import (
     RowTable,
     TableRow,
     bind,
-    encode_ends,
     encodeInt,
     encodeLong,
 )
@@ -94,7 +92,7 @@ class BucketStream:
         filtered: The server leaves rows out.
     """
 
-    def __init__(self, cassandra: Cassandra, piece: Piece, scan: Scan) -> None:
+    def __init__(self, piece: Piece, scan: Scan) -> None:
         self._piece = piece
         self._scan = scan
         chosen = None if scan.chooser is None else scan.chooser.choose(piece.table, piece.rows)
@@ -102,7 +100,7 @@ class BucketStream:
         queries = [_ALL] if chosen is None else chosen
         # All queries of a bucket share what one may hold.
         piece = piece._replace(page_rows=max(1, piece.page_rows // max(1, len(queries))))
-        self._streams = [_Stream(cassandra, piece, scan, query) for query in queries]
+        self._streams = [_Stream(piece, scan, query) for query in queries]
 
     def rows(self) -> Iterator[TableRow]:
         """Yield the rows; one that several queries find comes once."""
@@ -129,12 +127,10 @@ def _place(row: TableRow) -> tuple[int, int]:
 class _Stream:
     """The rows of one bucket that one statement gives."""
 
-    def __init__(self, cassandra: Cassandra, piece: Piece, scan: Scan, query: Query) -> None:
-        self._cassandra = cassandra
+    def __init__(self, piece: Piece, scan: Scan, query: Query) -> None:
         self._piece = piece
         self._scan = scan
         self._place = (piece.node.encode(), encodeLong(piece.bucket))
-        self._what = f"reading topic {piece.table.metadata.topic}"
         self._terms, indexed = query
         # To look at a row the server needs fewer columns than to answer with it: where it lets
         # few through, only their keys are asked for, and then these rows.
@@ -161,16 +157,14 @@ class _Stream:
             return self._all(exc, last)
         if self._keyed:
             self._these()  # prepared here: the driver's thread must not wait for the server
-        low, high = _lowest(self._piece, self._scan), _highest(self._piece, self._scan)
-        values = [value for _, _, value in self._terms]
-
-        def rest(read: RawRow | None) -> BoundStatement:
-            ends = encode_ends(low, high, read or last, reverse=reverse)
-            return bind(statement, (*self._place, *ends, *values), self._piece.page_rows)
-
-        return self._cassandra.ask(
-            rest,
-            self._what,
+        return table.stretch(
+            statement,
+            self._place,
+            (_lowest(self._piece, self._scan), _highest(self._piece, self._scan)),
+            values=[value for _, _, value in self._terms],
+            page_rows=self._piece.page_rows,
+            reverse=reverse,
+            last=last,
             refused=isRefused if self._terms else never_refused,
             on_page=self._fetchEarly if self._keyed else None,
         )
@@ -211,7 +205,7 @@ class _Stream:
                 if len(found) > TURNED_PAGES * self._piece.page_rows:
                     return None
         except DRIVER_ERRORS as exc:
-            _log.info("%s by an index: %s", self._what, exc)
+            _log.info("topic %s by an index: %s", self._piece.table.metadata.topic, exc)
             return None
         return found
 
@@ -235,16 +229,11 @@ class _Stream:
             self._early = part, self._askThese(part)
 
     def _these(self) -> PreparedStatement:
-        table = self._piece.table
-        order = ' ORDER BY "_t" DESC, "_seq" DESC' if self._scan.reverse else ""
-        return self._cassandra.prepare(
-            f'SELECT {table.listing(self._columns())} FROM {table.qualified} WHERE "_node" = ? AND '
-            f'"{table.partition}" = ? AND ("_t", "_seq") IN ?{order}'
-        )
+        return self._piece.table.selectThese(self._columns(), reverse=self._scan.reverse)
 
     def _askThese(self, part: Sequence[RawRow]) -> Asked:
-        bound = bind(self._these(), (*self._place, _pairs(part)), self._at_once)
-        return self._cassandra.ask(lambda last: bound, self._what)
+        values = (*self._place, _pairs(part))
+        return self._piece.table.send(bind(self._these(), values, self._at_once))
 
 
 def _pairs(keys: Sequence[RawRow]) -> bytes:

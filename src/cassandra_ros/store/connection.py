@@ -9,7 +9,7 @@ import ssl
 import threading
 import time
 from collections import deque
-from typing import Any, Callable, Deque, Iterable, List, Optional, Sequence, Tuple
+from typing import Any, Deque, Iterable, List, Optional, Sequence, Tuple
 
 from cassandra import ConsistencyLevel, UnresolvableContactPoints
 from cassandra.auth import PlainTextAuthProvider
@@ -39,7 +39,7 @@ from cassandra_ros.store.driver_errors import (
     translate,
     translated,
 )
-from cassandra_ros.store.paging import RETRY_SEC, Asked, RawRow, never_refused, retried
+from cassandra_ros.store.paging import RETRY_SEC, retried
 
 CONNECT_TIMEOUT_SEC = 10.0
 REQUEST_TIMEOUT_SEC = 20.0
@@ -345,17 +345,6 @@ class Cassandra:
         """Send a bound or batch statement; the rows of its answer are undecoded bytes."""
         self.require_open()
         return self._raw_session.execute_async(statement, timeout=REQUEST_TIMEOUT_SEC)
-
-    def ask(
-        self,
-        statement_from: Callable[[RawRow | None], Statement],
-        what: str,
-        *,
-        refused: Callable[[BaseException], bool] = never_refused,
-        on_page: Callable[[list[RawRow]], None] | None = None,
-    ) -> Asked:
-        """Send a statement whose pages, of raw rows, are asked for again where one fails."""
-        return Asked(self.sendRaw, statement_from, what, refused=refused, on_page=on_page)
 
     def liveNodes(self) -> int:
         """Count the nodes that the driver knows in the local data centre."""

@@ -9,15 +9,12 @@ from typing import Iterator
 
 from cassandra_ros.errors import ConnectionFailed, StoreUnavailable
 from cassandra_ros.keys import splitSeq
-from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import STALE_SEC, BucketRow, BucketTotals, Directory
 from cassandra_ros.store.row_table import (
     MAX_SEQ,
     MIN_SEQ,
     RowTable,
-    bind,
     decodeLong,
-    encode_ends,
     encodeLong,
 )
 
@@ -27,14 +24,15 @@ COUNT_PAGE_ROWS = 5000
 
 
 def scanKeys(
-    cassandra: Cassandra, table: RowTable, node: str, bucket: int, low: int, high: int
+    table: RowTable, node: str, bucket: int, low: int, high: int
 ) -> Iterator[tuple[int, int, int, bool, bool]]:
     """Read (t, seq, size, chunked, odd) of the rows of a bucket with t in [low, high]."""
-    statement, place = table.selectKeys(), (node.encode(), encodeLong(bucket))
-    ends = (low, MIN_SEQ), (high, MAX_SEQ)
-    asked = cassandra.ask(
-        lambda last: bind(statement, (*place, *encode_ends(*ends, last)), COUNT_PAGE_ROWS),
-        f"counting topic {table.metadata.topic}",
+    asked = table.stretch(
+        table.selectKeys(),
+        (node.encode(), encodeLong(bucket)),
+        ((low, MIN_SEQ), (high, MAX_SEQ)),
+        page_rows=COUNT_PAGE_ROWS,
+        what="counting",
     )
     for row in asked.rows():
         if not table.isRest(row):
@@ -42,19 +40,15 @@ def scanKeys(
             yield t, seq, size, row[3] is not None, row[4] is not None
 
 
-def recount(
-    cassandra: Cassandra, table: RowTable, node: str, bucket: int
-) -> dict[int, BucketTotals]:
+def recount(table: RowTable, node: str, bucket: int) -> dict[int, BucketTotals]:
     """Count the rows of one bucket as they are now, by writer id."""
     found: dict[int, BucketTotals] = {}
-    for t, seq, size, chunked, odd in scanKeys(cassandra, table, node, bucket, -(2**63), MAX_SEQ):
+    for t, seq, size, chunked, odd in scanKeys(table, node, bucket, -(2**63), MAX_SEQ):
         found.setdefault(splitSeq(seq)[0], BucketTotals()).count(t, size, chunked, odd)
     return found
 
 
-def settle(
-    cassandra: Cassandra, directory: Directory, table: RowTable, rows: list[BucketRow]
-) -> list[BucketRow]:
+def settle(directory: Directory, table: RowTable, rows: list[BucketRow]) -> list[BucketRow]:
     """Replace the estimates of open buckets by counts of now.
 
     A recount is written back where the bucket has no living writer any more.
@@ -74,7 +68,7 @@ def settle(
         if all(row.closed for row in group) and not table.metadata.ttl:
             settled.extend(group)
             continue
-        counted = recount(cassandra, table, node, bucket)
+        counted = recount(table, node, bucket)
         for row in group:
             totals = counted.get(row.writer, BucketTotals())
             if not row.closed and row.age_sec > STALE_SEC:

@@ -1,27 +1,39 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Single rows: of known keys, the next ones asked for ahead; the first row at a time."""
+"""Rows that are found by their keys: one by one, by a name, by the value of an indexed field.
+
+Names have no order in Cassandra. Whoever wants all of them gets their keys first: a scan of the
+whole table, and some 300 bytes of memory a message.
+"""
 
 from __future__ import annotations
 
+import heapq
 from collections import deque
 from typing import Deque, Iterable, Iterator, NamedTuple, Sequence
 
 from cassandra_ros.keys import Position
-from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import Directory, slotOf
-from cassandra_ros.store.paging import Asked
+from cassandra_ros.store.paging import Asked, RawRow
 from cassandra_ros.store.row_table import (
+    ALL,
+    FIRST,
+    LAST,
     MAX_SEQ,
     MIN_SEQ,
     Order,
     RowTable,
     TableRow,
     bind,
-    encode_ends,
+    decodeLong,
+    encodeLong,
 )
 
 AHEAD = 16
+KEY_PAGE_ROWS = 5000
+VERSION_PAGE_ROWS = 16
+FEW_ROWS = 1000
+"""So many keys are asked for in one query over the whole table and put in order here."""
 
 
 class Wanted(NamedTuple):
@@ -31,20 +43,17 @@ class Wanted(NamedTuple):
     position: Position
 
 
-def fetchRows(
-    cassandra: Cassandra, wanted: Iterable[Wanted], ahead: int = AHEAD
-) -> Iterator[TableRow]:
+def fetchRows(wanted: Iterable[Wanted], ahead: int = AHEAD) -> Iterator[TableRow]:
     """Yield the rows in the order asked for; one that was deleted meanwhile is left out.
 
     Args:
-        cassandra: The connection.
         wanted: The keys.
         ahead: How many are on their way at once.
     """
     asked: Deque[tuple[Wanted, Asked]] = deque()
     for key in wanted:
         order = key.table.storedOrder(key.position.t, key.position.seq)
-        asked.append((key, _ask(cassandra, key, order, order)))
+        asked.append((key, _ask(key, order, order)))
         if len(asked) >= ahead:
             yield from _answer(*asked.popleft())
     while asked:
@@ -52,7 +61,6 @@ def fetchRows(
 
 
 def firstAt(
-    cassandra: Cassandra,
     directory: Directory,
     tables: Sequence[RowTable],
     t: int,
@@ -65,14 +73,13 @@ def firstAt(
     very same time one that this process has not met yet comes behind.
 
     Args:
-        cassandra: The connection.
         directory: Lists the nodes.
         tables: Those of a topic.
         t: Key time, ns.
         nodes: Only these nodeIDs; None = all.
     """
     known = [(t_, n) for t_ in tables for n in sorted(t_.known_nodes if nodes is None else nodes)]
-    row = _best(cassandra, known, t)
+    row = _best(known, t)
     if row is not None or nodes is not None:
         return row
     others: list[tuple[RowTable, str]] = []
@@ -81,24 +88,21 @@ def firstAt(
         found = {node for _, node in directory.nodes(table.name, slot, slot)}
         others.extend((table, node) for node in sorted(found - table.known_nodes))
         table.known_nodes |= found
-    return _best(cassandra, others, t)
+    return _best(others, t)
 
 
-def _best(cassandra: Cassandra, places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
+def _best(places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
     keys = [Wanted(table, Position(t, node, 0, table.name)) for table, node in places]
     low, high = (t, MIN_SEQ), (t, MAX_SEQ)
-    asked = [(key, _ask(cassandra, key, low, high, page_rows=1)) for key in keys]
+    asked = [(key, _ask(key, low, high, page_rows=1)) for key in keys]
     rows = [row for each in asked for row in _answer(*each)]
     return min(rows, key=lambda row: row[:4], default=None)
 
 
-def _ask(
-    cassandra: Cassandra, key: Wanted, low: Order, high: Order, page_rows: int | None = None
-) -> Asked:
+def _ask(key: Wanted, low: Order, high: Order, page_rows: int | None = None) -> Asked:
     table, (t, node, _, _, name) = key
     place = (node.encode("utf-8"), table.partitionOf(t, name))
-    bound = bind(table.selectRange(table.columns), (*place, *encode_ends(low, high)), page_rows)
-    return cassandra.ask(lambda last: bound, f"reading topic {table.metadata.topic}")
+    return table.stretch(table.selectRange(table.columns), place, (low, high), page_rows=page_rows)
 
 
 def _answer(key: Wanted, asked: Asked) -> Iterator[TableRow]:
@@ -106,3 +110,108 @@ def _answer(key: Wanted, asked: Asked) -> Iterator[TableRow]:
     for values in asked.page()[:1]:
         if not table.isRest(values):
             yield table.rowFromValues(position.node, values, position.name)
+
+
+# ---------------------------------------------------------------- names
+
+
+class NamedKey(NamedTuple):
+    """What the list of names tells of a row."""
+
+    position: Position
+    size: int
+    chunked: bool
+    odd: bool
+
+
+def listNames(table: RowTable, nodes: Sequence[str] | None) -> list[NamedKey]:
+    """List the keys of all rows of a table whose rows are found by name, in no order.
+
+    Args:
+        nodes: Only these nodeIDs; None = all.
+    """
+
+    def keys(rows: Iterable[RawRow]) -> list[NamedKey]:
+        found = (_namedKey(values, table.name) for values in rows)
+        return [key for key in found if nodes is None or key.position.node in nodes]
+
+    return table.collect(bind(table.selectNames(), (), KEY_PAGE_ROWS), keys, "listing the names of")
+
+
+def _namedKey(values: RawRow, table: str) -> NamedKey:
+    node, name, t, seq, size, nchunks, odd, *received = values
+    t, seq = received or (t, seq)
+    node_name, key_name = (node or b"").decode(), (name or b"").decode()
+    position = Position(decodeLong(t), node_name, decodeLong(seq), table, key_name)
+    return NamedKey(position, decodeLong(size), nchunks is not None, odd is not None)
+
+
+def versions(
+    table: RowTable, name: str, nodes: Sequence[str], *, reverse: bool = False
+) -> Iterator[TableRow]:
+    """Yield the rows of a name, of several nodes, in the order of time or newest first."""
+    streams = [_versionsOf(table, name, node, reverse) for node in nodes]
+    return heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
+
+
+def _versionsOf(table: RowTable, name: str, node: str, reverse: bool) -> Iterator[TableRow]:
+    asked = table.stretch(
+        table.selectRange(table.columns, reverse=reverse),
+        (node.encode("utf-8"), name.encode("utf-8")),
+        ALL,
+        page_rows=VERSION_PAGE_ROWS,
+        reverse=reverse,
+    )
+    for values in asked.rows(ahead=False):
+        yield table.rowFromValues(node, values, name)
+
+
+# ---------------------------------------------------------------- indexed values
+
+
+def keysByShadow(
+    directory: Directory,
+    table: RowTable,
+    shadow: str,
+    value: bytes,
+    nodes: Sequence[str] | None,
+) -> Iterator[Wanted]:
+    """Yield the keys of the rows whose shadow column has a value, in the order of time.
+
+    Args:
+        directory: Lists the buckets, where there are too many rows to be put in order here.
+        table: One in the order of time.
+        shadow: Name of the column.
+        value: In CQL's encoding.
+        nodes: Only these nodeIDs; None = all.
+    """
+
+    def keys(rows: Iterable[RawRow]) -> list[Wanted]:
+        return [_wanted(table, values) for values in rows]
+
+    asked = table.send(bind(table.selectShadow(shadow, bucket=False), (value,), FEW_ROWS))
+    found = keys(asked.page())
+    if not asked.more:
+        found = [key for key in found if nodes is None or key.position.node in nodes]
+        yield from sorted(found, key=_place)
+        return
+    by_time: dict[int, set[str]] = {}
+    for row in directory.buckets(table.name, FIRST[0], LAST[0], nodes):
+        by_time.setdefault(row.bucket, set()).add(row.node)
+    statement = table.selectShadow(shadow, bucket=True)
+    for bucket in sorted(by_time):
+        found = []
+        for node in by_time[bucket]:
+            place = (node.encode("utf-8"), encodeLong(bucket))
+            found += table.collect(bind(statement, (*place, value), KEY_PAGE_ROWS), keys)
+        yield from sorted(found, key=_place)
+
+
+def _wanted(table: RowTable, values: RawRow) -> Wanted:
+    node, t, seq = values
+    position = Position(decodeLong(t), (node or b"").decode(), decodeLong(seq), table.name)
+    return Wanted(table, position)
+
+
+def _place(key: Wanted) -> Position:
+    return key.position

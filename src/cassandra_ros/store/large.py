@@ -10,13 +10,12 @@ from __future__ import annotations
 import threading
 import zlib
 from collections import deque
-from typing import Callable, Deque, Iterator
+from typing import Callable, Deque, Iterable, Iterator
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.flight import Flight, Outcome
 from cassandra_ros.store.open_bucket import OpenBucket
-from cassandra_ros.store.paging import retried
+from cassandra_ros.store.paging import RawRow
 from cassandra_ros.store.row_table import (
     CHUNK_BYTES,
     INLINE_COLUMN_BYTES,
@@ -53,23 +52,23 @@ def pieces(wire: bytes) -> Iterator[tuple[int, bytes]]:
         yield number, bytes(view[number * CHUNK_BYTES : (number + 1) * CHUNK_BYTES])
 
 
-def readChunks(cassandra: Cassandra, table: RowTable, row: TableRow) -> bytes:
+def readChunks(table: RowTable, row: TableRow) -> bytes:
     """Read the bytes of a large message.
 
     Raises:
         CorruptMessage: Chunks are missing, or size or checksum do not agree with the row.
     """
-    bound = bind(table.selectChunks(), table.keyOf(row), _PAGE_CHUNKS)
 
-    def read() -> list[bytes]:
+    def data_of(rows: Iterable[RawRow]) -> list[bytes]:
         parts: list[bytes] = []
-        for number, data in cassandra.sendRaw(bound).result():
+        for number, data in rows:
             if number != encodeInt(len(parts)) or len(parts) >= row.nchunks:
                 break
-            parts.append(data)
+            parts.append(data or b"")
         return parts
 
-    parts = retried(f"reading a large message of topic {table.metadata.topic}", read)
+    bound = bind(table.selectChunks(), table.keyOf(row), _PAGE_CHUNKS)
+    parts = table.collect(bound, data_of, "reading a large message of")
     wire = b"".join(parts)
     if len(parts) != row.nchunks or len(wire) != row.size or checksum(wire) != row.crc:
         raise CorruptMessage(

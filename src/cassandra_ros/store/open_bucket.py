@@ -82,7 +82,7 @@ class OpenBucket:
         self._shadows = shadows
         self.filled = filled
         names = shadows.names if shadows is not None else ()
-        plain, full = table.insertPlain(names), table.insertFull(names)
+        plain, full = table.insert(names, full=False), table.insert(names)
         self._plain_id, self._full_id = plain.query_id, full.query_id
         # Found from the values by the first row, then the same for all of the bucket.
         self._plain = plain

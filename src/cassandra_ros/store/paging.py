@@ -22,6 +22,10 @@ LAST_PAUSE_SEC = 5.0
 
 RawRow = Tuple[Optional[bytes], ...]
 """The columns of a row as the bytes that Cassandra stores; None = null."""
+Refused = Callable[[BaseException], bool]
+"""Tells of an error of the driver that it is to be raised as it is, at once."""
+OnPage = Callable[[List[RawRow]], None]
+"""Called with the rows of each page as soon as they are here, on the driver's thread."""
 _T = TypeVar("_T")
 
 
@@ -35,7 +39,7 @@ def retried(
     call: Callable[[], _T],
     *,
     seconds: float = RETRY_SEC,
-    refused: Callable[[BaseException], bool] = never_refused,
+    refused: Refused = never_refused,
 ) -> _T:
     """Make an idempotent request, again and again while it fails with what may pass.
 
@@ -43,7 +47,6 @@ def retried(
         what: What is being done, for log and error.
         call: Makes the request.
         seconds: How long it may be asked again.
-        refused: Tells of an error of the driver that it is to be raised as it is, at once.
 
     Raises:
         CassandraRosError: Another try cannot help, or the time is up.
@@ -72,11 +75,10 @@ class Asked:
         statement_from: Makes the statement, given the last row that was read (None = none yet):
             where a later page fails the rest is asked for from there, so no row comes twice.
         what: What is being done, for log and error.
-        refused: As of retried.
-        on_page: Called with the rows of each page as soon as they are here, on the driver's thread.
 
     Attributes:
         last: The last row that was read.
+        more: There are pages behind the one that was read.
     """
 
     def __init__(
@@ -84,9 +86,8 @@ class Asked:
         send: Callable[[Statement], ResponseFuture],
         statement_from: Callable[[Optional[RawRow]], Statement],
         what: str,
-        *,
-        refused: Callable[[BaseException], bool] = never_refused,
-        on_page: Optional[Callable[[List[RawRow]], None]] = None,
+        refused: Refused = never_refused,
+        on_page: Optional[OnPage] = None,
     ) -> None:
         self._send = send
         self._statement_from = statement_from
@@ -94,6 +95,7 @@ class Asked:
         self._refused = refused
         self._on_page = on_page
         self.last: Optional[RawRow] = None
+        self.more = True
         self._failed = False
         self._future = self._ask()
 
@@ -107,7 +109,9 @@ class Asked:
         if self._failed:
             self._future, self._failed = self._ask(), False
         try:
-            return self._future.result().current_rows  # type: ignore[no-any-return]
+            rows: list[RawRow] = self._future.result().current_rows
+            self.more = self._future.has_more_pages
+            return rows
         except DRIVER_ERRORS:
             self._failed = True
             raise
@@ -126,16 +130,14 @@ class Asked:
         Args:
             ahead: The next one is asked for before one is yielded, not behind it.
         """
-        more = True
-        while more:
+        while self.more:
             page = self.page()
-            more = self._future.has_more_pages
-            if more and ahead:
+            if self.more and ahead:
                 self._future.start_fetching_next_page()
             if page:
                 self.last = page[-1]
             yield page
-            if more and not ahead:
+            if self.more and not ahead:
                 self._future.start_fetching_next_page()
 
     def rows(self, *, ahead: bool = True) -> Iterator[RawRow]:

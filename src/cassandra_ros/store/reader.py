@@ -9,7 +9,6 @@ from collections import deque
 from typing import Any, Deque, Iterator, Sequence
 
 from cassandra_ros.store.bucket_stream import BucketStream, Piece, Scan
-from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import BucketRow, Directory
 from cassandra_ros.store.row_table import RowTable, TableRow
 
@@ -24,9 +23,7 @@ UNKNOWN_ROW_BYTES = 32 * 1024
 _ROW_OVERHEAD = 64
 
 
-def readRows(
-    cassandra: Cassandra, directory: Directory, tables: Sequence[RowTable], scan: Scan
-) -> Iterator[TableRow]:
+def readRows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> Iterator[TableRow]:
     """Yield the rows of several tables in the order (t, node, seq, table), or its reverse.
 
     Memory is bounded: one or two pages for each table and node that has rows at the time.
@@ -34,7 +31,7 @@ def readRows(
     pieces = _pieces(directory, tables, scan)
     sign = -1 if scan.reverse else 1
     heap: list[tuple[Any, int, TableRow, Iterator[TableRow]]] = []
-    waiting = _Prefetched(cassandra, pieces, scan)
+    waiting = _Prefetched(pieces, scan)
     count = 0
     while heap or waiting.left:
         while waiting.left and (not heap or waiting.opensBefore(heap[0][2].t, sign)):
@@ -121,8 +118,7 @@ class _Prefetched:
     the first row.
     """
 
-    def __init__(self, cassandra: Cassandra, pieces: list[Piece], scan: Scan) -> None:
-        self._cassandra = cassandra
+    def __init__(self, pieces: list[Piece], scan: Scan) -> None:
         self._scan = scan
         self._pieces = pieces
         self._next = 0
@@ -140,7 +136,7 @@ class _Prefetched:
     def take(self) -> Iterator[TableRow]:
         end = self._next + 1 + self._ahead
         for piece in self._pieces[self._next + len(self._asked) : end]:
-            self._asked.append(BucketStream(self._cassandra, piece, self._scan))
+            self._asked.append(BucketStream(piece, self._scan))
         self._next += 1
         stream = self._asked.popleft()
         self._ahead = min(2 * self._ahead, AHEAD) if stream.filtered else 1

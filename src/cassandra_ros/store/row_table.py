@@ -5,16 +5,16 @@
 from __future__ import annotations
 
 import struct
-from typing import Callable, Iterable, NamedTuple, Optional, Sequence, Tuple
+from typing import Callable, Iterable, NamedTuple, Optional, Sequence, Tuple, TypeVar
 
-from cassandra.query import UNSET_VALUE, BoundStatement, PreparedStatement
+from cassandra.query import UNSET_VALUE, BoundStatement, PreparedStatement, Statement
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.names import chunkTableName, quoteName
-from cassandra_ros.store.paging import RawRow
+from cassandra_ros.store.paging import Asked, OnPage, RawRow, Refused, never_refused, retried
 
 UNSET = UNSET_VALUE
 CHUNK_BYTES = 512 * 1024
@@ -27,6 +27,11 @@ _SPLIT = struct.Struct("8s8s8s4s")
 _LONG = struct.Struct(">q")
 _INT = struct.Struct(">i")
 _OWN = ("_t", "_seq", "_conn", "_size", "_nchunks", "_crc", "_odd", "_raw")
+_COUNTED = ("_t", "_seq", "_size", "_nchunks", "_odd")
+_RANGE = 'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
+_ROW = 'AND "_t" = ? AND "_seq" = ?'
+_NEWEST = ' ORDER BY "_t" DESC, "_seq" DESC'
+_T = TypeVar("_T")
 
 Indexed = Tuple[Sequence[Optional[bytes]], bool]
 """Encoded values of the shadow columns (None = unset), and whether the row must be marked odd."""
@@ -34,6 +39,8 @@ Order = Tuple[int, int]
 """``_t`` and ``_seq``: where a row lies in its partition."""
 FIRST: Order = (-(2**63), MIN_SEQ)
 LAST: Order = (2**63 - 1, MAX_SEQ)
+ALL = (FIRST, LAST)
+"""Ends of a whole partition."""
 
 
 class NewRow(NamedTuple):
@@ -88,13 +95,9 @@ class TableRow(NamedTuple):
 
 
 class RowTable:
-    """Statements of one topic table; prepared when first needed.
+    """One topic table: its statements, prepared when first needed, and its rows.
 
     Args:
-        cassandra: An open connection.
-        keyspace: Where the table lies.
-        name: The table's name.
-        metadata: What its comment says.
         columns: Names of the format's columns, in the format's order.
 
     Attributes:
@@ -114,27 +117,20 @@ class RowTable:
         columns: Sequence[str],
     ) -> None:
         self._cassandra = cassandra
-        self._space = quoteName(keyspace)
         self.name = name
+        self.qualified = f"{quoteName(keyspace)}.{quoteName(name)}"
+        self._chunks = f"{quoteName(keyspace)}.{quoteName(chunkTableName(name))}"
         self.metadata = metadata
         self.columns = tuple(columns)
         self.named = metadata.named
         self.partition = metadata.partition
+        self._where = f'WHERE "_node" = ? AND "{self.partition}" = ?'
         self._once = metadata.key_format == "hash"
         self._received = tuple(metadata.receivedColumns)
         self.known_nodes: set[str] = set()
         """nodeIDs that have been seen to write the table; more may."""
         self.has_chunks = False
         """Whether the chunk table is known to exist."""
-
-    @property
-    def qualified(self) -> str:
-        """Its quoted name with its keyspace."""
-        return f"{self._space}.{quoteName(self.name)}"
-
-    @property
-    def _chunks(self) -> str:
-        return f"{self._space}.{quoteName(chunkTableName(self.name))}"
 
     def bucketOf(self, t_ns: int) -> int:
         """Return the bucket of a key time."""
@@ -144,7 +140,7 @@ class RowTable:
         """Encode the second part of a row's partition key."""
         return name.encode("utf-8") if self.named else encodeLong(self.bucketOf(t_ns))
 
-    def storedOrder(self, t: int, seq: int) -> tuple[int, int]:
+    def storedOrder(self, t: int, seq: int) -> Order:
         """Return ``_t`` and ``_seq`` of a row; where equal messages are kept once they are 0."""
         return (0, 0) if self._once else (t, seq)
 
@@ -159,37 +155,28 @@ class RowTable:
 
     # ---------------------------------------------------------------- statements
 
-    def _insert(self, own: Sequence[str], shadows: Sequence[str]) -> PreparedStatement:
+    def insert(self, shadows: Sequence[str] = (), *, full: bool = True) -> PreparedStatement:
+        """INSERT of a row; not full: of one that needs neither chunks nor ``_raw``, as nearly all.
+
+        Args:
+            shadows: Shadow columns, behind all others.
+        """
+        own = _OWN if full else _OWN[:4]
         names = ["_node", self.partition, *own, *self.columns, *self._received, *shadows]
-        listing = ", ".join(quoteName(n) for n in names)
         marks = ", ".join("?" * len(names))
-        return self._cassandra.prepare(f"INSERT INTO {self.qualified} ({listing}) VALUES ({marks})")
-
-    def insertPlain(self, shadows: Sequence[str] = ()) -> PreparedStatement:
-        """INSERT of a row that needs neither chunks nor ``_raw``: nearly all of them."""
-        return self._insert(_OWN[:4], shadows)
-
-    def insertFull(self, shadows: Sequence[str] = ()) -> PreparedStatement:
-        """INSERT with all of our own columns."""
-        return self._insert(_OWN, shadows)
-
-    def listing(self, columns: Sequence[str]) -> str:
-        """List what rowFromValues reads, with these of the format's columns."""
-        return ", ".join(quoteName(n) for n in (*_OWN, *self._received, *columns))
+        return self._prepare(f"INSERT INTO {self.qualified} ({_listed(names)}) VALUES ({marks})")
 
     def insertChunk(self) -> PreparedStatement:
         """INSERT of one piece of a large message."""
-        return self._cassandra.prepare(
-            f'INSERT INTO {self._chunks} ("_node", "{self.partition}", "_t", "_seq", "_chunk", '
-            '"_data") VALUES (?, ?, ?, ?, ?, ?)'
-        )
+        names = _listed(["_node", self.partition, "_t", "_seq", "_chunk", "_data"])
+        return self._prepare(f"INSERT INTO {self._chunks} ({names}) VALUES (?, ?, ?, ?, ?, ?)")
 
     def selectChunks(self) -> PreparedStatement:
         """SELECT of all pieces of one large message, in order."""
-        return self._cassandra.prepare(
-            f'SELECT "_chunk", "_data" FROM {self._chunks} '
-            f'WHERE "_node" = ? AND "{self.partition}" = ? AND "_t" = ? AND "_seq" = ?'
-        )
+        return self._prepare(f'SELECT "_chunk", "_data" FROM {self._chunks} {self._where} {_ROW}')
+
+    def _select(self, names: str, rest: str) -> PreparedStatement:
+        return self._prepare(f"SELECT {names} FROM {self.qualified} {self._where} {rest}")
 
     def selectRange(
         self,
@@ -202,54 +189,111 @@ class RowTable:
 
         The values of ``terms``, columns and operators of a filter, come behind. Columns None: keys.
         """
-        names = '"_t", "_seq"' if columns is None else self.listing(columns)
-        order = ' ORDER BY "_t" DESC, "_seq" DESC' if reverse else ""
+        names = '"_t", "_seq"' if columns is None else self._listing(columns)
         checks = "".join(f" AND {quoteName(name)} {operator} ?" for name, operator in terms)
         allow = " ALLOW FILTERING" if terms else ""
-        return self._cassandra.prepare(
-            f'SELECT {names} FROM {self.qualified} WHERE "_node" = ? AND "{self.partition}" = ? '
-            f'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?){checks}{order}{allow}'
-        )
+        return self._select(names, f"{_RANGE}{checks}{_NEWEST if reverse else ''}{allow}")
+
+    def selectThese(self, columns: Sequence[str], *, reverse: bool) -> PreparedStatement:
+        """SELECT of rows of one partition by a list of (t, seq)."""
+        rest = f'AND ("_t", "_seq") IN ?{_NEWEST if reverse else ""}'
+        return self._select(self._listing(columns), rest)
 
     def selectKeys(self) -> PreparedStatement:
-        """SELECT of what counting needs."""
-        return self._cassandra.prepare(
-            f'SELECT "_t", "_seq", "_size", "_nchunks", "_odd" FROM {self.qualified} '
-            'WHERE "_node" = ? AND "_bucket" = ? '
-            'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
-        )
+        """SELECT of what counting needs, as selectRange."""
+        return self._select(_listed(_COUNTED), _RANGE)
+
+    def selectAges(self) -> PreparedStatement:
+        """SELECT as selectRange, and when each row was written and how long it stays."""
+        names = f'{self._listing(self.columns)}, WRITETIME("_conn"), TTL("_conn")'
+        return self._select(names, _RANGE)
 
     def selectNames(self) -> PreparedStatement:
         """SELECT of the keys of all rows of a table that is read by name; in no order."""
-        received = "".join(f", {quoteName(name)}" for name in self._received)
-        return self._cassandra.prepare(
-            'SELECT "_node", "_key", "_t", "_seq", "_size", "_nchunks", "_odd"'
-            f"{received} FROM {self.qualified}"
-        )
+        names = _listed(["_node", "_key", *_COUNTED, *self._received])
+        return self._prepare(f"SELECT {names} FROM {self.qualified}")
 
     def selectShadow(self, shadow: str, *, bucket: bool) -> PreparedStatement:
         """SELECT of the keys of rows by an indexed column, in one bucket (in order) or in all."""
-        where = '"_node" = ? AND "_bucket" = ? AND ' if bucket else ""
-        return self._cassandra.prepare(
+        where = f"{self._where} AND" if bucket else "WHERE"
+        return self._prepare(
             f'SELECT "_node", "_t", "_seq" FROM {self.qualified} '
             # It is filtered only where the index is missing: somebody died before making it.
-            f"WHERE {where}{quoteName(shadow)} = ? ALLOW FILTERING"
+            f"{where} {quoteName(shadow)} = ? ALLOW FILTERING"
+        )
+
+    def update(self, column: str) -> PreparedStatement:
+        """UPDATE of one column of a row, with the timestamp and time to live that are given."""
+        return self._prepare(
+            f"UPDATE {self.qualified} USING TIMESTAMP ? AND TTL ? "
+            f"SET {quoteName(column)} = ? {self._where} {_ROW}"
         )
 
     def deleteRange(self) -> str:
         """DELETE of a stretch of one partition, both ends included."""
-        return (
-            f'DELETE FROM {self.qualified} WHERE "_node" = ? AND "{self.partition}" = ? '
-            'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
-        )
+        return f"DELETE FROM {self.qualified} {self._where} {_RANGE}"
 
     def deleteOne(self, *, chunks: bool = False) -> str:
         """DELETE of one row, or of the pieces of its message."""
-        name = self._chunks if chunks else self.qualified
-        return (
-            f'DELETE FROM {name} WHERE "_node" = ? AND "{self.partition}" = ? '
-            'AND "_t" = ? AND "_seq" = ?'
-        )
+        return f"DELETE FROM {self._chunks if chunks else self.qualified} {self._where} {_ROW}"
+
+    def _prepare(self, cql: str) -> PreparedStatement:
+        return self._cassandra.prepare(cql)
+
+    def _listing(self, columns: Sequence[str]) -> str:
+        """List what rowFromValues reads, with these of the format's columns."""
+        return _listed([*_OWN, *self._received, *columns])
+
+    # ---------------------------------------------------------------- requests
+
+    def stretch(
+        self,
+        statement: PreparedStatement,
+        place: tuple[bytes, bytes],
+        ends: tuple[Order, Order],
+        *,
+        values: Sequence[bytes] = (),
+        page_rows: int | None = None,
+        reverse: bool = False,
+        last: RawRow | None = None,
+        what: str = "reading",
+        refused: Refused = never_refused,
+        on_page: OnPage | None = None,
+    ) -> Asked:
+        """Ask for the rows of a stretch of one partition.
+
+        Args:
+            statement: A SELECT with the range of selectRange, whose columns begin with ``_t`` and
+                ``_seq`` where it has many pages.
+            place: Encoded partition key.
+            ends: First and last row, both included.
+            values: What the statement takes behind its range.
+            last: Only the rows behind this one are wanted.
+            refused, on_page: As Asked has them.
+        """
+
+        def rest(read: RawRow | None) -> BoundStatement:
+            left = _encodeEnds(ends, read or last, reverse)
+            return bind(statement, (*place, *left, *values), page_rows)
+
+        return Asked(self._cassandra.sendRaw, rest, self._doing(what), refused, on_page)
+
+    def send(self, statement: Statement, what: str = "reading") -> Asked:
+        """Send a statement whose answer is one page, or of which only one is wanted."""
+        return Asked(self._cassandra.sendRaw, lambda last: statement, self._doing(what))
+
+    def collect(
+        self,
+        statement: BoundStatement,
+        make: Callable[[Iterable[RawRow]], _T],
+        what: str = "reading",
+    ) -> _T:
+        """Give all rows of a statement to make; anew where one of its pages fails."""
+        send = self._cassandra.sendRaw
+        return retried(self._doing(what), lambda: make(send(statement).result()))
+
+    def _doing(self, what: str) -> str:
+        return f"{what} topic {self.metadata.topic}"
 
     # ---------------------------------------------------------------- values
 
@@ -315,22 +359,18 @@ def encodeInt(value: int) -> bytes:
     return _INT.pack(value)
 
 
-def encode_ends(
-    low: Order, high: Order, last: RawRow | None = None, *, reverse: bool = False
-) -> tuple[bytes, ...]:
-    """Encode the ends of a stretch of one partition, for selectRange and selectKeys.
-
-    Args:
-        low: The first row.
-        high: The last row, included.
-        last: A row of the stretch, ``_t`` and ``_seq`` first, behind which it is to begin.
-        reverse: It is read from its end.
-    """
+def _encodeEnds(ends: tuple[Order, Order], last: RawRow | None, reverse: bool) -> tuple[bytes, ...]:
+    """Encode the ends of what lies behind the last row that was read, in the order of reading."""
+    low, high = ends
     if last is not None and reverse:
         high = (decodeLong(last[0]), decodeLong(last[1]) - 1)
     elif last is not None:
         low = (decodeLong(last[0]), decodeLong(last[1]) + 1)
     return tuple(map(encodeLong, (*low, *high)))
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(quoteName(name) for name in names)
 
 
 def bind(

@@ -248,7 +248,7 @@ class RowWriter:
     def _close(self, bucket: OpenBucket) -> None:
         totals = bucket.totals
         if bucket.must_recount:
-            counted = recount(self._cassandra, bucket.table, bucket.node, bucket.bucket)
+            counted = recount(bucket.table, bucket.node, bucket.bucket)
             totals = counted.get(self._writer_id, BucketTotals())
         self._put(bucket, totals, closed=True)
 

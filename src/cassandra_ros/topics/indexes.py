@@ -17,7 +17,6 @@ from cassandra_ros.errors import (
 from cassandra_ros.keys import NAMED_FORMATS, splitSeq
 from cassandra_ros.messages.index_field import IndexField, nearestFields
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import STALE_SEC, BucketRow, BucketTotals, Directory
 from cassandra_ros.store.index.backfill import Backfill, Update, Written
 from cassandra_ros.topics.adder import Adder
@@ -51,7 +50,7 @@ class TopicIndexes:
         checkIndexable(self.name, self._tables, field)
         space.indexes.add(self.name, field, lambda metadata: _typeOf(metadata, field))
         self._adder.close()  # what it holds open could not be filled
-        filling = IndexFilling(space.cassandra, space.directory, space.rows, field, progress)
+        filling = IndexFilling(space.directory, space.rows, field, progress)
         return filling.fill(self._tables)
 
     def has(self, field: str) -> bool:
@@ -141,7 +140,6 @@ class IndexFilling:
     """Fills one index of a topic.
 
     Args:
-        cassandra: The connection.
         directory: Tells which buckets lack the index.
         rows: Reads messages.
         field: The indexed field.
@@ -150,13 +148,11 @@ class IndexFilling:
 
     def __init__(
         self,
-        cassandra: Cassandra,
         directory: Directory,
         rows: Rows,
         field: str,
         progress: Optional[Progress],
     ) -> None:
-        self._cassandra = cassandra
         self._directory = directory
         self._rows = rows
         self._field = field
@@ -196,7 +192,7 @@ class IndexFilling:
     ) -> Tuple[int, int]:
         """Return the rows that were filled, and for how many writers the bucket is done."""
         totals = {row.writer: BucketTotals() for row in writers}
-        backfill = Backfill(self._cassandra, table, index.shadow)
+        backfill = Backfill(table, index.shadow)
         place = writers[0].node, writers[0].bucket
         every = self._directory.find(table.name, *place)
         largest = max((r.largest if r.closed else UNKNOWN_ROW_BYTES for r in every), default=0)

@@ -63,7 +63,7 @@ class Keyspace:
         self.connections = Connections(self.registry)
         self.tables = TopicTables(cassandra, self.schema)
         self.rows = Rows(cassandra, self.directory, self.connections)
-        self.totals = TopicTotals(cassandra, self.directory)
+        self.totals = TopicTotals(self.directory)
         self.removal = Removal(cassandra, self.directory)
 
     def makeTable(self, metadata: TopicMetadata, definition: Optional[Definition]) -> TopicTable:

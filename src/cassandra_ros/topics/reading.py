@@ -15,10 +15,15 @@ from cassandra_ros.query.protocols import Chooser
 from cassandra_ros.store.bucket_stream import Query, Scan
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import BucketRow, Directory
-from cassandra_ros.store.fetch import Wanted, fetchRows, firstAt
-from cassandra_ros.store.index.shadow import keysByShadow
+from cassandra_ros.store.fetch import (
+    Wanted,
+    fetchRows,
+    firstAt,
+    keysByShadow,
+    listNames,
+    versions,
+)
 from cassandra_ros.store.large import readChunks
-from cassandra_ros.store.named import listNames, versions
 from cassandra_ros.store.reader import readRows
 from cassandra_ros.store.row_table import RowTable, TableRow
 from cassandra_ros.topics.connections import Connections
@@ -117,7 +122,7 @@ class Rows:
             None if chooser is None else _OfTopics(chooser, by_name),
         )
         timed = [table for table in tables if not table.named]
-        rows: Iterable[TableRow] = readRows(self._cassandra, self._directory, timed, scan)
+        rows: Iterable[TableRow] = readRows(self._directory, timed, scan)
         if len(timed) < len(tables):
             named = self._named([t for t in tables if t.named], scan)
             rows = heapq.merge(rows, named, key=lambda row: row.position, reverse=reverse)
@@ -128,12 +133,12 @@ class Rows:
         keys = [
             Wanted(table, key.position)
             for table in tables
-            for key in listNames(self._cassandra, table, scan.nodes)
+            for key in listNames(table, scan.nodes)
             if scan.low <= key.position.t <= scan.high
             and isBehind(key.position, scan.after, scan.reverse)
         ]
         keys.sort(key=lambda key: key.position, reverse=scan.reverse)
-        return fetchRows(self._cassandra, keys)
+        return fetchRows(keys)
 
     def _versions(
         self, tables: Sequence[TopicTable], name: str, nodes: Nodes, reverse: bool
@@ -143,7 +148,7 @@ class Rows:
         for table in by_name.values():
             known = [node for _, node in self._directory.nodes(table.name, 0, 0)]
             asked = sorted(known if nodes is None else set(known) & set(nodes))
-            streams.append(versions(self._cassandra, table, name, asked, reverse=reverse))
+            streams.append(versions(table, name, asked, reverse=reverse))
         rows = heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
         return (self._stored(row, by_name[row.table]) for row in rows)
 
@@ -155,7 +160,7 @@ class Rows:
         if reverse:
             merged = reversed(list(merged))
         by_name = {table.name: table for table in tables}
-        for row in fetchRows(self._cassandra, merged):
+        for row in fetchRows(merged):
             yield self._stored(row, by_name[row.table])
 
     def _keysOf(self, table: TopicTable, wanted: bytes, nodes: Nodes) -> Iterator[Wanted]:
@@ -163,8 +168,7 @@ class Rows:
         index = part.index(wanted)
         if index is not None:
             shadow = table.metadata.indexes[part.field]
-            place = (self._cassandra, self._directory, table)
-            yield from keysByShadow(*place, shadow, index, nodes)
+            yield from keysByShadow(self._directory, table, shadow, index, nodes)
             return
         # A text that is too long for the index: its rows are marked, but not by a value.
         for row in self.read([table], Stretch(), nodes=nodes):
@@ -182,7 +186,7 @@ class Rows:
         foreign = [t for t in tables if t.metadata.own_time and not t.named]
         own = self.read([t for t in tables if t not in foreign], stretch, nodes=nodes)
         scan = Scan(0, LAST_NS, None, nodes, columns=lambda table: ())
-        found = readRows(self._cassandra, self._directory, foreign, scan)
+        found = readRows(self._directory, foreign, scan)
         keys = [
             (r.received, r.node, r.seq, r.table, r.position)
             for r in found
@@ -190,7 +194,7 @@ class Rows:
         ]
         keys.sort()
         wanted = (Wanted(by_name[position.table], position) for *_, position in keys)
-        rows = fetchRows(self._cassandra, wanted)
+        rows = fetchRows(wanted)
         late = (self._stored(row, by_name[row.table]) for row in rows)
         return heapq.merge(own, late, key=lambda row: row.arrival)
 
@@ -201,14 +205,14 @@ class Rows:
         name = str(key) if isinstance(key, RowName) else ""
         t = key.t if isinstance(key, RowName) else key.ns
         position = Position(t, key.node or "", key.seq or 0, table.name, name)
-        rows = fetchRows(self._cassandra, [Wanted(table, position)], ahead=1)
+        rows = fetchRows([Wanted(table, position)], ahead=1)
         row = next(rows, None)
         return None if row is None else self._stored(row, table)
 
     def at(self, tables: Sequence[TopicTable], t: int, nodes: Nodes) -> Optional[StoredRow]:
         """Read the first row with exactly this time."""
         timed = [table for table in tables if not table.named]
-        row = firstAt(self._cassandra, self._directory, timed, t, nodes)
+        row = firstAt(self._directory, timed, t, nodes)
         if row is None:
             return None
         return self._stored(row, next(table for table in tables if table.name == row.table))
@@ -224,7 +228,7 @@ class Rows:
             CorruptMessage: Its chunks are incomplete, or its columns give another message.
         """
         if row.nchunks:
-            return readChunks(self._cassandra, table, row)
+            return readChunks(table, row)
         if row.raw is None and len(row.columns) < len(table.columns):
             row = self._whole(table, row)
         wire = table.format.decodeWire(row.columns, row.raw)
@@ -237,7 +241,7 @@ class Rows:
 
     def _whole(self, table: TopicTable, row: TableRow) -> TableRow:
         """Fetch a row of which only some columns were read."""
-        found = next(fetchRows(self._cassandra, [Wanted(table, row.position)], ahead=1), None)
+        found = next(fetchRows([Wanted(table, row.position)], ahead=1), None)
         if found is None:
             raise MessageNotFound(
                 f"the message of topic {table.metadata.topic} at {row.t} was removed while it was "

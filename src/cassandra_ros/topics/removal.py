@@ -69,7 +69,7 @@ class Removal:
         self._deleteChunks(table, node, partition, keys)
 
     def _deleteBucket(self, table: TopicTable, node: str, bucket: int, low: int, high: int) -> int:
-        found = scanKeys(self._cassandra, table, node, bucket, low, high)
+        found = scanKeys(table, node, bucket, low, high)
         keys = [(t, seq, large) for t, seq, _, large, _ in found]
         if keys:
             marked = self._markDeleted(table, node, bucket)

@@ -8,10 +8,9 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Optional, Sequence
 
-from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.counting import scanKeys, settle
 from cassandra_ros.store.directory import BucketRow, Directory
-from cassandra_ros.store.named import NamedKey, listNames
+from cassandra_ros.store.fetch import NamedKey, listNames
 from cassandra_ros.topics.topic_table import TopicTable
 
 _FIRST, _LAST = -(2**63), 2**63 - 1
@@ -47,8 +46,7 @@ class TopicInfo:
 class TopicTotals:
     """Counts and describes the rows of one keyspace."""
 
-    def __init__(self, cassandra: Cassandra, directory: Directory) -> None:
-        self._cassandra = cassandra
+    def __init__(self, directory: Directory) -> None:
         self._directory = directory
 
     def count(
@@ -59,7 +57,7 @@ class TopicTotals:
 
     def _count(self, table: TopicTable, low: int, high: int, nodes: Optional[Sequence[str]]) -> int:
         if table.named:
-            keys = listNames(self._cassandra, table, nodes)
+            keys = listNames(table, nodes)
             return sum(low <= key.position.t <= high for key in keys)
         length = table.metadata.bucket_ns
         rows = self._directory.buckets(
@@ -68,12 +66,10 @@ class TopicTotals:
         inner = [
             r for r in rows if low <= r.bucket * length and (r.bucket + 1) * length - 1 <= high
         ]
-        settled = settle(self._cassandra, self._directory, table, inner)
+        settled = settle(self._directory, table, inner)
         edges = {(r.node, r.bucket) for r in rows} - {(r.node, r.bucket) for r in inner}
         return sum(row.rows for row in settled) + sum(
-            1
-            for node, bucket in edges
-            for _ in scanKeys(self._cassandra, table, node, bucket, low, high)
+            1 for node, bucket in edges for _ in scanKeys(table, node, bucket, low, high)
         )
 
     def count_buckets(self, tables: Sequence[TopicTable]) -> int:
@@ -93,14 +89,14 @@ class TopicTotals:
                 found.extend(self._infoOfNames(table))
                 continue
             rows = self._directory.buckets(table.name, _FIRST, _LAST, ttl=table.metadata.ttl)
-            settled = settle(self._cassandra, self._directory, table, rows)
+            settled = settle(self._directory, table, rows)
             for node in sorted({row.node for row in settled}) or [table.metadata.nodeID]:
                 found.append(_describe(table, node, [r for r in settled if r.node == node]))
         return found
 
     def _infoOfNames(self, table: TopicTable) -> list[TopicInfo]:
         by_node: dict[str, list[NamedKey]] = {}
-        for key in listNames(self._cassandra, table, None):
+        for key in listNames(table, None):
             by_node.setdefault(key.position.node, []).append(key)
         return [
             _describe(table, node, [_asBucket(number, key) for number, key in _numbered(keys)])

@@ -8,23 +8,17 @@ deleted, and with what is left of the row's time to live.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Iterator, NamedTuple, Sequence
 
-from cassandra.query import BatchStatement, BatchType, BoundStatement
+from cassandra.query import BatchStatement, BatchType
 
-from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.names import quoteName
 from cassandra_ros.store.open_bucket import BATCH_BYTES, BATCH_ROWS
-from cassandra_ros.store.paging import RawRow
 from cassandra_ros.store.row_table import (
-    FIRST,
-    LAST,
+    ALL,
     RowTable,
     TableRow,
     bind,
     decodeLong,
-    encode_ends,
     encodeInt,
     encodeLong,
 )
@@ -58,23 +52,13 @@ class Backfill:
     """Reads the rows of one table and writes their values of one index.
 
     Args:
-        cassandra: The connection.
         table: One whose rows lie by time.
         shadow: The column that carries the index.
     """
 
-    def __init__(self, cassandra: Cassandra, table: RowTable, shadow: str) -> None:
-        self._cassandra = cassandra
+    def __init__(self, table: RowTable, shadow: str) -> None:
         self._table = table
-        self._select = cassandra.prepare(
-            f'SELECT {table.listing(table.columns)}, WRITETIME("_conn"), TTL("_conn") '
-            f'FROM {table.qualified} WHERE "_node" = ? AND "_bucket" = ? '
-            'AND ("_t", "_seq") >= (?, ?)'
-        )
-        update = f"UPDATE {table.qualified} USING TIMESTAMP ? AND TTL ? SET "
-        where = ' = ? WHERE "_node" = ? AND "_bucket" = ? AND "_t" = ? AND "_seq" = ?'
-        self._set_value = cassandra.prepare(f"{update}{quoteName(shadow)}{where}")
-        self._set_odd = cassandra.prepare(f'{update}"_odd"{where}')
+        self._set_value, self._set_odd = table.update(shadow), table.update("_odd")
 
     def pages(self, node: str, bucket: int, largest: int) -> Iterator[list[Written]]:
         """Read the rows of a bucket.
@@ -83,13 +67,8 @@ class Backfill:
             largest: Bytes of the largest message that lies in its row.
         """
         size = max(1, min(PAGE_ROWS, PAGE_BYTES // (largest + 64)))
-        place = (node.encode("utf-8"), encodeLong(bucket))
-
-        def rest(last: RawRow | None) -> BoundStatement:
-            return bind(self._select, (*place, *encode_ends(FIRST, LAST, last)[:2]), size)
-
-        table = self._table
-        asked = self._cassandra.ask(rest, f"reading topic {table.metadata.topic}")
+        table, place = self._table, (node.encode("utf-8"), encodeLong(bucket))
+        asked = table.stretch(table.selectAges(), place, ALL, page_rows=size)
         # What is back-filled competes with who records: nothing is asked for ahead.
         for page in asked.pages(ahead=False):
             yield [
@@ -100,14 +79,11 @@ class Backfill:
 
     def write(self, updates: Sequence[Update]) -> None:
         """Write the values of rows of one bucket; return when they are acknowledged."""
-        what = f"indexing topic {self._table.metadata.topic}"
-        sent = [
-            self._cassandra.ask(partial(self._statement, part), what) for part in _parts(updates)
-        ]
-        for each in sent:
-            each.page()
+        batches = [self._batch(part) for part in _parts(updates)]
+        for sent in [self._table.send(batch, "indexing") for batch in batches]:
+            sent.page()
 
-    def _statement(self, updates: Sequence[Update], last: RawRow | None) -> BatchStatement:
+    def _batch(self, updates: Sequence[Update]) -> BatchStatement:
         batch = BatchStatement(BatchType.UNLOGGED)
         batch.is_idempotent = True
         for (row, timestamp, ttl), value in updates:
