@@ -22,11 +22,10 @@ from cassandra_ros.messages.definition import definitionOf
 from cassandra_ros.metadata import TopicMetadata, fromComment
 from cassandra_ros.store import schema as schema_module
 from cassandra_ros.store.directory import BucketTotals
-from cassandra_ros.store.index import builds as index_builds
 from cassandra_ros.store.index import changes as index_changes
-from cassandra_ros.store.index import compaction as merging
+from cassandra_ros.store.index import table_files
 from cassandra_ros.store.index.backfill import Backfill, Update
-from cassandra_ros.store.lock import SchemaLock
+from cassandra_ros.store.side_tables import SchemaLock
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -155,7 +154,7 @@ def test_what_a_recount_says_fails_where_something_changed(rosCas):
     (row,) = directory.find(*place[:3])
     assert row.closed and row.filled == frozenset()
     time.sleep(0.005)
-    directory.open(*place, 0, {"_ix0"})
+    directory.mark(place, 0, {"_ix0"})
     wanted = row._replace(filled=frozenset({"_ix1"}))
     assert directory.putRecount(table.name, wanted, BucketTotals(), 0) is False
     (row,) = directory.find(*place[:3])
@@ -165,7 +164,7 @@ def test_what_a_recount_says_fails_where_something_changed(rosCas):
     assert directory.putRecount(table.name, wanted, totals, 0) is True
     (row,) = directory.buckets(table.name, *(table.bucketOf(T0),) * 2)
     assert row.closed and row.filled == {"_ix0", "_ix1"} and (row.rows, row.odd) == (5, 3)
-    directory.put(*place, totals, True, 0)
+    directory.mark(place, 0, (), totals, closed=True)
     assert directory.find(*place[:3])[0].filled == frozenset()
 
 
@@ -263,8 +262,8 @@ def test_no_index_is_made_while_files_are_merged(rosCas, cql, monkeypatch):
     table = store(rosCas, "/t", 5)
     topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
     with monkeypatch.context() as busy:
-        busy.setattr(merging, "QUIET_SEC", 0.2)
-        busy.setattr(merging, "tasks", lambda *args: {"node": [("compaction", 0.5)]})
+        busy.setattr(table_files, "QUIET_SEC", 0.2)
+        busy.setattr(table_files.TableFiles, "tasks", lambda *args: {"node": [("compaction", 0.5)]})
         with pytest.raises(StoreUnavailable, match="compaction, 50 % done"):
             topic.createIndex("data")
     assert index_names(cql, rosCas, table) == set()
@@ -281,7 +280,7 @@ def test_a_pause_that_fails_is_told(rosCas, cql, monkeypatch, caplog, step):
         raise StoreUnavailable("the server is gone")
 
     with monkeypatch.context() as broken:
-        broken.setattr(merging.Compaction, step, gone)
+        broken.setattr(table_files.TableFiles, step, gone)
         with pytest.raises(StoreUnavailable, match="is gone"):
             topic.createIndex("data")
     assert len(warnings(caplog)) == 1 and index_names(cql, rosCas, table) == set()
@@ -298,7 +297,7 @@ def busy(monkeypatch):
         with monkeypatch.context() as patched:
             for module in (index_changes, schema_module):
                 patched.setattr(module, "BUILD_SEC", 0)
-            patched.setattr(index_builds, "begun", lambda names, *state: not names)
+            patched.setattr(table_files, "begun", lambda names, *state: not names)
             yield
 
     return nobody_begins
@@ -442,7 +441,7 @@ BUILT, WAITING = False, True
     ],
 )
 def test_when_a_node_has_begun(listed, at_work, expected):
-    assert index_builds.begun({"a", "b"}, listed, at_work) is expected
+    assert table_files.begun({"a", "b"}, listed, at_work) is expected
 
 
 def watch_a_build(rosCas, monkeypatch, topic, rows):
@@ -454,9 +453,10 @@ def watch_a_build(rosCas, monkeypatch, topic, rows):
         seen.append((set(names), dict(listed), at_work))
         return listed == dict.fromkeys(names, False)
 
-    monkeypatch.setattr(index_builds, "begun", look)
-    monkeypatch.setattr(index_builds, "PAUSE_SEC", 0)
+    monkeypatch.setattr(table_files, "begun", look)
+    monkeypatch.setattr(table_files, "PAUSE_SEC", 0)
     with SchemaLock(cassandra, keyspace) as lock, ThreadPoolExecutor(1) as other:
+        files = table_files.TableFiles(cassandra, keyspace, table.name, lock)
         # The first writes the rows to a file, the second is built from it.
         for column in ("_conn", "_size"):
             seen.clear()
@@ -466,7 +466,7 @@ def watch_a_build(rosCas, monkeypatch, topic, rows):
             made = other.submit(
                 cassandra.schemaChange, f"CREATE INDEX {index} USING 'sai'", what="making an index"
             )
-            index_builds.awaitBuilds(cassandra, keyspace, table.name, names, lock, 60)
+            files.awaitBuilds(names, 60)
             made.result()
     monkeypatch.undo()
     return [look for look in seen if any(look[1].values())]
@@ -477,7 +477,7 @@ def test_a_build_is_known_by_its_name(rosCas, monkeypatch):
     # A build may end between two looks; that of more rows takes longer.
     for rows in (30_000, 60_000, 120_000, 240_000):
         waiting = watch_a_build(rosCas, monkeypatch, f"/of_{rows}", rows)
-        if any(index_builds.begun(*look) for look in waiting):
+        if any(table_files.begun(*look) for look in waiting):
             return
     pytest.fail(f"a build was never listed: {waiting[-5:]}")
 

@@ -121,7 +121,7 @@ def test_a_stale_open_bucket_is_recounted_and_closed(rosCas, monkeypatch):
     row = directory.find(name, "", bucket)[0]
     assert row.closed and row.rows == 10
     # A writer that came back meanwhile is not overridden.
-    directory.open(name, "", bucket, 99, 0)
+    directory.mark((name, "", bucket, 99), 0)
     directory.putRecount(name, row._replace(closed=False), BucketTotals(), 0)
     assert not directory.find(name, "", bucket)[0].closed
     writer.close()

@@ -421,8 +421,9 @@ def test_the_index_of_the_key(rosCas, monkeypatch):
         topic.removeIndex("data")
     # Rows of an earlier release are not listed as filled; the back-fill goes through them.
     (table,) = topic.tables
-    rosCas.parts.directory.open(table.name, row.node, row.bucket, row.writer, 0)
-    rosCas.parts.directory.put(table.name, *row[:3], rosCas_totals(row), True, 0)
+    place = (table.name, row.node, row.bucket, row.writer)
+    rosCas.parts.directory.mark(place, 0)
+    rosCas.parts.directory.mark(place, 0, (), rosCas_totals(row), closed=True)
     assert topic.createIndex("data") == 4
     assert directory_rows(rosCas, table)[0].filled == {"_ix0"}
     assert topic.getData("b").data == "b"

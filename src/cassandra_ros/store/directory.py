@@ -14,7 +14,7 @@ import time
 from copy import copy
 from dataclasses import dataclass
 from datetime import datetime
-from typing import FrozenSet, Iterable, Mapping, NamedTuple, Optional, Sequence
+from typing import FrozenSet, Iterable, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.store.connection import Cassandra, CqlRow
@@ -72,6 +72,10 @@ def limitForTtl(bucket_ns: int, ttl_sec: int) -> int:
 def slotOf(bucket: int) -> int:
     """Return the directory partition in which a bucket is listed."""
     return bucket // SLOT_BUCKETS
+
+
+Place = Tuple[str, str, int, int]
+"""Table, node, bucket and writer."""
 
 
 class BucketRow(NamedTuple):
@@ -217,67 +221,39 @@ class Directory:
             what="writing the directory of nodes",
         )
 
-    def _mark(
+    def mark(
         self,
-        place: tuple[str, str, int, int],
+        place: Place,
         ttl: int,
-        state: str,
-        columns: Mapping[str, object],
-        what: str,
+        filled: Iterable[str] = (),
+        totals: BucketTotals | None = None,
+        *,
+        closed: bool = False,
+        deleted: bool = False,
     ) -> None:
+        """Write what a writer says of a bucket, with a fresh heartbeat.
+
+        Args:
+            ttl: Of the table's rows, seconds.
+            filled: Shadow columns that all of the writer's rows in it have, and will have.
+            totals: Final when closed, else estimates; None = as they were.
+            deleted: Only say that rows were deleted: no count holds until the next recount. A flag
+                of its own, for a living writer closes the bucket with what it wrote.
+        """
+        columns: dict[str, object] = {"filled": set(filled)}
+        if deleted:
+            columns = {"deleted": True}
+        elif totals is not None:
+            columns.update(totals.columns())
         table, node, bucket, writer = place
+        state = "closed" if closed else "open"
         self._run(
             f"INSERT INTO {self._space}.cr_bucket (tbl, node, slot, bucket, writer, heartbeat, "
             f"state, {', '.join(columns)}) VALUES (?, ?, ?, ?, ?, toTimestamp(now()), ?"
             f"{', ?' * len(columns)}) USING TTL ?",
             (table, node, slotOf(bucket), bucket, writer, state, *columns.values(), _ttl(ttl)),
-            what,
+            what="writing the directory of buckets",
         )
-
-    def markDeleted(self, table: str, node: str, bucket: int, writer: int, ttl: int) -> None:
-        """Mark a bucket as deleted from: no count holds until the next recount.
-
-        A flag of its own, for a living writer closes the bucket with the counts of what it wrote.
-        """
-        what = "marking a bucket in the directory"
-        self._mark((table, node, bucket, writer), ttl, "open", {"deleted": True}, what)
-
-    def open(
-        self,
-        table: str,
-        node: str,
-        bucket: int,
-        writer: int,
-        ttl: int,
-        filled: Iterable[str] = (),
-    ) -> None:
-        """Mark a bucket as being written, with a fresh heartbeat.
-
-        Args:
-            filled: Shadow columns that all of the writer's rows in it have, and will have.
-        """
-        what = "opening a bucket in the directory"
-        self._mark((table, node, bucket, writer), ttl, "open", {"filled": set(filled)}, what)
-
-    def put(
-        self,
-        table: str,
-        node: str,
-        bucket: int,
-        writer: int,
-        totals: BucketTotals,
-        closed: bool,
-        ttl: int,
-        filled: Iterable[str] = (),
-    ) -> None:
-        """Write the values of a bucket: final when closed, else estimates with a heartbeat.
-
-        Args:
-            filled: As in open.
-        """
-        what, state = "writing the directory of buckets", "closed" if closed else "open"
-        columns = {"filled": set(filled), **totals.columns()}
-        self._mark((table, node, bucket, writer), ttl, state, columns, what)
 
     def putRecount(self, table: str, row: BucketRow, totals: BucketTotals, ttl: int) -> bool:
         """Close a bucket that has no living writer, unless something has changed in it meanwhile.

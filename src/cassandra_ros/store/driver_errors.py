@@ -118,7 +118,7 @@ def translate(exc: BaseException, what: str) -> CassandraRosError:
             f"{what}: too few replicas are up ({exc.alive_replicas} of the "
             f"{exc.required_replicas} that the consistency level asks for)"
         )
-    if isinstance(exc, (Timeout, OperationTimedOut, CoordinationFailure, *_PASSING)):
+    if isinstance(exc, _PASSING):
         return StoreUnavailable(f"{what}: the server did not answer in time or failed: {exc}")
     if isinstance(exc, InvalidRequest) and "keyspace" in str(exc).lower() and isTableGone(exc):
         return KeyspaceNotFound(f"{what}: {exc}")

@@ -8,7 +8,11 @@ import heapq
 import logging
 import threading
 import time
-from typing import Any, Callable
+from dataclasses import dataclass
+from typing import Callable
+
+from cassandra.cluster import ResponseFuture
+from cassandra.query import Statement
 
 from cassandra_ros.errors import ConnectionFailed
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isBusy, isPassing
@@ -22,17 +26,15 @@ MAX_REQUESTS = 16
 Outcome = Callable[["BaseException | None"], None]
 
 
+@dataclass(eq=False)
 class _Request:
-    __slots__ = ("counted", "deadline", "nbytes", "outcome", "pause", "settled", "statement")
-
-    def __init__(self, statement: Any, nbytes: int, outcome: Outcome, deadline: float) -> None:
-        self.statement = statement
-        self.nbytes = nbytes
-        self.outcome = outcome
-        self.deadline = deadline
-        self.pause = FIRST_PAUSE_SEC
-        self.settled = False
-        self.counted = False
+    statement: Statement
+    nbytes: int
+    outcome: Outcome
+    deadline: float
+    pause: float = FIRST_PAUSE_SEC
+    settled: bool = False
+    counted: bool = False
 
 
 class Flight:
@@ -46,7 +48,9 @@ class Flight:
     thread: None, or the error after which it was given up. It must not block.
     """
 
-    def __init__(self, send: Callable[[Any], Any], give_up_after_sec: float = 60.0) -> None:
+    def __init__(
+        self, send: Callable[[Statement], ResponseFuture], give_up_after_sec: float = 60.0
+    ) -> None:
         self._send = send
         self._give_up = give_up_after_sec
         self._changed = threading.Condition()
@@ -58,7 +62,7 @@ class Flight:
         self._thread: threading.Thread | None = None
         self._closed = False
 
-    def submit(self, statement: Any, nbytes: int, outcome: Outcome) -> None:
+    def submit(self, statement: Statement, nbytes: int, outcome: Outcome) -> None:
         """Send a statement; blocks while too much is in the air.
 
         Args:
@@ -109,7 +113,7 @@ class Flight:
             errback_args=(request,),
         )
 
-    def _succeeded(self, _rows: Any, request: _Request) -> None:
+    def _succeeded(self, _rows: object, request: _Request) -> None:
         self._settle(request, None)
 
     def _failed(self, exc: BaseException, request: _Request) -> None:

@@ -12,17 +12,9 @@ from typing import Callable, Collection, Mapping, Sequence, Tuple
 from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
 from cassandra_ros.metadata import SHADOW, TopicMetadata, fromComment
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.index.builds import awaitBuilds
-from cassandra_ros.store.index.compaction import Compaction
-from cassandra_ros.store.lock import SchemaLock
+from cassandra_ros.store.index.table_files import TableFiles
 from cassandra_ros.store.names import chunkTableName, quoteName, quoteText, tableName
-from cassandra_ros.store.side_tables import SideTables
-from cassandra_ros.store.table_storage import (
-    createChunkTable,
-    createTable,
-    finishTable,
-    ownColumns,
-)
+from cassandra_ros.store.side_tables import SchemaLock, SideTables
 
 _log = logging.getLogger(__name__)
 
@@ -31,6 +23,22 @@ CACHE_SEC = 2.0
 BUILD_SEC = 2.0
 """How long messages wait until Cassandra begins to build the indexes of their new table."""
 
+OWN_COLUMNS = {
+    "_conn": "bigint",
+    "_size": "int",
+    "_nchunks": "int",
+    "_crc": "bigint",
+    "_odd": "boolean",
+    "_raw": "blob",
+}
+KEY_TYPES = {"_bucket": "bigint", "_key": "text"}
+"""Second part of the partition key: a stretch of time, or the name of a message."""
+_WINDOWS = 25
+_CHUNK_TTL_MARGIN_SEC = 86_400
+_UNFINISHED = (
+    "cassandra_ros makes the indexes of this table; one that stays like this was left by a "
+    "client that died, is empty, and may be dropped"
+)
 
 Planned = Tuple[TopicMetadata, Mapping[str, str], Mapping[str, str]]
 """What a comment will say (the generation is chosen here), the columns of the format, and the
@@ -39,12 +47,7 @@ Planner = Callable[[Sequence[TopicMetadata]], Planned]
 
 
 class Schema:
-    """Topic tables of one keyspace. Thread-safe; what it lists is cached until it changes.
-
-    Args:
-        cassandra: An open connection.
-        side_tables: Those of the keyspace.
-    """
+    """Topic tables of one keyspace. Thread-safe; what it lists is cached until it changes."""
 
     def __init__(self, cassandra: Cassandra, side_tables: SideTables) -> None:
         self._cassandra = cassandra
@@ -90,14 +93,12 @@ class Schema:
 
     def _comments(self, table: str = "") -> list[tuple[str, str]]:
         """Read (name, comment) of one table, where it is there, or of all."""
-        query = "SELECT table_name, comment FROM system_schema.tables WHERE keyspace_name = ?"
-        return self._cassandra.execute(
-            query + " AND table_name = ?" if table else query,
-            (self.keyspace, table) if table else (self.keyspace,),
-            what=f"looking for table {table}"
-            if table
-            else f"listing the topics of keyspace {self.keyspace}",
-        )
+        cql = "SELECT table_name, comment FROM system_schema.tables WHERE keyspace_name = ?"
+        if table:
+            params, what = [self.keyspace, table], f"looking for table {table}"
+            return self._cassandra.execute(f"{cql} AND table_name = ?", params, what=what)
+        what = f"listing the topics of keyspace {self.keyspace}"
+        return self._cassandra.execute(cql, [self.keyspace], what=what)
 
     def _read(self, table: str = "") -> dict[str, TopicMetadata]:
         found = {}
@@ -114,6 +115,18 @@ class Schema:
             if (metadata.topic, metadata.md5sum, metadata.format) == (topic, md5sum, format_name):
                 return name
         return None
+
+    def tablesOf(self, topic: str) -> dict[str, TopicMetadata]:
+        """Read the tables of a topic anew; under the lock.
+
+        Raises:
+            TopicNotFound: The topic is gone.
+        """
+        tables = self.tables(fresh=True).items()
+        mine = {name: metadata for name, metadata in tables if metadata.topic == topic}
+        if not mine:
+            raise TopicNotFound(f"topic {topic} is not stored in {self.keyspace} any more")
+        return mine
 
     def ensureTable(self, key: tuple[str, str, str], plan: Planner) -> str:
         """Make the table of a topic, or find the one that somebody made before.
@@ -141,7 +154,7 @@ class Schema:
             wanted, columns, shadows = plan(others)
             wanted = wanted.with_(generation=time.time_ns())
             name = tableName(*key, wanted.generation)
-            every = {**ownColumns(wanted), **columns, **shadows}
+            every = {**_ownColumns(wanted), **columns, **shadows}
             self._createAll(name, wanted, every, shadows, lock)
             self._check(name, wanted, every)
         return name
@@ -155,7 +168,7 @@ class Schema:
         lock: SchemaLock,
     ) -> None:
         self._cassandra.schemaChange(
-            createTable(self.qualified(name), wanted, columns, finished=not shadows),
+            _createTable(self.qualified(name), wanted, columns, finished=not shadows),
             what=f"making the table of topic {wanted.topic}",
         )
         for shadow in shadows:
@@ -168,19 +181,23 @@ class Schema:
         self, name: str, wanted: TopicMetadata, shadows: Collection[str], lock: SchemaLock
     ) -> None:
         """Let a table be found, by its comment, and its files be merged, with its indexes built."""
-        merged, indexes = True, {name + shadow for shadow in shadows}
+        merged, files = True, self.files(name, lock)
         try:
-            awaitBuilds(self._cassandra, self.keyspace, name, indexes, lock, BUILD_SEC)
+            files.awaitBuilds({name + shadow for shadow in shadows}, BUILD_SEC)
         except CassandraRosError as exc:
             # No reason to lose the messages that are waiting for it.
             merged = False
             _log.warning("topic %s: %s", wanted.topic, exc)
-            Compaction(self._cassandra, self.keyspace, name, lock).tell()
+            files.tell()
         lock.renew()
         self._cassandra.schemaChange(
-            finishTable(self.qualified(name), wanted, merged=merged),
+            _finishTable(self.qualified(name), wanted, merged=merged),
             what=f"finishing the table of topic {wanted.topic}",
         )
+
+    def files(self, table: str, lock: SchemaLock) -> TableFiles:
+        """Return the files of a table, as the nodes have them."""
+        return TableFiles(self._cassandra, self.keyspace, table, lock)
 
     def createIndex(self, table: str, shadow: str) -> None:
         """Make the index that a shadow column carries, where it is missing; under the lock."""
@@ -225,7 +242,7 @@ class Schema:
             if not self._comments(name):
                 lock.renew()
                 self._cassandra.schemaChange(
-                    createChunkTable(self.qualified(name), table, metadata),
+                    _createChunkTable(self.qualified(name), table, metadata),
                     what=f"making the table for large messages {name}",
                 )
         return name
@@ -247,11 +264,8 @@ class Schema:
             TopicNotFound: The topic is gone.
         """
         with self.lock() as lock:
-            tables = self._read()
-            check(tables)
-            mine = {name: m for name, m in tables.items() if m.topic == topic}
-            if not mine:
-                raise TopicNotFound(f"topic {topic} is not stored in {self.keyspace} any more")
+            mine = self.tablesOf(topic)
+            check(self.tables())
             for name, metadata in mine.items():
                 lock.renew()
                 self.setComment(name, change(metadata))
@@ -298,3 +312,78 @@ class Schema:
         kept = {c: cql for c, cql in columns if c in shadows or not c.startswith(SHADOW)}
         lock.renew()
         self._createAll(name, metadata, kept, shadows, lock)
+
+
+def _storage(ttl: int, margin: int, *, merged: bool = True) -> str:
+    """Return the options of a table for CQL.
+
+    Args:
+        ttl: Seconds until a message expires; 0 = never.
+        margin: How much longer the rows of this table stay, seconds.
+        merged: Whether its files are merged.
+    """
+    enabled = "" if merged else ", 'enabled': 'false'"
+    if not ttl:
+        return (
+            "compaction = {'class': 'UnifiedCompactionStrategy', 'scaling_parameters': 'T4'"
+            f"{enabled}}} AND default_time_to_live = 0"
+        )
+    minutes = max(1, ttl // _WINDOWS // 60)
+    return (
+        "compaction = {'class': 'TimeWindowCompactionStrategy', "
+        f"'compaction_window_unit': 'MINUTES', 'compaction_window_size': {minutes}{enabled}}} "
+        f"AND default_time_to_live = {ttl + margin} AND gc_grace_seconds = 10800"
+    )
+
+
+def _ownColumns(metadata: TopicMetadata) -> dict[str, str]:
+    """Return the columns that the table of a topic has in every format: name → CQL type."""
+    partition = metadata.partition
+    return {
+        **{"_node": "text", partition: KEY_TYPES[partition], "_t": "bigint", "_seq": "bigint"},
+        **OWN_COLUMNS,
+        **metadata.receivedColumns,
+    }
+
+
+def _createTable(
+    qualified: str, metadata: TopicMetadata, columns: Mapping[str, str], *, finished: bool
+) -> str:
+    """Return the CQL that makes the table of a topic.
+
+    Args:
+        qualified: Its name, quoted.
+        metadata: For its comment, by which it is found.
+        columns: All of them, name → CQL type.
+        finished: Nothing is to be done before it is found and its files are merged.
+    """
+    listing = ", ".join(f"{quoteName(c)} {cql}" for c, cql in columns.items())
+    comment = metadata.toComment() if finished else _UNFINISHED
+    return (
+        f"CREATE TABLE {qualified} ({listing}, "
+        f'PRIMARY KEY (("_node", "{metadata.partition}"), "_t", "_seq")) '
+        f"WITH comment = {quoteText(comment)} AND {_storage(metadata.ttl, 0, merged=finished)} "
+        "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}"
+    )
+
+
+def _finishTable(qualified: str, metadata: TopicMetadata, *, merged: bool) -> str:
+    """Return the CQL that lets a table be found that was not finished when it was made."""
+    return (
+        f"ALTER TABLE {qualified} WITH comment = {quoteText(metadata.toComment())} "
+        f"AND {_storage(metadata.ttl, 0, merged=merged)}"
+    )
+
+
+def _createChunkTable(qualified: str, table: str, metadata: TopicMetadata) -> str:
+    """Return the CQL that makes the table for the large messages of a topic's table."""
+    partition = metadata.partition
+    return (
+        f'CREATE TABLE {qualified} ("_node" text, "{partition}" {KEY_TYPES[partition]}, '
+        '"_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
+        f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
+        f"WITH comment = {quoteText(f'cassandra_ros chunks of {table}')} "
+        f"AND {_storage(metadata.ttl, _CHUNK_TTL_MARGIN_SEC)} "
+        "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
+        "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'"
+    )

@@ -155,7 +155,7 @@ class RowWriter:
         table, node, number = bucket.table, bucket.node, bucket.bucket
         self._slots.note(table, node, number)
         place = (table.name, node, number, self._writer_id)
-        self._directory.open(*place, table.metadata.ttl, bucket.filled)
+        self._directory.mark(place, table.metadata.ttl, bucket.filled)
         bucket.marked = time.monotonic()
 
     def _send(self, bucket: OpenBucket, large: bool = False) -> None:
@@ -254,10 +254,8 @@ class RowWriter:
 
     def _put(self, bucket: OpenBucket, totals: BucketTotals, closed: bool) -> None:
         table = bucket.table
-        self._directory.put(
-            *(table.name, bucket.node, bucket.bucket, self._writer_id, totals, closed),
-            *(table.metadata.ttl, bucket.filled),
-        )
+        place = (table.name, bucket.node, bucket.bucket, self._writer_id)
+        self._directory.mark(place, table.metadata.ttl, bucket.filled, totals, closed=closed)
 
     # ---------------------------------------------------------------- end
 

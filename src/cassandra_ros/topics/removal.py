@@ -87,7 +87,8 @@ class Removal:
         """Mark the bucket for its writers of now, return them."""
         writers = frozenset(r.writer for r in self._directory.find(table.name, node, bucket))
         for writer in writers - but:
-            self._directory.markDeleted(table.name, node, bucket, writer, table.metadata.ttl)
+            place = (table.name, node, bucket, writer)
+            self._directory.mark(place, table.metadata.ttl, deleted=True)
         return writers
 
     def _deleteChunks(

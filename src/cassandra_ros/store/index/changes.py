@@ -11,14 +11,12 @@ from __future__ import annotations
 
 from typing import Callable
 
-from cassandra_ros.errors import SchemaConflict, TopicNotFound
+from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.metadata import SHADOW, TopicMetadata, shadowColumn
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.index.builds import awaitBuilds
-from cassandra_ros.store.index.compaction import Compaction
-from cassandra_ros.store.lock import SchemaLock
 from cassandra_ros.store.names import quoteName
 from cassandra_ros.store.schema import Schema
+from cassandra_ros.store.side_tables import SchemaLock
 
 TypeOf = Callable[[TopicMetadata], "str | None"]
 """CQL type of the shadow column of a field in a table; None where its type lacks the field."""
@@ -41,7 +39,7 @@ class IndexChanges:
             TopicNotFound: The topic is gone.
         """
         with self._schema.lock() as lock:
-            for table, metadata in self._tables(topic).items():
+            for table, metadata in self._schema.tablesOf(topic).items():
                 cql_type = type_of(metadata)
                 if field in metadata.indexes:
                     self._complete(table, metadata.indexes[field], lock)
@@ -78,15 +76,15 @@ class IndexChanges:
 
     def _make(self, table: str, shadow: str, lock: SchemaLock) -> None:
         """Make an index, anew where somebody made it who died before it was listed."""
-        index, compaction = table + shadow, self._compaction(table, lock)
+        index, files = table + shadow, self._schema.files(table, lock)
         if index in self._names(table):
             # It may miss rows. Its build, if it waits for its turn, would go on without it.
-            self._awaitBuilds(table, lock)
+            files.awaitBuilds(self._names(table), BUILD_SEC)
             self._drop(table, index, lock)
-        compaction.pause()
+        files.pause()
         refused = None
         # When the nodes make and build what was sent to them, if at all, is not known on an error.
-        with compaction.told():
+        with files.told():
             lock.renew()
             try:
                 self._schema.createIndex(table, shadow)
@@ -98,17 +96,10 @@ class IndexChanges:
 
     def _resume(self, table: str, lock: SchemaLock) -> None:
         """Let the files of a table be merged again that somebody has paused for an index."""
-        compaction = self._compaction(table, lock)
-        if compaction.paused():
-            self._awaitBuilds(table, lock)
-            compaction.resume()
-
-    def _awaitBuilds(self, table: str, lock: SchemaLock) -> None:
-        keyspace, names = self._schema.keyspace, self._names(table)
-        awaitBuilds(self._cassandra, keyspace, table, names, lock, BUILD_SEC)
-
-    def _compaction(self, table: str, lock: SchemaLock) -> Compaction:
-        return Compaction(self._cassandra, self._schema.keyspace, table, lock)
+        files = self._schema.files(table, lock)
+        if files.paused():
+            files.awaitBuilds(self._names(table), BUILD_SEC)
+            files.resume()
 
     def _drop(self, table: str, index: str, lock: SchemaLock) -> None:
         lock.renew()
@@ -129,7 +120,7 @@ class IndexChanges:
         """
         done = False
         with self._schema.lock() as lock:
-            for table, metadata in self._tables(topic).items():
+            for table, metadata in self._schema.tablesOf(topic).items():
                 # First, for a build that waits for its turn goes on without its index.
                 self._resume(table, lock)
                 if field in metadata.indexes:
@@ -143,13 +134,6 @@ class IndexChanges:
                     done = True
         self._schema.tables(fresh=True)
         return done
-
-    def _tables(self, topic: str) -> dict[str, TopicMetadata]:
-        tables = self._schema.tables(fresh=True).items()
-        mine = {name: metadata for name, metadata in tables if metadata.topic == topic}
-        if not mine:
-            raise TopicNotFound(f"topic {topic} is not stored in {self._schema.keyspace} any more")
-        return mine
 
     def _names(self, table: str) -> set[str]:
         """Names of the indexes of ours that a table has."""

@@ -1,9 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A table whose files are not merged for a while.
+"""What the nodes do with the files of a table: merge them, and build its indexes from them.
 
 Where an index is made just while a merge ends, Cassandra 5.0.8 takes the new file for a broken one
 and drops it from all indexes of the table: their rows are not found any more, without an error.
+Each node builds one index after the other, of all tables. When it begins with one it fixes which
+files that covers, and they must not be merged before.
 """
 
 from __future__ import annotations
@@ -11,12 +13,12 @@ from __future__ import annotations
 import logging
 import time
 from contextlib import contextmanager
-from typing import Iterator, Mapping
+from typing import AbstractSet, Iterator, Mapping
 
 from cassandra_ros.errors import StoreUnavailable, TopicNotFound
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.lock import SchemaLock
 from cassandra_ros.store.names import quoteName, quoteText
+from cassandra_ros.store.side_tables import SchemaLock
 
 _log = logging.getLogger(__name__)
 
@@ -24,12 +26,13 @@ QUIET_SEC = 30.0
 """How long merging that is going on is waited for."""
 PAUSE_SEC = 0.05
 _ENABLED = "enabled"
+_BUILD = "secondary index build"
 
 
-class Compaction:
-    """The merging of one table's files, by the nodes in reach; under the schema lock.
+class TableFiles:
+    """The files of one table on the nodes in reach; under the schema lock.
 
-    Who dies while it is paused leaves it so: it goes on when somebody resumes it.
+    Who dies while merging is paused leaves it so: it goes on when somebody resumes it.
     """
 
     def __init__(self, cassandra: Cassandra, keyspace: str, table: str, lock: SchemaLock) -> None:
@@ -38,12 +41,14 @@ class Compaction:
         self._table = table
         self._lock = lock
 
+    # ---------------------------------------------------------------- merging
+
     def paused(self) -> bool:
-        """Tell whether somebody has paused it."""
+        """Tell whether somebody has paused merging."""
         return self._options().get(_ENABLED, "true") != "true"
 
     def pause(self) -> None:
-        """Forbid it, and wait for what is going on.
+        """Forbid merging, and wait for what is going on.
 
         Raises:
             StoreUnavailable: Files are still being merged after 30 s; it is allowed again.
@@ -61,12 +66,12 @@ class Compaction:
             )
 
     def resume(self) -> None:
-        """Allow it."""
+        """Allow merging."""
         self._alter({name: value for name, value in self._options().items() if name != _ENABLED})
 
     @contextmanager
     def told(self) -> Iterator[None]:
-        """Log that it stays paused where the block fails."""
+        """Log that merging stays paused where the block fails."""
         try:
             yield
         except BaseException:
@@ -74,7 +79,7 @@ class Compaction:
             raise
 
     def tell(self) -> None:
-        """Log that it stays paused, and what ends that."""
+        """Log that merging stays paused, and what ends that."""
         _log.warning(
             "the files of table %s are not merged until createIndex or removeIndex is called for "
             "its topic, for any field",
@@ -111,8 +116,7 @@ class Compaction:
         quiet = 0
         # One that was chosen just before it was forbidden may not be listed at once.
         while quiet < 2:
-            every = tasks(self._cassandra, self._keyspace, self._table)
-            busy = [task for found in every.values() for task in found]
+            busy = [task for found in self.tasks().values() for task in found]
             quiet = 0 if busy else quiet + 1
             if busy and time.monotonic() > deadline:
                 kind, ratio = busy[0]
@@ -121,16 +125,64 @@ class Compaction:
             time.sleep(PAUSE_SEC)
         return ""
 
+    def tasks(self) -> dict[str, list[tuple[str, float]]]:
+        """List what the nodes are doing: address → pairs of kind and completion (0 to 1)."""
+        return self._cassandra.executeOnEach(
+            "SELECT kind, completion_ratio FROM system_views.sstable_tasks "
+            "WHERE keyspace_name = ? AND table_name = ?",
+            (self._keyspace, self._table),
+            what=f"asking whether table {self._table} is compacted",
+        )
 
-def tasks(cassandra: Cassandra, keyspace: str, table: str) -> dict[str, list[tuple[str, float]]]:
-    """List what the nodes in reach are doing with the files of a table.
+    # ---------------------------------------------------------------- indexes
 
-    Returns:
-        Address of the node → pairs of kind and completion (0 to 1).
+    def awaitBuilds(self, names: AbstractSet[str], seconds: float) -> None:
+        """Wait until every node has built the indexes of the table, or is at the last of them.
+
+        Args:
+            names: Of all of them that the schema has.
+            seconds: How long.
+
+        Raises:
+            StoreUnavailable: A node has not begun by then.
+        """
+        deadline = time.monotonic() + seconds
+        while not self._begunOnEach(names):
+            if time.monotonic() > deadline:
+                raise StoreUnavailable(
+                    f"Cassandra has not begun to build an index of table {self._table} within "
+                    f"{seconds:.0f} s: it builds one after the other, and is busy with those of "
+                    "other tables (nodetool compactionstats); ask again when that has ended"
+                )
+            self._lock.renew()
+            time.sleep(PAUSE_SEC)
+
+    def _begunOnEach(self, names: AbstractSet[str]) -> bool:
+        listed = self._cassandra.executeOnEach(
+            "SELECT table_name, index_name, is_building FROM system_views.sai_column_indexes "
+            "WHERE keyspace_name = ?",
+            (self._keyspace,),
+            what=f"waiting for an index of table {self._table}",
+        )
+        at_work = self.tasks()
+        return all(
+            begun(
+                names,
+                {name: unbuilt for owner, name, unbuilt in rows if owner == self._table},
+                any(kind == _BUILD for kind, _ in at_work.get(node, ())),
+            )
+            for node, rows in listed.items()
+        )
+
+
+def begun(names: AbstractSet[str], listed: Mapping[str, bool], at_work: bool) -> bool:
+    """Tell whether a node has begun to build every index of a table.
+
+    Args:
+        names: Indexes that the schema has.
+        listed: Those that the node knows, name → whether it waits for being built or is at it.
+        at_work: It builds one of the table.
     """
-    return cassandra.executeOnEach(
-        "SELECT kind, completion_ratio FROM system_views.sstable_tasks "
-        "WHERE keyspace_name = ? AND table_name = ?",
-        (keyspace, table),
-        what=f"asking whether table {table} is compacted",
-    )
+    unbuilt = sum(listed.values())
+    # With two of them the one that it builds may be the other.
+    return names <= listed.keys() and (not unbuilt or (unbuilt == 1 and at_work))
