@@ -14,7 +14,7 @@ from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.keys import Position
 from cassandra_ros.store.directory import BucketRow
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isRefused
-from cassandra_ros.store.paging import Asked, RawRow, never_refused
+from cassandra_ros.store.paging import Asked, RawRow
 from cassandra_ros.store.row_table import (
     MAX_SEQ,
     MIN_SEQ,
@@ -165,7 +165,7 @@ class _Stream:
             page_rows=self._piece.page_rows,
             reverse=reverse,
             last=last,
-            refused=isRefused if self._terms else never_refused,
+            refused=isRefused if self._terms else None,
             on_page=self._fetchEarly if self._keyed else None,
         )
 

@@ -228,7 +228,7 @@ class Cassandra:
     def execute(
         self,
         cql: str,
-        params: Sequence[Any] = (),
+        params: Sequence[object] = (),
         *,
         what: str = "a query",
         consistency: int | None = None,
@@ -253,7 +253,7 @@ class Cassandra:
         return retried(what, run, seconds=retry_sec)
 
     def executeOnEach(
-        self, cql: str, params: Sequence[Any] = (), *, what: str
+        self, cql: str, params: Sequence[object] = (), *, what: str
     ) -> dict[str, list[CqlRow]]:
         """Run one statement on every node in reach; return address → rows (system_views)."""
 
@@ -287,7 +287,7 @@ class Cassandra:
             raise NoHostAvailable("no node is in reach", {})
         return found
 
-    def executeOnce(self, cql: str, params: Sequence[Any] = (), *, what: str) -> list[CqlRow]:
+    def executeOnce(self, cql: str, params: Sequence[object] = (), *, what: str) -> list[CqlRow]:
         """Run a statement that is not idempotent (a lightweight transaction), once."""
         bound = self.prepare(cql).bind(tuple(params))
         bound.is_idempotent = False
@@ -295,11 +295,11 @@ class Cassandra:
             return list(self._session.execute(bound))
 
     def executeMany(
-        self, cql: str, params: Iterable[Sequence[Any]], *, what: str
+        self, cql: str, params: Iterable[Sequence[object]], *, what: str
     ) -> list[list[CqlRow]]:
         """Run one idempotent statement with several sets of parameters, 16 at a time."""
         results: list[list[CqlRow]] = []
-        pending: Deque[tuple[Sequence[Any], ResponseFuture]] = deque()
+        pending: Deque[tuple[Sequence[object], ResponseFuture]] = deque()
         prepared = self.prepare(cql)
 
         def collect() -> None:

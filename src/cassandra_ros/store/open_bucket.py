@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any, Sequence
+from typing import Optional, Sequence, Tuple
 
 from cassandra.query import BatchStatement, BatchType, BoundStatement
 
@@ -25,6 +25,9 @@ BATCH_ROWS = 200
 BATCH_BYTES = 64 * 1024
 _ROW_OVERHEAD = 60
 
+Own = Tuple[Optional[int], Optional[int], bool, Optional[bytes]]
+"""nchunks, crc, odd and raw of a row that is not plain; None = unset."""
+
 
 class Batch:
     """Rows of one partition on their way: one mutation, whatever their number."""
@@ -32,7 +35,7 @@ class Batch:
     __slots__ = ("nbytes", "odd_rows", "rows", "since", "sizes", "times")
 
     def __init__(self) -> None:
-        self.rows: list[tuple[bool, bytes, Any]] = []
+        self.rows: list[tuple[bool, bytes, Sequence[bytes | None]]] = []
         self.sizes: list[int] = []
         self.times: list[int] = []
         self.nbytes = 0
@@ -92,7 +95,7 @@ class OpenBucket:
         """Encode the primary key of a row in this bucket."""
         return (self._node_bytes, self._partition, encodeLong(t), encodeLong(seq))
 
-    def add(self, row: NewRow, columns: Sequence[bytes | None], own: Any) -> None:
+    def add(self, row: NewRow, columns: Sequence[bytes | None], own: Own | None) -> None:
         """Add a row to the batch.
 
         Args:
@@ -108,14 +111,14 @@ class OpenBucket:
             batch.since = time.monotonic()
         head = encodeOwn(row.t, row.seq, row.conn, size)
         if own is None:
-            values: Any = (self._node_bytes, self._partition, *head, *columns)
-            batch.rows.append((True, self._plain_id, values))
+            plain = (self._node_bytes, self._partition, *head, *columns)
+            batch.rows.append((True, self._plain_id, plain))
             batch.nbytes += size + _ROW_OVERHEAD
         else:
-            values = (self._node_bytes, self._partition, *head, *_ownValues(*own))
-            values += tuple(UNSET if c is None else c for c in columns)
-            batch.rows.append((True, self._full_id, values))
-            batch.nbytes += _ROW_OVERHEAD + sum(len(v) for v in values if v is not UNSET)
+            full = (self._node_bytes, self._partition, *head, *_ownValues(*own))
+            full += tuple(UNSET if c is None else c for c in columns)
+            batch.rows.append((True, self._full_id, full))
+            batch.nbytes += _ROW_OVERHEAD + sum(len(v) for v in full if v is not UNSET)
             batch.odd_rows += bool(own[2])
         batch.sizes.append(size)
         batch.times.append(row.t)
@@ -124,7 +127,7 @@ class OpenBucket:
         """Say whether the batch should be sent now."""
         return len(self.batch.rows) >= BATCH_ROWS or self.batch.nbytes >= BATCH_BYTES
 
-    def take(self) -> tuple[Batch, Any]:
+    def take(self) -> tuple[Batch, BatchStatement]:
         """Take the filled batch; return it with the statement that stores it."""
         batch, self.batch = self.batch, Batch()
         statement = BatchStatement(BatchType.UNLOGGED)
@@ -164,8 +167,8 @@ class OpenBucket:
 
 
 def _indexed(
-    shadows: Shadows, wire: bytes, columns: Sequence[Any], own: Any
-) -> tuple[Sequence[Any], Any]:
+    shadows: Shadows, wire: bytes, columns: Sequence[bytes | None], own: Own | None
+) -> tuple[Sequence[bytes | None], Own | None]:
     """Return what ``add`` takes, with the values of the indexes."""
     values, odd = shadows.values(wire)
     columns = (*columns, *(UNSET if value is None else value for value in values))
@@ -176,7 +179,7 @@ def _indexed(
 
 def _ownValues(
     nchunks: int | None, crc: int | None, odd: bool, raw: bytes | None
-) -> tuple[Any, ...]:
+) -> tuple[bytes, ...]:
     return (
         UNSET if nchunks is None else encodeInt(nchunks),
         UNSET if crc is None else encodeLong(crc),

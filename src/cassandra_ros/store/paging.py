@@ -29,17 +29,12 @@ OnPage = Callable[[List[RawRow]], None]
 _T = TypeVar("_T")
 
 
-def never_refused(exc: BaseException) -> bool:
-    """Say that no error is to be raised as it is."""
-    return False
-
-
 def retried(
     what: str,
     call: Callable[[], _T],
     *,
     seconds: float = RETRY_SEC,
-    refused: Refused = never_refused,
+    refused: Optional[Refused] = None,
 ) -> _T:
     """Make an idempotent request, again and again while it fails with what may pass.
 
@@ -56,7 +51,7 @@ def retried(
         try:
             return call()
         except DRIVER_ERRORS as exc:
-            if refused(exc):
+            if refused is not None and refused(exc):
                 raise
             pause = BUSY_PAUSE_SEC if isBusy(exc) else later
             if not isPassing(exc) or time.monotonic() + pause > deadline:
@@ -86,7 +81,7 @@ class Asked:
         send: Callable[[Statement], ResponseFuture],
         statement_from: Callable[[Optional[RawRow]], Statement],
         what: str,
-        refused: Refused = never_refused,
+        refused: Optional[Refused] = None,
         on_page: Optional[OnPage] = None,
     ) -> None:
         self._send = send

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
-from typing import Any, Deque, Iterator, Sequence
+from typing import Deque, Iterator, Sequence, Tuple, Union
 
 from cassandra_ros.store.bucket_stream import BucketStream, Piece, Scan
 from cassandra_ros.store.directory import BucketRow, Directory
@@ -22,6 +22,8 @@ UNKNOWN_ROW_BYTES = 32 * 1024
 """Assumed where the directory knows nothing yet of a bucket (opened seconds ago)."""
 _ROW_OVERHEAD = 64
 
+_Order = Tuple[Union[int, str, Tuple[int, ...]], ...]
+
 
 def readRows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> Iterator[TableRow]:
     """Yield the rows of several tables in the order (t, node, seq, table), or its reverse.
@@ -30,7 +32,7 @@ def readRows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> It
     """
     pieces = _pieces(directory, tables, scan)
     sign = -1 if scan.reverse else 1
-    heap: list[tuple[Any, int, TableRow, Iterator[TableRow]]] = []
+    heap: list[tuple[_Order, int, TableRow, Iterator[TableRow]]] = []
     waiting = _Prefetched(pieces, scan)
     count = 0
     while heap or waiting.left:
@@ -59,7 +61,7 @@ def readRows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> It
                 break
 
 
-def _order(row: TableRow, sign: int) -> Any:
+def _order(row: TableRow, sign: int) -> _Order:
     if sign > 0:
         return row[:4]
     return (-row.t, _inverted(row.node), -row.seq, _inverted(row.table))

@@ -6,16 +6,16 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from datetime import datetime
-from typing import Any, Mapping, NamedTuple
+from typing import Mapping, NamedTuple
 
-from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.connection import Cassandra, CqlRow
 from cassandra_ros.store.names import quoteName
 from cassandra_ros.store.side_tables import SideTables
 
 
-class ConnectionRow(NamedTuple):
+class StoredHeader(NamedTuple):
     """A connection header as it is kept: the definition cut out, its place noted."""
 
     topic: str
@@ -47,6 +47,9 @@ class Run:
     lost: Mapping[str, int] = field(default_factory=dict)
 
 
+_RUN = tuple(each.name for each in fields(Run))
+
+
 class Registry:
     """Reads and writes connections, definitions and runs of one keyspace."""
 
@@ -55,25 +58,31 @@ class Registry:
         self._side_tables = side_tables
         self._space = quoteName(side_tables.keyspace)
 
-    def putConnection(self, table: str, conn: int, row: ConnectionRow) -> None:
+    def put_header(self, table: str, conn: int, row: StoredHeader) -> None:
         """Store a connection header and its definition; the same values at each repeat."""
         def_hash = hashlib.sha256(row.definition).digest()
+        definition = {"md5sum": row.md5sum, "hash": def_hash, "text": row.definition}
+        header = {
+            "tbl": table,
+            "conn": conn,
+            "topic": row.topic,
+            "number": _signed(row.number),
+            "header": row.header,
+            "def_offset": row.def_offset,
+            "md5sum": row.md5sum,
+            "def_hash": def_hash,
+        }
+        self._insert("cr_definition", definition, f"storing the definition of topic {row.topic}")
+        self._insert("cr_connection", header, f"storing the connection header of topic {row.topic}")
+
+    def _insert(self, table: str, columns: Mapping[str, object], what: str) -> None:
+        marks = ", ".join("?" * len(columns))
+        names = f"{self._space}.{table} ({', '.join(columns)})"
         self._cassandra.execute(
-            f"INSERT INTO {self._space}.cr_definition (md5sum, hash, text) VALUES (?, ?, ?)",
-            (row.md5sum, def_hash, row.definition),
-            what=f"storing the definition of topic {row.topic}",
-        )
-        self._cassandra.execute(
-            f"INSERT INTO {self._space}.cr_connection (tbl, conn, topic, number, header, "
-            "def_offset, md5sum, def_hash) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-            (
-                *(table, conn, row.topic, _signed(row.number), row.header),
-                *(row.def_offset, row.md5sum, def_hash),
-            ),
-            what=f"storing the connection header of topic {row.topic}",
+            f"INSERT INTO {names} VALUES ({marks})", list(columns.values()), what=what
         )
 
-    def getConnection(self, table: str, conn: int) -> ConnectionRow | None:
+    def get_header(self, table: str, conn: int) -> StoredHeader | None:
         """Read a connection header back; None when there is none with this number."""
         if not self._side_tables.has("cr_connection", "cr_definition"):
             return None
@@ -93,7 +102,7 @@ class Registry:
         )
         if not texts:
             return None
-        return ConnectionRow(topic, _unsigned(number), header, offset, md5sum, texts[0][0])
+        return StoredHeader(topic, _unsigned(number), header, offset, md5sum, texts[0][0])
 
     def forget(self, table: str) -> None:
         """Remove the connections of a table that was dropped (a scan: connections are few)."""
@@ -108,19 +117,12 @@ class Registry:
 
     def putRun(self, run: Run, *, started: bool = False, ended: bool = False) -> None:
         """Store a run; the server notes the time when it starts and ends."""
-        cassandra, table = self._cassandra, f"{self._space}.cr_run"
-        cassandra.execute(
-            f"INSERT INTO {table} (node, writer, kind, name, source, format, host, labels, "
-            "stored, lost) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-            (
-                *(run.node, run.writer, run.kind, run.name, run.source, run.format, run.host),
-                *(dict(run.labels), dict(run.stored), dict(run.lost)),
-            ),
-            what="storing the run",
-        )
+        columns = {name: getattr(run, name) for name in _RUN if name not in ("started", "ended")}
+        self._insert("cr_run", columns, "storing the run")
         for column in ["started"] * started + ["ended"] * ended:
-            cassandra.execute(
-                f"INSERT INTO {table} (node, writer, {column}) VALUES (?, ?, toTimestamp(now()))",
+            self._cassandra.execute(
+                f"INSERT INTO {self._space}.cr_run (node, writer, {column}) "
+                "VALUES (?, ?, toTimestamp(now()))",
                 (run.node, run.writer),
                 what="storing the run",
             )
@@ -129,12 +131,8 @@ class Registry:
         """List all runs of the keyspace (a scan: runs are few)."""
         if not self._side_tables.has("cr_run"):
             return []
-        rows = self._cassandra.execute(
-            "SELECT node, writer, kind, name, source, format, host, started, ended, labels, "
-            f"stored, lost FROM {self._space}.cr_run",
-            what="listing the runs",
-        )
-        return [_run(row) for row in rows]
+        cql = f"SELECT {', '.join(_RUN)} FROM {self._space}.cr_run"
+        return [_run(row) for row in self._cassandra.execute(cql, what="listing the runs")]
 
 
 # The column is an int of CQL, the numbers of bags go to 2**32 - 1: those from 2**31 on are kept as
@@ -153,7 +151,7 @@ def _unsigned(column: int | None) -> int:
     return column if column >= -1 else column + 2**32
 
 
-def _run(row: tuple[Any, ...]) -> Run:
+def _run(row: CqlRow) -> Run:
     node, writer, kind, name, source, format_name, host, started, ended, *maps = row
     labels, stored, lost = (dict(m or {}) for m in maps)
     texts = (kind or "", name or "", source or "", format_name or "", host or "")

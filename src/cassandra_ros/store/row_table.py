@@ -14,7 +14,7 @@ from cassandra_ros.keys import Position
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.names import chunkTableName, quoteName
-from cassandra_ros.store.paging import Asked, OnPage, RawRow, Refused, never_refused, retried
+from cassandra_ros.store.paging import Asked, OnPage, RawRow, Refused, retried
 
 UNSET = UNSET_VALUE
 CHUNK_BYTES = 512 * 1024
@@ -257,7 +257,7 @@ class RowTable:
         reverse: bool = False,
         last: RawRow | None = None,
         what: str = "reading",
-        refused: Refused = never_refused,
+        refused: Refused | None = None,
         on_page: OnPage | None = None,
     ) -> Asked:
         """Ask for the rows of a stretch of one partition.

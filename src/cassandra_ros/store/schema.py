@@ -167,8 +167,14 @@ class Schema:
         shadows: Collection[str],
         lock: SchemaLock,
     ) -> None:
-        self._cassandra.schemaChange(
-            _createTable(self.qualified(name), wanted, columns, finished=not shadows),
+        listing = ", ".join(f"{quoteName(c)} {cql}" for c, cql in columns.items())
+        # Without indexes nothing is to be done before it is found and its files are merged.
+        comment = _UNFINISHED if shadows else wanted.toComment()
+        lock.change(
+            f"CREATE TABLE {self.qualified(name)} ({listing}, "
+            f'PRIMARY KEY (("_node", "{wanted.partition}"), "_t", "_seq")) '
+            f"WITH comment = {quoteText(comment)} AND {_storage(wanted.ttl, merged=not shadows)} "
+            "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}",
             what=f"making the table of topic {wanted.topic}",
         )
         for shadow in shadows:
@@ -189,9 +195,9 @@ class Schema:
             merged = False
             _log.warning("topic %s: %s", wanted.topic, exc)
             files.tell()
-        lock.renew()
-        self._cassandra.schemaChange(
-            _finishTable(self.qualified(name), wanted, merged=merged),
+        lock.change(
+            f"ALTER TABLE {self.qualified(name)} WITH comment = {quoteText(wanted.toComment())} "
+            f"AND {_storage(wanted.ttl, merged=merged)}",
             what=f"finishing the table of topic {wanted.topic}",
         )
 
@@ -240,12 +246,23 @@ class Schema:
                     "a new one: connect again"
                 )
             if not self._comments(name):
-                lock.renew()
-                self._cassandra.schemaChange(
-                    _createChunkTable(self.qualified(name), table, metadata),
-                    what=f"making the table for large messages {name}",
-                )
+                self._createChunkTable(name, table, metadata, lock)
         return name
+
+    def _createChunkTable(
+        self, name: str, table: str, metadata: TopicMetadata, lock: SchemaLock
+    ) -> None:
+        partition = metadata.partition
+        lock.change(
+            f'CREATE TABLE {self.qualified(name)} ("_node" text, "{partition}" '
+            f'{KEY_TYPES[partition]}, "_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
+            f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
+            f"WITH comment = {quoteText(f'cassandra_ros chunks of {table}')} "
+            f"AND {_storage(metadata.ttl, _CHUNK_TTL_MARGIN_SEC)} "
+            "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
+            "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'",
+            what=f"making the table for large messages {name}",
+        )
 
     def changeTopic(
         self,
@@ -267,13 +284,12 @@ class Schema:
             mine = self.tablesOf(topic)
             check(self.tables())
             for name, metadata in mine.items():
-                lock.renew()
-                self.setComment(name, change(metadata))
+                self.setComment(name, change(metadata), lock)
         self.tables(fresh=True)
 
-    def setComment(self, table: str, metadata: TopicMetadata) -> None:
-        """Change what the comment of a table says; under the lock."""
-        self._cassandra.schemaChange(
+    def setComment(self, table: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
+        """Change what the comment of a table says."""
+        lock.change(
             f"ALTER TABLE {self.qualified(table)} WITH comment = {quoteText(metadata.toComment())}",
             what=f"changing the metadata of topic {metadata.topic}",
         )
@@ -294,8 +310,7 @@ class Schema:
                     self._createEmpty(name, metadata, lock)
             for table in tables:
                 for name in (table, chunkTableName(table)):
-                    lock.renew()
-                    self._cassandra.schemaChange(
+                    lock.change(
                         f"DROP TABLE IF EXISTS {self.qualified(name)}",
                         what=f"dropping table {name}",
                     )
@@ -310,11 +325,10 @@ class Schema:
         shadows = metadata.indexes.values()
         columns = self.columns(table).items()
         kept = {c: cql for c, cql in columns if c in shadows or not c.startswith(SHADOW)}
-        lock.renew()
         self._createAll(name, metadata, kept, shadows, lock)
 
 
-def _storage(ttl: int, margin: int, *, merged: bool = True) -> str:
+def _storage(ttl: int, margin: int = 0, *, merged: bool = True) -> str:
     """Return the options of a table for CQL.
 
     Args:
@@ -344,46 +358,3 @@ def _ownColumns(metadata: TopicMetadata) -> dict[str, str]:
         **OWN_COLUMNS,
         **metadata.receivedColumns,
     }
-
-
-def _createTable(
-    qualified: str, metadata: TopicMetadata, columns: Mapping[str, str], *, finished: bool
-) -> str:
-    """Return the CQL that makes the table of a topic.
-
-    Args:
-        qualified: Its name, quoted.
-        metadata: For its comment, by which it is found.
-        columns: All of them, name → CQL type.
-        finished: Nothing is to be done before it is found and its files are merged.
-    """
-    listing = ", ".join(f"{quoteName(c)} {cql}" for c, cql in columns.items())
-    comment = metadata.toComment() if finished else _UNFINISHED
-    return (
-        f"CREATE TABLE {qualified} ({listing}, "
-        f'PRIMARY KEY (("_node", "{metadata.partition}"), "_t", "_seq")) '
-        f"WITH comment = {quoteText(comment)} AND {_storage(metadata.ttl, 0, merged=finished)} "
-        "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}"
-    )
-
-
-def _finishTable(qualified: str, metadata: TopicMetadata, *, merged: bool) -> str:
-    """Return the CQL that lets a table be found that was not finished when it was made."""
-    return (
-        f"ALTER TABLE {qualified} WITH comment = {quoteText(metadata.toComment())} "
-        f"AND {_storage(metadata.ttl, 0, merged=merged)}"
-    )
-
-
-def _createChunkTable(qualified: str, table: str, metadata: TopicMetadata) -> str:
-    """Return the CQL that makes the table for the large messages of a topic's table."""
-    partition = metadata.partition
-    return (
-        f'CREATE TABLE {qualified} ("_node" text, "{partition}" {KEY_TYPES[partition]}, '
-        '"_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
-        f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
-        f"WITH comment = {quoteText(f'cassandra_ros chunks of {table}')} "
-        f"AND {_storage(metadata.ttl, _CHUNK_TTL_MARGIN_SEC)} "
-        "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
-        "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'"
-    )

@@ -109,12 +109,18 @@ class SchemaLock:
         # A first try that timed out on its way back may have taken it.
         return applied or owner == self._owner
 
-    def renew(self) -> None:
-        """Prove that the lock is still ours and start its time anew; before each statement.
+    def change(self, cql: str, *, what: str) -> None:
+        """Run one DDL statement while the lock is ours, and wait until all nodes agree.
 
         Raises:
-            SchemaConflict: It ran out and somebody else may be changing the schema.
+            SchemaConflict: The lock ran out and somebody else may be changing the schema.
+            StoreUnavailable: The nodes do not agree within 30 s.
         """
+        self.renew()
+        self._cassandra.schemaChange(cql, what=what)
+
+    def renew(self) -> None:
+        """Prove that the lock is still ours and start its time anew; raises as change does."""
         applied, _ = self._lwt(
             f"UPDATE {self._table} USING TTL {LOCK_TTL_SEC} SET owner = ? WHERE name = ? "
             "IF owner = ?",
@@ -233,8 +239,7 @@ class SideTables:
             if not there.issuperset(SIDE_TABLES):
                 with SchemaLock(self._cassandra, self.keyspace) as lock:
                     for name in sorted(set(SIDE_TABLES) - self._list()):
-                        lock.renew()
-                        self._cassandra.schemaChange(
+                        lock.change(
                             f"CREATE TABLE IF NOT EXISTS {quoteName(self.keyspace)}.{name} "
                             f"({SIDE_TABLES[name]}) WITH comment = {quoteText(_COMMENT)}",
                             what=f"making table {name}",

@@ -9,7 +9,7 @@ import threading
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.connection import Connection, cutDefinition, joinDefinition
-from cassandra_ros.store.registry import ConnectionRow, Registry
+from cassandra_ros.store.registry import Registry, StoredHeader
 
 MAX_KNOWN = 1024
 
@@ -39,7 +39,7 @@ class Connections:
             if (table, number) in self._known:
                 return number
         header, offset, definition = cutDefinition(connection.header)
-        row = ConnectionRow(
+        row = StoredHeader(
             topic=connection.topic,
             number=connection.number,
             header=header,
@@ -47,7 +47,7 @@ class Connections:
             md5sum=connection.md5sum,
             definition=definition,
         )
-        self._registry.putConnection(table, number, row)
+        self._registry.put_header(table, number, row)
         self._keep(table, number, connection)
         return number
 
@@ -60,7 +60,7 @@ class Connections:
         with self._mutex:
             connection = self._known.get((table, number))
         if connection is None:
-            row = self._registry.getConnection(table, number)
+            row = self._registry.get_header(table, number)
             if row is None:
                 raise CorruptMessage(
                     f"connection header {number} of table {table} is missing: the side tables "

@@ -58,14 +58,12 @@ class IndexChanges:
             number += 1
         shadow = shadowColumn(number)
         if shadow not in columns:
-            lock.renew()
-            self._cassandra.schemaChange(
+            lock.change(
                 f"ALTER TABLE {self._schema.qualified(table)} ADD {quoteName(shadow)} {cql_type}",
                 what=f"adding a column to table {table}",
             )
         self._make(table, shadow, lock)
-        lock.renew()
-        self._schema.setComment(table, metadata.withIndex(field, number))
+        self._schema.setComment(table, metadata.withIndex(field, number), lock)
 
     def _complete(self, table: str, shadow: str, lock: SchemaLock) -> None:
         """Do what somebody left who died while he changed the indexes of a table."""
@@ -102,8 +100,7 @@ class IndexChanges:
             files.resume()
 
     def _drop(self, table: str, index: str, lock: SchemaLock) -> None:
-        lock.renew()
-        self._cassandra.schemaChange(
+        lock.change(
             f"DROP INDEX IF EXISTS {quoteName(self._schema.keyspace)}.{quoteName(index)}",
             what=f"dropping an index of table {table}",
         )
@@ -125,8 +122,7 @@ class IndexChanges:
                 self._resume(table, lock)
                 if field in metadata.indexes:
                     metadata = metadata.withoutIndex(field)
-                    lock.renew()
-                    self._schema.setComment(table, metadata)
+                    self._schema.setComment(table, metadata, lock)
                     done = True
                 kept = {table + shadow for shadow in metadata.indexes.values()}
                 for name in self._names(table) - kept:

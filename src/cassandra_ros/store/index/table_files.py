@@ -99,8 +99,7 @@ class TableFiles:
 
     def _alter(self, options: Mapping[str, str]) -> None:
         pairs = ", ".join(f"{quoteText(k)}: {quoteText(v)}" for k, v in options.items())
-        self._lock.renew()
-        self._cassandra.schemaChange(
+        self._lock.change(
             f"ALTER TABLE {quoteName(self._keyspace)}.{quoteName(self._table)} "
             f"WITH compaction = {{{pairs}}}",
             what=f"changing how table {self._table} is compacted",
