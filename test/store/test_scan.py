@@ -13,7 +13,7 @@ from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
-from cassandra_ros.store import bucket_stream, reader
+from cassandra_ros.store import reader
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -75,7 +75,7 @@ def wanted(topic, test, **reading):
 @pytest.mark.parametrize("few", [False, True])
 def test_filtered_rows_come_in_the_one_order(topic, monkeypatch, page_bytes, reverse, few):
     monkeypatch.setattr(reader, "PAGE_BYTES", page_bytes)
-    monkeypatch.setattr(bucket_stream, "KEYS_AT_ONCE", 3)
+    monkeypatch.setattr(reader, "KEYS_AT_ONCE", 3)
     chooser = Chooser(bound("<=", 120), bound(">=", 100), few=few)  # both give 100 to 120
     rows = numbers(topic.rows(reverse=reverse, chooser=chooser))
     assert rows == wanted(topic, lambda n: True, reverse=reverse)

@@ -12,7 +12,6 @@ from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
 from cassandra_ros.keys import Position, RowName, isBehind
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.protocols import Chooser
-from cassandra_ros.store.bucket_stream import Query, Scan
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import BucketRow, Directory
 from cassandra_ros.store.fetch import (
@@ -24,7 +23,7 @@ from cassandra_ros.store.fetch import (
     versions,
 )
 from cassandra_ros.store.large import readChunks
-from cassandra_ros.store.reader import readRows
+from cassandra_ros.store.reader import Query, Scan, readRows
 from cassandra_ros.store.row_table import RowTable, TableRow
 from cassandra_ros.topics.connections import Connections
 from cassandra_ros.topics.selection import LAST_NS, AnyKey, Named, Selection, Stretch, Valued
