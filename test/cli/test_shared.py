@@ -11,10 +11,16 @@ import pytest
 from conftest import ROOT
 
 from cassandra_ros.cli import query_server
-from cassandra_ros.cli.interrupt import SafeInterrupt
 from cassandra_ros.cli.options import add_store_options, strip_remappings
-from cassandra_ros.cli.progress import MessageBar
-from cassandra_ros.cli.table import format_bytes, format_length, format_table, format_time, shown
+from cassandra_ros.cli.text import (
+    MessageBar,
+    format_bytes,
+    format_length,
+    format_table,
+    format_time,
+    shown,
+)
+from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 
 
 @pytest.fixture

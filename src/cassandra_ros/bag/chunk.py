@@ -8,7 +8,7 @@ import bz2
 import struct
 from struct import Struct
 from types import ModuleType
-from typing import Callable, List, NamedTuple, cast
+from typing import Callable, NamedTuple, cast
 
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.errors import BagError, MissingDependency
@@ -114,7 +114,7 @@ _FIXED_BYTES = _CPP.size
 _MESSAGE_HEAD = Struct(f"<{len(_PYTHON_HEAD)}sI{len(_PYTHON_MIDDLE)}sIII")
 
 
-def findMessages(content: bytes, where: str) -> List[ChunkMessage]:
+def findMessages(content: bytes, where: str) -> list[ChunkMessage]:
     """List the messages of a chunk in their order.
 
     Args:
@@ -124,7 +124,7 @@ def findMessages(content: bytes, where: str) -> List[ChunkMessage]:
     Raises:
         BagError: The records do not fill the content exactly, or one is damaged.
     """
-    found: List[ChunkMessage] = []
+    found: list[ChunkMessage] = []
     position, end = 0, len(content)
     last_fixed = end - _FIXED_BYTES
     read_cpp, read_python = _CPP.unpack_from, _PYTHON.unpack_from
@@ -148,7 +148,7 @@ def findMessages(content: bytes, where: str) -> List[ChunkMessage]:
     return found
 
 
-def _otherRecord(content: bytes, position: int, where: str, found: List[ChunkMessage]) -> int:
+def _otherRecord(content: bytes, position: int, where: str, found: list[ChunkMessage]) -> int:
     """Read a connection record, or a message in another layout; return where it ends."""
     place = f"{where} (byte {position} of its content)"
     try:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field, replace
-from typing import Dict, Iterable, Sequence, Tuple
+from typing import Iterable, Sequence
 
 from cassandra_ros.bag.reader import Progress
 from cassandra_ros.bag.writer import BagWriter
@@ -28,7 +28,7 @@ class ExportReport:
     """What an export wrote."""
 
     path: str
-    messages: Dict[str, int] = field(default_factory=dict)
+    messages: dict[str, int] = field(default_factory=dict)
     """Number of messages by topic."""
     bytes: int = 0
     """Serialised bytes."""
@@ -124,8 +124,8 @@ class ConnectionNumbers:
 
     def __init__(self, writer: BagWriter) -> None:
         self._writer = writer
-        self._numbers: Dict[Tuple[int, str, int], int] = {}
-        self._bases: Dict[int, int] = {}
+        self._numbers: dict[tuple[int, str, int], int] = {}
+        self._bases: dict[int, int] = {}
         self._free = 0
 
     def of(self, row: StoredRow) -> int:

@@ -94,20 +94,13 @@ def number(fields: Fields, name: bytes, layout: Struct, where: str) -> int:
 
 
 def timeNs(fields: Fields, name: bytes, where: str) -> int:
-    """Read a time out of a header, as nanoseconds."""
-    value = fields.get(name)
-    if value is None or len(value) != TIME.size:
-        raise BagError(f"{where} is damaged: its header has no valid field '{name.decode()}'")
-    secs, nsecs = TIME.unpack(value)
-    return checkNs(secs * SECOND_NS + nsecs, where)
-
-
-def checkNs(t_ns: int, where: str) -> int:
-    """Return a time that a ROS stamp can hold.
+    """Read a time out of a header, as nanoseconds.
 
     Raises:
-        BagError: Its seconds and nanoseconds add up to more than 32 bits of seconds.
+        BagError: The field is missing, of another size, or beyond what a ROS stamp can hold.
     """
+    packed = number(fields, name, U64, where)  # seconds in the lower half
+    t_ns = (packed & 0xFFFFFFFF) * SECOND_NS + (packed >> 32)
     if t_ns > MAX_NS:
         raise BagError(f"{where} is damaged: its time lies beyond the year 2106")
     return t_ns

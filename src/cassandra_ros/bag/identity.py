@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 from itertools import chain, takewhile
 from struct import Struct
-from typing import Dict, NamedTuple
+from typing import NamedTuple
 
 from cassandra_ros.bag.reader import BagReader, Progress
 from cassandra_ros.errors import BagError
@@ -35,7 +35,7 @@ class BagContent(NamedTuple):
 
     digest: str
     """64 hex digits that differ when a connection, time or byte of any message differs."""
-    sizes: Dict[int, int]
+    sizes: dict[int, int]
     """Serialised bytes by number of the connection."""
 
     def writerId(self, nodeID: str = "") -> int:
@@ -101,7 +101,7 @@ def earlierWriterId(reader: BagReader, nodeID: str) -> int:
     return _number(digest)
 
 
-def _begin(head: bytes, reader: BagReader) -> tuple[hashlib._Hash, Dict[int, int]]:
+def _begin(head: bytes, reader: BagReader) -> tuple[hashlib._Hash, dict[int, int]]:
     """Hash what the index says of a bag; return the hash and each connection's place in it."""
     digest = hashlib.sha256(head)
     connections = reader.connections

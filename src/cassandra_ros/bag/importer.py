@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import os
 from dataclasses import dataclass, field
-from typing import AbstractSet, Dict, Iterable, List, Mapping, Set, Tuple
+from typing import AbstractSet, Iterable, Mapping
 
 from cassandra_ros.arguments import check_new_topic
 from cassandra_ros.bag.identity import CONTENT, BagContent, earlierWriterId, isEarlier, readContent
@@ -50,9 +50,9 @@ class ImportReport:
     writer_id: int
     """Upper half of the _seq of every row."""
     nodeID: str
-    topics: Dict[str, ImportedTopic] = field(default_factory=dict)
-    warnings: List[str] = field(default_factory=list)
-    lost: Dict[str, int] = field(default_factory=dict)
+    topics: dict[str, ImportedTopic] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    lost: dict[str, int] = field(default_factory=dict)
     """Messages that are not stored, by topic: its name cannot be kept. A warning says why."""
 
     @property
@@ -133,16 +133,16 @@ def importBag(
     return report
 
 
-def _refuseNames(reader: BagReader, numbers: AbstractSet[int], report: ImportReport) -> Set[int]:
+def _refuseNames(reader: BagReader, numbers: AbstractSet[int], report: ImportReport) -> set[int]:
     """Note the topics whose names cannot be kept; return the other connections."""
-    kept: Set[int] = set()
+    kept: set[int] = set()
     for number in sorted(numbers):
         topic = reader.connections[number].topic
         try:
             check_new_topic(topic)
             kept.add(number)
         except InvalidName as exc:
-            count = reader.totals[number].count
+            count = reader.counts[number]
             report.lost[topic] = report.lost.get(topic, 0) + count
             report.warnings.append(
                 f"{reader.path}: {count} messages are not stored, all others are: {exc}; to store "
@@ -185,7 +185,7 @@ def _earlierId(
     return None
 
 
-def _refuseSecondCopy(rosCas: RosCassandra, reader: BagReader, numbers: Set[int], run: Run) -> None:
+def _refuseSecondCopy(rosCas: RosCassandra, reader: BagReader, numbers: set[int], run: Run) -> None:
     """Raise where rows of this import lie in tables of another format: all would be double."""
     parts = rosCas.parts
     for number in sorted(numbers):
@@ -207,7 +207,7 @@ def _refuseSecondCopy(rosCas: RosCassandra, reader: BagReader, numbers: Set[int]
                 )
 
 
-def _noteTopics(report: ImportReport, handles: Dict[int, Handle]) -> None:
+def _noteTopics(report: ImportReport, handles: dict[int, Handle]) -> None:
     for handle in handles.values():
         report.topics.setdefault(handle.topic, ImportedTopic(handle.format))
         if handle.warning and handle.warning not in report.warnings:
@@ -217,7 +217,7 @@ def _noteTopics(report: ImportReport, handles: Dict[int, Handle]) -> None:
 def _writeMessages(
     reader: BagReader,
     writer: MessageWriter,
-    handles: Dict[int, Handle],
+    handles: dict[int, Handle],
     report: ImportReport,
     progress: Progress | None,
 ) -> None:
@@ -256,7 +256,7 @@ class _Rate:
         self.start_ns, self.count, self.bytes = start_ns, 0, 0.0
 
 
-def bucketLengths(reader: BagReader, sizes: Mapping[int, int]) -> Dict[int, int]:
+def bucketLengths(reader: BagReader, sizes: Mapping[int, int]) -> dict[int, int]:
     """Choose the bucket length of each connection's table.
 
     The highest rate over stretches of at least 10 s decides, as the counts of the chunks show
@@ -270,8 +270,8 @@ def bucketLengths(reader: BagReader, sizes: Mapping[int, int]) -> Dict[int, int]
         Nanoseconds by number of the connection, equal for those that share a table.
     """
     # Topic and md5sum: what shares one table.
-    rates: Dict[Tuple[str, str], _Rate] = {}
-    means = {number: sizes[number] / total.count for number, total in reader.totals.items()}
+    rates: dict[tuple[str, str], _Rate] = {}
+    means = {number: sizes[number] / count for number, count in reader.counts.items()}
     keys = {number: (c.topic, c.md5sum) for number, c in reader.connections.items()}
     for chunk in range(reader.chunk_count):
         info = reader.chunkInfo(chunk)

@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 from array import array
+from collections import Counter
 from dataclasses import dataclass, field
 from struct import Struct
-from typing import BinaryIO, Dict, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.errors import BagError, BagUnindexed
@@ -24,30 +25,22 @@ class ChunkInfo(NamedTuple):
     """Byte of the file at which the record of the chunk begins."""
     start_ns: int
     end_ns: int
-    counts: Dict[int, int]
+    counts: dict[int, int]
     """Messages by number of the connection; none is 0."""
     first: int
     """Messages in the chunks before it."""
 
 
 @dataclass
-class ConnectionTotals:
-    """Messages of one connection; the times are those of the chunks that hold them."""
-
-    count: int = 0
-    start_ns: int = 0
-    end_ns: int = 0
-
-
-@dataclass
 class BagIndex:
     """What opening a bag leaves in memory: 40 bytes a chunk, and the connections."""
 
-    connections: Dict[int, Connection] = field(default_factory=dict)
+    connections: dict[int, Connection] = field(default_factory=dict)
     """By number, in the order that decides between equal times."""
-    numbers: Dict[int, int] = field(default_factory=dict)
+    numbers: dict[int, int] = field(default_factory=dict)
     """Id in the file -> number."""
-    totals: Dict[int, ConnectionTotals] = field(default_factory=dict)
+    counts: Counter[int] = field(default_factory=Counter)
+    """Messages by number."""
     chunks: array[int] = field(default_factory=lambda: array("Q"))
     """Position, start_ns, end_ns, position of the chunk info, messages before; of each chunk."""
     message_count: int = 0
@@ -58,15 +51,11 @@ class BagIndex:
         return len(self.chunks) // self.PER_CHUNK
 
 
-def readFileHeader(file: BinaryIO, file_bytes: int, name: str) -> tuple[int, int, int]:
+def _readFileHeader(file: BinaryIO, file_bytes: int, name: str) -> tuple[int, int, int]:
     """Read the magic line and the first record.
 
     Returns:
         Position of the index, number of connections, number of chunks.
-
-    Raises:
-        BagUnindexed: The bag was not closed, or is cut short.
-        BagError: It is no bag, one of format 1, or encrypted.
     """
     _checkMagic(file.readline(_LONGEST_MAGIC), file_bytes, name)
     where = f"{name}: the header"
@@ -118,10 +107,10 @@ def readIndex(file: BinaryIO, file_bytes: int, name: str) -> BagIndex:
     """Read the header and the whole index of a bag, from the file's beginning.
 
     Raises:
-        BagUnindexed: The index is missing, or the file ends within it.
-        BagError: It is not a bag of format 2.0, or its index contradicts itself.
+        BagUnindexed: The bag was not closed, or is cut short: the index, or a part of it, lacks.
+        BagError: It is no bag of format 2.0, it is encrypted, or its index contradicts itself.
     """
-    index_pos, connection_count, chunk_count = readFileHeader(file, file_bytes, name)
+    index_pos, connection_count, chunk_count = _readFileHeader(file, file_bytes, name)
     file.seek(index_pos)
     index = BagIndex()
     try:
@@ -184,13 +173,7 @@ def _readChunkInfos(
     for _ in range(count):
         info_pos = file.tell()
         info = readChunkInfo(file, file_bytes, index.numbers, where)
-        for number, messages in info.counts.items():
-            totals = index.totals.get(number)
-            if totals is None:
-                totals = index.totals[number] = ConnectionTotals(0, info.start_ns, info.end_ns)
-            totals.count += messages
-            totals.start_ns = min(totals.start_ns, info.start_ns)
-            totals.end_ns = max(totals.end_ns, info.end_ns)
+        index.counts.update(info.counts)
         # The sum stands here until the chunks are in order.
         before = sum(info.counts.values())
         index.message_count += before
@@ -228,10 +211,7 @@ def readChunkInfo(
 def _sortChunks(index: BagIndex, index_pos: int, name: str) -> None:
     width = index.PER_CHUNK
     rows = index.chunks
-    positions = rows[::width]
-    order = range(len(index))
-    if any(a >= b for a, b in zip(positions, positions[1:])):
-        order = sorted(order, key=positions.__getitem__)  # type: ignore[assignment]
+    order = sorted(range(len(index)), key=rows[::width].__getitem__)
     chunks, before, last = array("Q"), 0, len(bagformat.MAGIC)
     for place in order:
         position, start_ns, end_ns, info_pos, count = rows[place * width : (place + 1) * width]

@@ -8,11 +8,11 @@ import os
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from difflib import get_close_matches
-from typing import AbstractSet, BinaryIO, Callable, Dict, Iterable, Iterator, List, NamedTuple, Set
+from typing import AbstractSet, BinaryIO, Callable, Iterable, Iterator, Mapping, NamedTuple
 
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.bag.chunk import ChunkMessage, decompressChunk, findMessages
-from cassandra_ros.bag.index import BagIndex, ChunkInfo, ConnectionTotals, readChunkInfo, readIndex
+from cassandra_ros.bag.index import BagIndex, ChunkInfo, readChunkInfo, readIndex
 from cassandra_ros.errors import BagError, TopicNotFound
 from cassandra_ros.messages.connection import Connection
 
@@ -75,18 +75,17 @@ class BagReader:
         self.close()
 
     @property
-    def connections(self) -> Dict[int, Connection]:
+    def connections(self) -> dict[int, Connection]:
         """Connections that have messages, by number, in the order of the index.
 
         Like rosbag, we leave out connections that no message refers to.
         """
-        totals = self._index.totals
-        return {n: c for n, c in self._index.connections.items() if n in totals}
+        return {n: c for n, c in self._index.connections.items() if n in self.counts}
 
     @property
-    def totals(self) -> Dict[int, ConnectionTotals]:
-        """Messages and times of each connection, by number."""
-        return self._index.totals
+    def counts(self) -> Mapping[int, int]:
+        """Messages of each connection, by number."""
+        return self._index.counts
 
     @property
     def message_count(self) -> int:
@@ -108,7 +107,7 @@ class BagReader:
         """Time of the last message, ns; 0 in an empty bag."""
         return max(self._index.chunks[2 :: BagIndex.PER_CHUNK], default=0)
 
-    def compressions(self) -> Dict[str, int]:
+    def compressions(self) -> dict[str, int]:
         """Count the chunks of each compression (reads the header of every chunk)."""
         return dict(Counter(self._chunkHeader(i)[0] for i in range(self.chunk_count)))
 
@@ -131,14 +130,6 @@ class BagReader:
         start_ns, end_ns = self._index.chunks[first + 1 : first + 3]
         return start_ns, end_ns
 
-    def chunkOf(self, position: int) -> int:
-        """Find the chunk in which a message lies.
-
-        Args:
-            position: Place among all messages of the bag, in [0, message_count).
-        """
-        return bisect_right(self._index.chunks[4 :: BagIndex.PER_CHUNK], position) - 1
-
     def messages(
         self, numbers: AbstractSet[int] | None = None, start: int = 0
     ) -> Iterator[RawMessage]:
@@ -156,7 +147,8 @@ class BagReader:
         """
         if start >= self.message_count:
             return
-        for chunk in range(self.chunkOf(start), self.chunk_count):
+        first = bisect_right(self._index.chunks[4 :: BagIndex.PER_CHUNK], start) - 1
+        for chunk in range(first, self.chunk_count):
             for message in self.chunkMessages(chunk, numbers):
                 if message.position >= start:
                     yield message
@@ -175,7 +167,7 @@ class BagReader:
             if numbers is None or number in numbers:
                 yield RawMessage(position, number, t_ns, content[start:stop])
 
-    def _load(self, chunk: int, info: ChunkInfo) -> tuple[bytes, List[ChunkMessage]]:
+    def _load(self, chunk: int, info: ChunkInfo) -> tuple[bytes, list[ChunkMessage]]:
         compression, size, data_bytes = self._chunkHeader(chunk)
         where = self._where(chunk)
         if compression == "none" and size != data_bytes:
@@ -241,7 +233,7 @@ def readInOrder(
     """
     rank = {number: place for place, number in enumerate(reader.connections)}
     order = sorted(range(reader.chunk_count), key=reader.chunkTimes)
-    waiting: List[Ordered] = []
+    waiting: list[Ordered] = []
     for place, chunk in enumerate(order):
         start_ns, end_ns = reader.chunkTimes(chunk)
         for message in reader.chunkMessages(chunk, numbers):
@@ -262,7 +254,7 @@ def readInOrder(
         del waiting[:ready]
 
 
-def matchTopics(names: Iterable[str], present: AbstractSet[str], where: str) -> Set[str]:
+def matchTopics(names: Iterable[str], present: AbstractSet[str], where: str) -> set[str]:
     """Find topics by name, with or without the leading slash.
 
     Args:
@@ -273,7 +265,7 @@ def matchTopics(names: Iterable[str], present: AbstractSet[str], where: str) -> 
     Raises:
         TopicNotFound: One of the names is not there; the text lists what is, the nearest first.
     """
-    found: Set[str] = set()
+    found: set[str] = set()
     for name in names:
         matches = {name} & present or {t for t in present if t.strip("/") == name.strip("/")}
         if not matches:
@@ -291,7 +283,7 @@ def _listing(name: str, present: AbstractSet[str]) -> str:
     return f"it has {', '.join(every[:LISTED])}{more} ({len(every)} topics)"
 
 
-def chosenConnections(reader: BagReader, topics: Iterable[str] | None) -> Set[int]:
+def chosenConnections(reader: BagReader, topics: Iterable[str] | None) -> set[int]:
     """Return the numbers of the connections of some topics of a bag (None = of all).
 
     Raises:

@@ -9,7 +9,7 @@ import os
 from collections import deque
 from dataclasses import dataclass, field
 from itertools import groupby, islice
-from typing import AbstractSet, Deque, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Tuple
+from typing import AbstractSet, Iterable, Iterator, Mapping, NamedTuple
 
 from cassandra_ros.bag.identity import earlierWriterId, isEarlier, readContent
 from cassandra_ros.bag.reader import BagReader, Progress, RawMessage, chosenConnections, readInOrder
@@ -56,7 +56,7 @@ class VerifyReport:
     """Messages that are missing, superfluous or different."""
     missing: int = 0
     """Those of them that the store lacks; the others are rows that are not of this bag."""
-    first: List[str] = field(default_factory=list)
+    first: list[str] = field(default_factory=list)
     """The first differences, a line each."""
 
     @property
@@ -112,7 +112,7 @@ def verifyBag(
         report = VerifyReport(reader.path, _describe(found, nodeID))
         for topic in sorted(set(chosen.values()) - stored):
             gone = {n for n in chosen if chosen[n] == topic}
-            count = sum(reader.totals[n].count for n in gone)
+            count = sum(reader.counts[n] for n in gone)
             report.add(f"{topic} is not stored: its {count} messages are missing", count)
             numbers -= gone
         comparison = _byPlace(rosCas, reader, stored, found, nodeID, report)
@@ -157,7 +157,7 @@ def verifyContent(
         ranks = _Ranks((), positions=False)
         wanted = {reader.connections[n].topic for n in numbers}
         stored = _storedTopics(rosCas, {renamed.get(topic, topic) for topic in wanted})
-        comparisons: Dict[str, Comparison] = {}
+        comparisons: dict[str, Comparison] = {}
         for topic in wanted:
             names = stored & {renamed.get(topic, topic)}
             # In the order of the bag, whatever the topic's key is.
@@ -221,7 +221,7 @@ def _findImport(
     return next((Import(node, writer) for node, writer in found.items()), None)
 
 
-def _bucketsOf(table: TopicTable, reader: BagReader) -> Tuple[int, int]:
+def _bucketsOf(table: TopicTable, reader: BagReader) -> tuple[int, int]:
     if table.metadata.own_time:
         return -(2**63), 2**63 - 1  # the times of the bag are not those of the keys
     return table.bucketOf(reader.start_ns), table.bucketOf(reader.end_ns)
@@ -272,7 +272,7 @@ class Entry(NamedTuple):
     topic: str
 
     @property
-    def content(self) -> Tuple[str, str, bytes]:
+    def content(self) -> tuple[str, str, bytes]:
         """What must be equal, wherever the messages stand."""
         return self[3:6]
 
@@ -291,13 +291,13 @@ class _Ranks:
 
     def __init__(self, connections: Iterable[Connection], positions: bool) -> None:
         self._positions = positions
-        self._exact: Dict[Tuple[str, bytes, int], int] = {}
+        self._exact: dict[tuple[str, bytes, int], int] = {}
         # The number is lost where the messages did not come from this very bag.
-        self._alike: Dict[Tuple[str, bytes], int] = {}
+        self._alike: dict[tuple[str, bytes], int] = {}
         for rank, c in enumerate(connections):
             self._exact[c.topic, c.header, c.number] = rank
             self._alike.setdefault((c.topic, c.header), rank)
-        self._known: Dict[Tuple[str, int], Tuple[int, str]] = {}
+        self._known: dict[tuple[str, int], tuple[int, str]] = {}
 
     def see(self, row: StoredRow) -> Entry:
         """Shorten a row to what is compared; one that cannot be read back equals no message."""
@@ -358,8 +358,8 @@ class Comparison:
         self._store = store
         self._report = report
         self._order = order
-        self._bag: Deque[Entry] = deque()
-        self._seen: Deque[Entry] = deque()
+        self._bag: deque[Entry] = deque()
+        self._seen: deque[Entry] = deque()
 
     def add(self, message: Entry) -> None:
         """Take the next message of the bag."""

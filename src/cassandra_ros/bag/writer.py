@@ -9,7 +9,7 @@ import os
 import tempfile
 from array import array
 from contextlib import suppress
-from typing import IO, Dict, Set
+from typing import IO
 
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.bag.chunk import COMPRESSIONS, compressChunk, messageHead
@@ -51,12 +51,12 @@ class BagWriter:
         self._active = self.path + ".active"
         self._compression = compression
         self._chunk_bytes = chunk_bytes
-        self._connections: Dict[int, Connection] = {}
-        self._used: Set[int] = set()
+        self._connections: dict[int, Connection] = {}
+        self._used: set[int] = set()
         self._chunk = bytearray()
         # Per connection of the open chunk: times and offsets, for its index record.
-        self._times: Dict[int, array[int]] = {}
-        self._offsets: Dict[int, array[int]] = {}
+        self._times: dict[int, array[int]] = {}
+        self._offsets: dict[int, array[int]] = {}
         self._chunk_count = 0
         self._infos: IO[bytes] = tempfile.SpooledTemporaryFile(_SPOOL_BYTES)
         self._closed = False

@@ -5,12 +5,11 @@
 from __future__ import annotations
 
 import argparse
-import inspect
 import logging
 import sys
 from typing import Sequence
 
-from cassandra_ros.cli.options import strip_remappings
+from cassandra_ros.cli.options import strip_remappings, verbs_parser
 from cassandra_ros.cli.verbs import VERBS
 from cassandra_ros.errors import CassandraRosError, InvalidQuery
 
@@ -19,19 +18,7 @@ PROGRAM = "cassandra_bag"
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser with all verbs."""
-    parser = argparse.ArgumentParser(prog=PROGRAM, description=__doc__)
-    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for name, module in VERBS.items():
-        text = inspect.getdoc(module) or ""
-        verb = verbs.add_parser(
-            name,
-            help=text.splitlines()[0],
-            description=text,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        module.add_arguments(verb)
-        verb.set_defaults(parser=verb)
-    return parser
+    return verbs_parser(PROGRAM, __doc__, VERBS)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -53,15 +40,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     # The driver's own warnings speak of things that its caller chose.
     logging.getLogger("cassandra").setLevel(logging.ERROR)
     try:
-        return int(VERBS[options.verb].run(options))
+        return VERBS[options.verb].run(options)
     except CassandraRosError as exc:
-        report_error(exc)
+        # One line; a question that is none with a caret under the spot.
+        text = str(exc) if isinstance(exc, InvalidQuery) else " ".join(str(exc).split())
+        print(f"{PROGRAM}: {text}", file=sys.stderr)
         return 1
     finally:
         logger.removeHandler(handler)
-
-
-def report_error(error: CassandraRosError) -> None:
-    """Print an error as one line; a question that is none with a caret under the spot."""
-    text = str(error) if isinstance(error, InvalidQuery) else " ".join(str(error).split())
-    print(f"{PROGRAM}: {text}", file=sys.stderr)

@@ -5,14 +5,13 @@
 from __future__ import annotations
 
 import argparse
-import inspect
 import sys
-from typing import Sequence
+from typing import Mapping, Sequence
 
 from cassandra_ros.cli.local_verbs import clear, install, run, start, status, stop
-from cassandra_ros.cli.options import strip_remappings
+from cassandra_ros.cli.options import Verb, strip_remappings, verbs_parser
 
-VERBS = {
+VERBS: Mapping[str, Verb] = {
     "install": install,
     "start": start,
     "stop": stop,
@@ -24,22 +23,11 @@ VERBS = {
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser with all verbs."""
-    parser = argparse.ArgumentParser(prog="local_cassandra", description=__doc__)
-    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for name, module in VERBS.items():
-        text = inspect.getdoc(module) or ""
-        verb = verbs.add_parser(
-            name,
-            help=text.splitlines()[0],
-            description=text,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        module.add_arguments(verb)
-    return parser
+    return verbs_parser("local_cassandra", __doc__, VERBS)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the verb that the arguments name; return the exit status."""
     arguments = sys.argv[1:] if argv is None else argv
     options = make_parser().parse_args(strip_remappings(arguments))
-    return int(VERBS[options.verb].run(options))
+    return VERBS[options.verb].run(options)

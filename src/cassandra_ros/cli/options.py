@@ -1,13 +1,14 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The options that say which store is meant, shared by all programs that open one."""
+"""The options that programs and verbs share, and the store that they name."""
 
 from __future__ import annotations
 
 import argparse
+import inspect
 import re
 from decimal import Decimal
-from typing import TYPE_CHECKING, Sequence
+from typing import TYPE_CHECKING, Mapping, Protocol, Sequence
 
 from cassandra_ros.errors import InvalidKey, InvalidOption
 from cassandra_ros.store.address import (
@@ -21,7 +22,46 @@ from cassandra_ros.store.address import (
 if TYPE_CHECKING:
     from cassandra_ros.topics.ros_cassandra import RosCassandra
 
+
+class Verb(Protocol):
+    """A module of a verb; its docstring is the help text."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add the verb's arguments."""
+
+    def run(self, options: argparse.Namespace) -> int:
+        """Do it; return the exit status."""
+
+
 _REMAPPING = re.compile(r"[A-Za-z0-9_~/]*:=")
+
+
+def program_parser(program: str, text: str | None) -> argparse.ArgumentParser:
+    """Return a parser that shows a docstring as it is written."""
+    return argparse.ArgumentParser(
+        prog=program,
+        description=inspect.cleandoc(text or ""),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def verbs_parser(
+    program: str, text: str | None, verbs: Mapping[str, Verb]
+) -> argparse.ArgumentParser:
+    """Return the parser of a program with verbs."""
+    parser = argparse.ArgumentParser(prog=program, description=text)
+    verb_parsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    for name, module in verbs.items():
+        help_text = inspect.getdoc(module) or ""
+        verb = verb_parsers.add_parser(
+            name,
+            help=help_text.splitlines()[0],
+            description=help_text,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(verb)
+        verb.set_defaults(parser=verb)
+    return parser
 
 
 def add_store_options(parser: argparse.ArgumentParser) -> None:

@@ -10,13 +10,13 @@ are not given.
 from __future__ import annotations
 
 import argparse
-import inspect
 import sys
-from typing import Any, Callable, Sequence
+from typing import Callable, Sequence
 
 from cassandra_ros.cli.options import (
     add_store_options,
     open_store,
+    program_parser,
     read_port,
     strip_remappings,
 )
@@ -26,11 +26,7 @@ PROGRAM = "query_server"
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    parser = argparse.ArgumentParser(
-        prog=PROGRAM,
-        description=inspect.getdoc(sys.modules[__name__]),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = program_parser(PROGRAM, __doc__)
     add_store_options(parser)
     parser.add_argument(
         "--allow-writes",
@@ -49,7 +45,7 @@ def truth(text: str) -> bool:
     return known[text.lower()]
 
 
-_READERS: dict[str, Callable[[str], Any]] = {"port": read_port, "allow_writes": truth}
+_READERS: dict[str, Callable[[str], object]] = {"port": read_port, "allow_writes": truth}
 """How the text of a parameter is read that is not meant as text."""
 
 

@@ -9,13 +9,17 @@ The exit status is 1 when messages were lost.
 from __future__ import annotations
 
 import argparse
-import inspect
 import re
 import sys
 from typing import TYPE_CHECKING, Sequence
 
-from cassandra_ros.cli.options import add_store_options, open_store, strip_remappings
-from cassandra_ros.cli.table import format_bytes, format_table, shown
+from cassandra_ros.cli.options import (
+    add_store_options,
+    open_store,
+    program_parser,
+    strip_remappings,
+)
+from cassandra_ros.cli.text import format_bytes, format_table, shown
 from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
 
 if TYPE_CHECKING:
@@ -30,11 +34,7 @@ _UNITS = {"": 1, "s": 1, "m": 60, "h": 3600}
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    parser = argparse.ArgumentParser(
-        prog=PROGRAM,
-        description=inspect.getdoc(sys.modules[__name__]),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = program_parser(PROGRAM, __doc__)
     _add_choice(parser)
     _add_limits(parser)
     add_store_options(parser)
@@ -187,11 +187,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 def closing_table(reports: Sequence[TopicReport]) -> str:
     """Write what became of the messages of each topic."""
     names = ("topic", "type", "received", "stored", "lost", "gaps before us", "bytes", "rate")
-    rows: list[Sequence[str]] = [
+    rows = [
         (
             shown(r.topic),
             shown(", ".join(r.types)),
-            *(str(r.received), str(r.stored), str(r.lost)),
+            str(r.received),
+            str(r.stored),
+            str(r.lost),
             "-" if r.gaps is None else str(r.gaps),
             format_bytes(r.bytes),
             f"{r.rate_hz:.1f} Hz",
@@ -200,8 +202,11 @@ def closing_table(reports: Sequence[TopicReport]) -> str:
     ]
     rows.append(
         (
-            *("total", ""),
-            *(str(sum(getattr(r, n) for r in reports)) for n in ("received", "stored", "lost")),
+            "total",
+            "",
+            str(sum(r.received for r in reports)),
+            str(sum(r.stored for r in reports)),
+            str(sum(r.lost for r in reports)),
             str(sum(r.gaps or 0 for r in reports)),
             format_bytes(sum(r.bytes for r in reports)),
             "",

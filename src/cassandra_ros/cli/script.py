@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Run a program of the package: what every file in scripts/ does.
 
-The one place that turns errors into a line of text and an exit status, and that knows what to say
-when Python packages are missing.
+What a program does not report itself becomes a line of text and an exit status here: an error, a
+missing Python package, Ctrl-C, a reader of the output that is gone.
 """
 
 from __future__ import annotations

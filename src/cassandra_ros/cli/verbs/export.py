@@ -21,8 +21,7 @@ from cassandra_ros.cli.options import (
     read_times,
     read_where,
 )
-from cassandra_ros.cli.progress import MessageBar
-from cassandra_ros.cli.table import format_bytes, format_table, shown
+from cassandra_ros.cli.text import MessageBar, format_bytes, format_table, shown
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

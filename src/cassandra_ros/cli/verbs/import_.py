@@ -13,18 +13,19 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 import time
+from types import FrameType
 from typing import TYPE_CHECKING
 
-from cassandra_ros.cli.interrupt import SafeInterrupt
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.progress import MessageBar
-from cassandra_ros.cli.table import format_bytes, format_table, shown
+from cassandra_ros.cli.text import MessageBar, format_bytes, format_table, shown
 from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.importer import ImportReport
+    from cassandra_ros.bag.reader import Progress
     from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 
@@ -72,19 +73,18 @@ def _import(rosCas: RosCassandra, path: str, options: argparse.Namespace) -> Imp
 
     with BagReader(path) as reader:
         chosen = chosenConnections(reader, options.topics)
-        count = sum(reader.totals[number].count for number in chosen)
+        count = sum(reader.counts[number] for number in chosen)
         total = reader.message_count
     begun, name = time.monotonic(), os.path.basename(path)
     first, second = MessageBar(f"reading {name}", total), MessageBar(f"importing {name}", count)
     with first, second, SafeInterrupt() as stop:
 
-        def reading(messages: int, size: int) -> None:
-            first.add(messages, size)
-            stop.check()
+        def shown_by(bar: MessageBar) -> Progress:
+            def add(messages: int, size: int) -> None:
+                bar.add(messages)
+                stop.check()
 
-        def progress(messages: int, size: int) -> None:
-            second.add(messages, size)
-            stop.check()
+            return add
 
         report = importBag(
             rosCas,
@@ -92,8 +92,8 @@ def _import(rosCas: RosCassandra, path: str, options: argparse.Namespace) -> Imp
             format=options.format,
             topics=options.topics,
             nodeID=options.node_id,
-            progress=progress,
-            reading=reading,
+            progress=shown_by(second),
+            reading=shown_by(first),
         )
     if not options.quiet:
         _print_report(report, options.keyspace, time.monotonic() - begun)
@@ -112,3 +112,44 @@ def _print_report(report: ImportReport, keyspace: str, seconds: float) -> None:
         f"{report.path}: {report.messages} messages of {len(rows)} topics are in keyspace "
         f"{keyspace} ({seconds:.1f} s)"
     )
+
+
+class SafeInterrupt:
+    """Ctrl-C and SIGTERM at a moment of our choice: between two messages, not amid a write.
+
+    While it is entered, the first signal waits for check(); a second one acts at once.
+    """
+
+    def __init__(self) -> None:
+        self._came: int | None = None
+        self._handlers: dict[int, signal._HANDLER] = {}
+
+    def check(self) -> None:
+        """Act on a signal that has come.
+
+        Raises:
+            KeyboardInterrupt: It was Ctrl-C.
+            SystemExit: It was SIGTERM; with the status that a shell gives it.
+        """
+        if self._came == signal.SIGINT:
+            raise KeyboardInterrupt
+        if self._came is not None:
+            raise SystemExit(128 + self._came)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self._came = number
+        self._restore()
+
+    def _restore(self) -> None:
+        while self._handlers:
+            signal.signal(*self._handlers.popitem())
+
+    def __enter__(self) -> SafeInterrupt:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._handlers[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
+        self._restore()
+        if kind is None:
+            self.check()

@@ -17,8 +17,7 @@ from __future__ import annotations
 import argparse
 
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.progress import MessageBar
-from cassandra_ros.cli.table import format_table, shown
+from cassandra_ros.cli.text import MessageBar, format_table, shown
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.table import format_bytes, format_length, format_table, format_time, shown
+from cassandra_ros.cli.text import format_bytes, format_length, format_table, format_time, shown
 from cassandra_ros.keys import NAMED_FORMATS
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def _run_row(run: Run) -> tuple[str, ...]:
 def _print_yaml(options: argparse.Namespace, infos: list[TopicInfo], runs: list[Run]) -> None:
     import yaml
 
-    found: dict[str, Any] = {
+    found = {
         "keyspace": options.keyspace,
         "topics": [asdict(info) for info in infos],
         "runs": [

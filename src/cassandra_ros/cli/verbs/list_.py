@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.table import format_table, shown
+from cassandra_ros.cli.text import format_table, shown
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -24,10 +24,13 @@ DELETE, TRUNCATE, CREATE INDEX and DROP INDEX are run with --allow-writes only.
 from __future__ import annotations
 
 import argparse
-from typing import Any, Sequence
+from typing import TYPE_CHECKING, Sequence
 
 from cassandra_ros.cli.options import add_store_options, open_store
 from cassandra_ros.errors import InvalidExpression, InvalidOption
+
+if TYPE_CHECKING:
+    from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _OUTPUTS = ("table", "csv", "json", "ndjson", "parquet")
 
@@ -70,14 +73,14 @@ def _count(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Ask, and write the answer."""
+    from cassandra_ros.cli.results import load_parquet
+
     if options.explain and (options.output_file or options.limit):
         options.parser.error("--explain goes without --limit and --output-file")
     if options.output == "parquet" and not (options.output_file or options.explain):
         options.parser.error("--output parquet needs a file: -O FILE")
     params = [_parameter(text) for text in options.params]
     if options.output == "parquet":
-        from cassandra_ros.cli.parquet import load_parquet
-
         load_parquet()  # before anything is asked
     with open_store(options) as rosCas:
         if options.explain:
@@ -87,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _parameter(text: str) -> Any:
+def _parameter(text: str) -> object:
     from cassandra_ros.query.json_values import fromJson
 
     try:
@@ -96,48 +99,24 @@ def _parameter(text: str) -> Any:
         return text
 
 
-def _answer(rosCas: Any, options: argparse.Namespace, params: Sequence[Any]) -> None:
+def _answer(rosCas: RosCassandra, options: argparse.Namespace, params: Sequence[object]) -> None:
     from cassandra_ros.arrays.array_types import ArrayType
     from cassandra_ros.arrays.outputs import columnTypes
+    from cassandra_ros.cli.results import write
     from cassandra_ros.query.parse import parseStatement
     from cassandra_ros.query.syntax import Select
 
-    statement = parseStatement(options.statement, params)
-    if not isinstance(statement, Select):
-        _change(rosCas, options, statement)
+    statement, node = parseStatement(options.statement, params), options.node_id
+    where = (options.output, options.output_file, options.force)
+    if isinstance(statement, Select):
+        with rosCas.statements.select(statement, nodeID=node, limit=options.limit) as result:
+            kinds = [(name, ArrayType("mixed")) for name in result.columns]
+            if options.output == "parquet":
+                kinds = columnTypes(statement, rosCas.getTopic(statement.topic).tables)
+            write(kinds, result, *where)
         return
-    with rosCas.statements.select(statement, nodeID=options.node_id, limit=options.limit) as result:
-        kinds: list[tuple[str, ArrayType]] = []
-        if options.output == "parquet":
-            kinds = columnTypes(statement, rosCas.getTopic(statement.topic).tables)
-        _write(options, result.columns, kinds, result)
-
-
-def _change(rosCas: Any, options: argparse.Namespace, statement: Any) -> None:
-    from cassandra_ros.arrays.array_types import ArrayType
-
     if not options.allow_writes:
         raise InvalidOption("the statement changes what is stored; to run it, add --allow-writes")
-    rows = rosCas.statements.run(statement, nodeID=options.node_id, limit=options.limit)
+    rows = rosCas.statements.run(statement, nodeID=node, limit=options.limit)
     if rows.columns:
-        _write(options, rows.columns, [(name, ArrayType("int64")) for name in rows.columns], rows)
-
-
-def _write(options: argparse.Namespace, columns: Any, kinds: Any, rows: Any) -> None:
-    from cassandra_ros.cli.output_file import open_output
-    from cassandra_ros.cli.parquet import write_parquet
-    from cassandra_ros.cli.results import write_csv, write_json, write_ndjson, write_table
-
-    binary = options.output == "parquet"
-    with open_output(options.output_file, options.force, binary) as stream:
-        if binary:
-            write_parquet(kinds, rows, stream)
-            return
-        writers = {
-            "table": write_table,
-            "csv": write_csv,
-            "json": write_json,
-            "ndjson": write_ndjson,
-        }
-        writers[options.output](columns, rows, stream)
-        stream.flush()
+        write([(name, ArrayType("int64")) for name in rows.columns], rows, *where)

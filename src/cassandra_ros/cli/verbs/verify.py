@@ -17,8 +17,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.options import add_store_options, add_time_options, open_store, read_times
-from cassandra_ros.cli.progress import MessageBar
-from cassandra_ros.cli.table import shown
+from cassandra_ros.cli.text import MessageBar, shown
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.verify import VerifyReport

@@ -1,11 +1,14 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Plain text for people: aligned columns, sizes, times."""
+"""What people see: aligned columns, sizes, times, and a bar while they wait."""
 
 from __future__ import annotations
 
 from typing import Collection, Sequence
 
+from tqdm import tqdm
+
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import isoTime
 
 _UNITS = ("B", "KB", "MB", "GB", "TB")
@@ -50,8 +53,8 @@ def format_time(ns: int | None) -> str:
 def format_length(ns: int) -> str:
     """Write the length of a bucket: 10 min."""
     for seconds, unit in _LENGTHS:
-        if ns and ns % (seconds * 1_000_000_000) == 0:
-            return f"{ns // (seconds * 1_000_000_000)} {unit}"
+        if ns and ns % (seconds * SECOND_NS) == 0:
+            return f"{ns // (seconds * SECOND_NS)} {unit}"
     return f"{ns} ns"
 
 
@@ -61,3 +64,39 @@ def shown(text: str) -> str:
         c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii")
         for c in text
     )
+
+
+class MessageBar:
+    """Shows on a terminal how many messages are done, from the second second on.
+
+    Args:
+        text: What is being done.
+        total: Messages in all; None where it is not known.
+    """
+
+    def __init__(self, text: str, total: int | None = None) -> None:
+        # disable=None: only where standard error is a terminal.
+        self._bar = tqdm(
+            desc=text,
+            total=total,
+            unit=" msg",
+            unit_scale=True,
+            delay=1.0,
+            leave=False,
+            disable=None,
+        )
+
+    def add(self, messages: int, size: int = 0) -> None:
+        """Count messages as done."""
+        self._bar.update(messages)
+
+    def reach(self, messages: int, total: int) -> None:
+        """Say how many messages are done, of how many."""
+        self._bar.total = total
+        self._bar.update(messages - self._bar.n)
+
+    def __enter__(self) -> MessageBar:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._bar.close()
