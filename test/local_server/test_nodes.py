@@ -47,6 +47,9 @@ def test_the_memory_follows_the_heap():
     assert small["memtable_heap_space"] == "96MiB"
     assert large["memtable_heap_space"] == "384MiB"
     assert "-Xmx2048M" in node(heap="2G").command("java", Path("/jars"))
+    assert "-XX:MaxDirectMemorySize=2048M" in node(heap="4G").command("java", Path("/jars"))
+    # Cassandra's own bounds of what is in the air are parts of the heap.
+    assert not [key for key in small if "in_flight" in key]
 
 
 def test_a_folder_with_odd_letters_becomes_a_url():

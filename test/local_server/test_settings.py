@@ -16,6 +16,7 @@ from cassandra_ros.local_server.settings import (
     change_settings,
     load_settings,
     new_settings,
+    own_heap_mb,
     parse_heap,
     save_settings,
 )
@@ -26,6 +27,26 @@ from cassandra_ros.local_server.settings import (
 )
 def test_heap_sizes(text, mib):
     assert parse_heap(text) == mib
+
+
+@pytest.mark.parametrize(
+    ("memory_gib", "nodes", "mib"),
+    [
+        *((1, 1, 512), (2, 1, 512), (4, 1, 1024), (8, 1, 2048), (16, 1, 4096), (64, 1, 4096)),
+        *((4, 3, 512), (12, 3, 1024), (64, 2, 2048)),
+    ],
+)
+def test_the_heap_follows_the_memory_that_all_nodes_share(memory_gib, nodes, mib):
+    assert own_heap_mb(nodes, memory_gib << 30) == mib
+
+
+def test_a_heap_that_nobody_named_is_not_fixed(tmp_path):
+    settings = new_settings()
+    assert 512 <= settings.java_heap_mb == own_heap_mb(1) <= 4096
+    assert change_settings(settings, heap="768M").java_heap_mb == 768
+    assert change_settings(change_settings(settings, heap="768M"), heap="0") == settings
+    save_settings(tmp_path, settings)
+    assert load_settings(tmp_path).heap_mb == 0
 
 
 @pytest.mark.parametrize("text", ["", "much", "-1", "1.5G", "512K"])

@@ -51,7 +51,8 @@ class LocalCluster:
         nodes: How many nodes; default: as before, 1 for a new cluster.
         host: Loopback address of the first node; default: as before, 127.0.0.1.
         port: CQL port; default: as before, 9042.
-        heap: Java heap of each node, such as 512M; default: as before, 512M.
+        heap: Java heap of each node, such as 512M; default: as before, for a new cluster by the
+            memory of the machine.
         say: Gets one line of text for each step.
         progress: Gets, often, what is being waited for and since how many seconds.
 

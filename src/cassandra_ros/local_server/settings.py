@@ -16,6 +16,9 @@ from cassandra_ros.errors import ServerError
 
 MAX_NODES = 3
 MIN_HEAP_MB = 256
+OWN_HEAP_MB = 512, 4096
+"""The least that a node takes unasked, and the most that all take together, MiB."""
+_MEMORY_LIMIT = Path("/sys/fs/cgroup/memory.max")
 SETTINGS_FILE = "cluster.json"
 _DRAFT = "cluster.draft"
 
@@ -33,12 +36,39 @@ class Settings:
     """Where CQL is spoken, on every node's address."""
     storage_port: int = 0
     """Where the nodes speak to each other; 0 until the first start chooses one."""
-    heap_mb: int = 512
-    """Java heap of each node, MiB."""
+    heap_mb: int = 0
+    """Java heap of each node as asked for, MiB; 0 = by the machine's memory."""
+
+    @property
+    def java_heap_mb(self) -> int:
+        """Java heap of each node, MiB."""
+        return self.heap_mb or own_heap_mb(self.nodes)
 
     def address(self, number: int) -> str:
         """Return the address of a node, counted from 1."""
         return str(ipaddress.IPv4Address(self.host) + (number - 1))
+
+
+def own_heap_mb(nodes: int, memory_bytes: int | None = None) -> int:
+    """Return the heap of a node that nobody named, MiB.
+
+    Every table keeps a quarter of a MiB of it, with or without rows.
+
+    Args:
+        nodes: They share a quarter of the memory, but each gets at least 512 MiB.
+        memory_bytes: What there is; None = of this machine, or of the container.
+    """
+    least, most = OWN_HEAP_MB
+    memory = _memory_bytes() if memory_bytes is None else memory_bytes
+    return max(least, min(most, memory // 4 >> 20) // nodes)
+
+
+def _memory_bytes() -> int:
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    try:
+        return min(memory, int(_MEMORY_LIMIT.read_text(encoding="ascii")))
+    except (OSError, ValueError):  # no container, or one without a limit
+        return memory
 
 
 def new_settings() -> Settings:
@@ -141,7 +171,7 @@ def check_settings(settings: Settings) -> Settings:
         raise ServerError(f"--nodes {settings.nodes}: 1 to {MAX_NODES} nodes can be started")
     if not 1 <= settings.port <= 65535:
         raise ServerError(f"--port {settings.port}: a port is a number from 1 to 65535")
-    if settings.heap_mb < MIN_HEAP_MB:
+    if settings.java_heap_mb < MIN_HEAP_MB:
         raise ServerError(f"--heap {settings.heap_mb}M: Cassandra needs {MIN_HEAP_MB}M or more")
     return settings
 

@@ -32,7 +32,8 @@ def add_server_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--heap",
         metavar="SIZE",
-        help="Java heap of each node, such as 512M or 2G; kept for later starts (default: 512M)",
+        help="Java heap of each node, such as 512M or 2G; kept for later starts (default: 0, all "
+        "nodes share a quarter of the memory, at most 4G, and each has 512M or more)",
     )
     parser.add_argument(
         "--port", type=int, help="port for CQL; kept for later starts (default: 9042)"

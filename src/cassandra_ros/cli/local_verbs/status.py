@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
     found = cluster.status()
     for status in found:
         say(describe(status))
-    say(f"directory {cluster.directory}, heap {cluster.settings.heap_mb}M a node")
+    say(f"directory {cluster.directory}, heap {cluster.settings.java_heap_mb}M a node")
     return 0 if all(status.answers for status in found) else EXIT_NOT_RUNNING
 
 
