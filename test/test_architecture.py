@@ -1,0 +1,49 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The map in doc/architecture.md shows what is there."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "src" / "cassandra_ros"
+MAP = (ROOT / "doc" / "architecture.md").read_text(encoding="utf-8")
+STEPS = re.findall(r"`([\w/]+\.py)` `([\w.]+)`", MAP)
+
+
+def names_in(path):
+    """Functions, classes and methods of a file, these as Class.method."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            yield node.name
+        if isinstance(node, ast.ClassDef):
+            yield from (f"{node.name}.{f.name}" for f in node.body if hasattr(f, "name"))
+
+
+def test_there_are_three_walks():
+    walks = MAP.split("## Three walks")[1].split("### ")[1:]
+    assert len(walks) == 3
+    assert all(len(re.findall(r"`[\w/]+\.py` `", walk)) >= 6 for walk in walks)
+
+
+@pytest.mark.parametrize(("path", "name"), STEPS, ids=lambda value: value)
+def test_a_step_names_a_file_and_what_is_in_it(path, name):
+    assert name in set(names_in(PACKAGE / path)), f"{path} has no {name}"
+
+
+def test_every_room_is_on_the_map():
+    table = MAP.split("## The floors")[1].split("## ")[0]
+    shown = set(re.findall(r"`(\w+)(?:/|\.py)`", table))
+    there = {p.name for p in PACKAGE.iterdir() if p.is_dir() and p.name != "__pycache__"}
+    there |= {p.stem for p in PACKAGE.glob("*.py")} - {"__init__"}
+    assert shown - {"wire", "tree", "index"} == there
+
+
+def test_every_file_on_the_map_exists():
+    for name in re.findall(r"`((?:\w+/)*\w+\.(?:py|lark))`", MAP):
+        assert (PACKAGE / name).is_file() or (ROOT / name).is_file(), name
