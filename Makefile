@@ -14,12 +14,13 @@ export ROS_IP := 127.0.0.1
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup demo test lint bench bench-formats bench-queries clean distclean
+.PHONY: help setup demo test campaign lint bench bench-formats bench-queries clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, workspace .ws"
 	@echo "make demo           record, ask and export a real robot's topics, end to end"
 	@echo "make test           all tests, on a real Cassandra and a real roscore (ARGS='-k name')"
+	@echo "make campaign       random searches and faults, ten times as far (LENGTH=short: once, for CI)"
 	@echo "make lint           ruff, mypy, catkin_lint"
 	@echo "make bench          measure beside rosbag and the bare driver"
 	@echo "make bench-formats  measure the five formats on real bags: bytes on disk, time"
@@ -34,6 +35,10 @@ demo: setup
 
 test: setup
 	@$(IN_WORKSPACE) $(PYTHON) -m pytest -n 3 $(ARGS)
+
+campaign: LENGTH ?= long
+campaign: setup
+	@$(IN_WORKSPACE) CASSANDRA_ROS_CAMPAIGN=$(LENGTH) $(PYTHON) -m pytest -n 3 $(ARGS)
 
 lint: setup
 	$(PYTHON) -m ruff check .

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from campaign import FAULTS, LENGTH
 from hypothesis import settings
 from keyspaces import Keyspaces, new_name
 
@@ -96,9 +97,27 @@ def pytest_sessionstart(session):
     )
 
 
-# All tests together stay below ten minutes on two cores; what needs more examples says so.
+# All tests together stay below ten minutes on two cores; what needs more examples says so, and
+# what needs many is a search of the campaign.
 settings.register_profile("suite", max_examples=50, deadline=None)
 settings.load_profile("suite")
+
+
+def pytest_generate_tests(metafunc):
+    rounds = FAULTS[LENGTH]
+    if rounds > 1 and metafunc.definition.get_closest_marker("fault"):
+        metafunc.fixturenames.append("_round")
+        metafunc.parametrize("_round", range(rounds))
+
+
+def pytest_collection_modifyitems(config, items):
+    """Leave to a campaign only its own tests."""
+    if not LENGTH:
+        return
+    wanted = ("campaign", "fault") if FAULTS[LENGTH] else ("campaign",)
+    chosen = [item for item in items if any(map(item.get_closest_marker, wanted))]
+    config.hook.pytest_deselected(items=[item for item in items if item not in set(chosen)])
+    items[:] = chosen
 
 
 @pytest.hookimpl(optionalhook=True)

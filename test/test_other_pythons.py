@@ -3,8 +3,8 @@
 """The package under other Pythons than the one of the workspace: what needs no ROS master.
 
 ROS's own Python packages are linked beside it where they are Python only; roslz4 and tf2_py are
-compiled for one Python, so what reads lz4 and looks up transforms stays out. The oldest Python that
-is found has its turn; which are found is said by its skip or its name.
+compiled for one Python, so what reads lz4 and looks up transforms stays out. make test takes
+the oldest Python that is found, the campaign all of them.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from campaign import LENGTH
 from conftest import GENERATED, ROOT, SERVER_VARIABLE, WORKSPACE
 
 MINORS = [minor for minor in range(8, 13) if minor != sys.version_info[1]]
@@ -29,6 +30,9 @@ NOT_PINNED_BY_US = "PyYAML==6.0.2"
 # ROS packages are known by their package.xml; these have none, and genpy and rosbag need them.
 BESIDE_ROS = ("rospkg", "catkin_pkg", "pyparsing", "distro", "gnupg.py", "Cryptodome")
 DISTRIBUTION = Path("/usr/lib/python3/dist-packages")
+
+# In a campaign, too, the other Python runs the tests as make test does.
+NOT_INHERITED = ("ROS_HOSTNAME", "CASSANDRA_ROS_CAMPAIGN")
 
 # One file of each part, and the API's contract on a real Cassandra.
 SOME = (
@@ -66,7 +70,7 @@ def found_pythons():
 FOUND = dict(found_pythons())
 
 
-@pytest.fixture(scope="module", params=list(FOUND)[:1] or [None])
+@pytest.fixture(scope="module", params=(list(FOUND) if LENGTH else list(FOUND)[:1]) or [None])
 def other_python(request):
     """A Python with our requirements in a venv, and an environment that finds ROS."""
     if request.param is None:
@@ -81,7 +85,7 @@ def other_python(request):
         make_venv(FOUND[request.param], folder)
         link_ros(folder / "ros")
     return folder / "venv/bin/python", {
-        **{name: value for name, value in os.environ.items() if name != "ROS_HOSTNAME"},
+        **{name: value for name, value in os.environ.items() if name not in NOT_INHERITED},
         "PYTHONPATH": os.pathsep.join(map(str, (ROOT / "src", GENERATED, folder / "ros"))),
         "PYTHONDONTWRITEBYTECODE": "1",
     }
@@ -128,12 +132,14 @@ def run(command, **options):
     return done.stdout
 
 
+@pytest.mark.campaign
 def test_every_module_is_imported(other_python):
     python, env = other_python
     imported = run([python, "-c", IMPORT_ALL], env=env).count("imported ")
     assert imported > 0.9 * len(list((ROOT / "src/cassandra_ros").rglob("*.py")))
 
 
+@pytest.mark.campaign
 def test_what_needs_no_master_passes(other_python, cassandra):
     python, env = other_python
     env = {**env, SERVER_VARIABLE: f"{cassandra.host}:{cassandra.port}"}

@@ -11,6 +11,7 @@ from collections import namedtuple
 
 import numpy as np
 import pytest
+from campaign import campaign
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages.random_wire import PRIMITIVES, DefinitionMaker, WireMaker, installedTypes
@@ -171,7 +172,7 @@ def language(rows, select):
     return [[shown(value) for value in line] for row in rows for line in plan.rows(row)]
 
 
-@settings(deadline=None, max_examples=400)
+@campaign(400)
 @given(seed=SEEDS, data=st.data())
 def test_rows_per_element_are_those_of_the_language(seed, data):
     """Fields inside of arrays, with conditions on some of them, of random types."""

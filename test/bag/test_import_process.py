@@ -63,6 +63,7 @@ def write_bag(path, count, size, topics=4):
     return path
 
 
+@pytest.mark.fault
 def test_an_import_that_was_killed_is_completed_by_the_next(
     rosCas, cassandra, keyspace, cql, tmp_path
 ):
@@ -124,6 +125,7 @@ def test_opening_a_bag_of_many_chunks_takes_little_memory(tmp_path):
 
 
 @pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.fault
 def test_a_signal_ends_an_import_and_the_next_completes_it(
     rosCas, cassandra, keyspace, cql, tmp_path, signal_number
 ):

@@ -6,7 +6,8 @@ import struct
 import tracemalloc
 
 import pytest
-from hypothesis import given, settings
+from campaign import campaign
+from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import SEPARATOR, DefinitionMaker, WireMaker, installedTypes
 
@@ -46,7 +47,7 @@ def test_every_installed_type():
             checkExact(plan, WireMaker(plan.definition, seed, odd=True).make(), may_be_odd=True)
 
 
-@settings(deadline=None, max_examples=300)
+@campaign(300)
 @given(SEEDS)
 def test_random_definitions(seed):
     plan = WirePlan(parseDefinition(*DefinitionMaker(seed).make()))
@@ -54,7 +55,7 @@ def test_random_definitions(seed):
     checkExact(plan, WireMaker(plan.definition, seed, odd=True).make(), may_be_odd=True)
 
 
-@settings(deadline=None, max_examples=300)
+@campaign(300)
 @given(SEEDS, st.data())
 def test_fuzzed_buffers_are_exact_or_odd(seed, data):
     if data.draw(st.booleans(), "installed type"):
@@ -76,7 +77,7 @@ def test_fuzzed_buffers_are_exact_or_odd(seed, data):
             pass
 
 
-@settings(deadline=None, max_examples=200)
+@campaign(200)
 @given(SEEDS, st.data())
 def test_fuzzed_columns_build_or_are_corrupt(seed, data):
     plan = WirePlan(parseDefinition(*DefinitionMaker(seed).make()))

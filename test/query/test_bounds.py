@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from campaign import campaign
+from hypothesis import given
 from hypothesis import strategies as st
 from query.rows import row_of
 from std_msgs.msg import Int64
@@ -64,7 +65,7 @@ CONDITIONS = st.recursive(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@campaign(300)
 @given(CONDITIONS, st.integers(0, 6), st.sampled_from(["", "a", "b"]), st.integers(0, 2))
 def test_no_row_that_matches_lies_outside(text, t, node, data):
     row = row_of(Int64(data), t=t, node=node)

@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from campaign import campaign
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidQuery
@@ -355,7 +356,7 @@ WORDS = st.sampled_from(
 )
 
 
-@settings(max_examples=600, deadline=None)
+@campaign(600)
 @given(st.lists(WORDS, max_size=25), st.lists(st.integers() | st.text(), max_size=3))
 def test_fuzz_of_words(words, params):
     answers(parseSelect, " ".join(words), params)
@@ -365,7 +366,7 @@ def test_fuzz_of_words(words, params):
     answers(parseCondition, "".join(words), params)
 
 
-@settings(max_examples=400, deadline=None)
+@campaign(400)
 @given(st.text())
 def test_fuzz_of_text(text):
     answers(parseSelect, text)
@@ -375,7 +376,7 @@ def test_fuzz_of_text(text):
     answers(parseSelect, "select a from t where a = '" + text)
 
 
-@settings(max_examples=200, deadline=None)
+@campaign(200)
 @given(st.text(min_size=1), st.text())
 def test_quoted_text_stays_data(name, value):
     quoted = name.replace('"', '""')

@@ -132,6 +132,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 
 @pytest.mark.parametrize(("where", "chunks"), [("before the row", 6), ("between chunks", 2)])
+@pytest.mark.fault
 def test_a_writer_that_is_killed_leaves_no_torn_message(
     rosCas, cassandra, keyspace, cql, where, chunks
 ):

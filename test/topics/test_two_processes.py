@@ -17,6 +17,7 @@ from cassandra_ros.messages.definition import definitionOf
 SEC = 10**9
 
 
+@pytest.mark.fault
 def test_two_processes_make_a_topic_at_once(rosCas, cassandra, keyspace, cql):
     with children(2, cassandra, keyspace) as pair:
         for number in range(20):
@@ -75,6 +76,7 @@ def rows_of_the_last_table(cql, keyspace):
 
 
 @pytest.mark.parametrize("how", ["addData", "messageWriter"])
+@pytest.mark.fault
 def test_a_writer_goes_on_while_its_topic_is_dropped_and_made_anew(
     rosCas, cassandra, keyspace, cql, how
 ):

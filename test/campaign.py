@@ -1,0 +1,38 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How far the searches go: a part of them in make test, all and more in make campaign.
+
+CASSANDRA_ROS_CAMPAIGN says which: unset in make test; short, with the examples that every run of
+.ci/run has; long, with ten times as many, and each fault ten times.
+"""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from hypothesis import settings
+
+LENGTH = os.environ.get("CASSANDRA_ROS_CAMPAIGN", "")
+SHARES = {"": 0.25, "short": 1, "long": 10}
+"""Of the examples that a search names, by the length."""
+FAULTS = {"": 1, "short": 0, "long": 10}
+"""How often a test of a fault runs: make test has run it when the short campaign comes."""
+
+if LENGTH not in SHARES:
+    raise pytest.UsageError(f"CASSANDRA_ROS_CAMPAIGN={LENGTH}: it is short, long or unset")
+
+
+def examples(number, least=1):
+    """Return how many examples a search asks for that has so many in the short campaign."""
+    return max(least, round(number * SHARES[LENGTH]))
+
+
+def campaign(number, **options):
+    """Make a property test one of the campaign, with so many examples in its short form."""
+
+    def decorate(test):
+        limited = settings(max_examples=examples(number), deadline=None, **options)
+        return pytest.mark.campaign(limited(test))
+
+    return decorate
