@@ -198,7 +198,7 @@ def test_a_recount_gives_what_the_writer_has_counted(rosCas):
             target.write(handle, T0 + number, number, wire)
     told = listed(rosCas)[9]
     (table,) = rosCas.getTopic("/a").tables
-    counted = counting.recount(rosCas.cassandra, table, "", told.bucket)[9]
+    counted = counting.recount(table, "", told.bucket)[9]
     assert vars(counted) == {name: getattr(told, name) for name in vars(counted)}
     assert (told.rows, told.odd, told.t_min, told.t_max) == (13, 3, T0, T0 + 31)
     assert told.largest == len(wire_of(0))

@@ -48,9 +48,7 @@ class RowWriter:
     """Writes rows of any number of tables under one writer id. Thread-safe.
 
     Args:
-        cassandra: An open connection.
-        schema: The keyspace's tables (chunk tables are made here when first needed).
-        directory: The keyspace's directory.
+        schema: Makes chunk tables when they are first needed.
         writer_id: 31 bits; the upper half of every ``_seq`` that is written.
         linger_sec: How long a batch may wait to be filled.
         give_up_after_sec: How long one request is tried.
@@ -69,7 +67,6 @@ class RowWriter:
         give_up_after_sec: float = 60.0,
         on_loss: LossCallback | None = None,
     ) -> None:
-        self._cassandra = cassandra
         self._schema = schema
         self._directory = directory.patient(give_up_after_sec)
         self._writer_id = writer_id
