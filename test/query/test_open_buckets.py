@@ -50,3 +50,28 @@ def test_what_no_column_holds_is_found(rosCas, monkeypatch, plan, closed):
     assert [seq for (seq,) in result] == list(range(20, 32))
     assert bool(result.pushdown.whole) == (plan == "client")
     target.close()
+
+
+@pytest.mark.parametrize("plan", ["index", "auto"])
+def test_an_index_that_one_of_two_writers_fills_hides_no_row(rosCas, plan):
+    """One has opened the bucket before the index was made: its rows go on without."""
+    topic = rosCas.addTopic("/h", msg_type="std_msgs/Header", format="binary")
+    early, late = (rosCas.messageWriter(writer_id=n, format="binary") for n in (1, 2))
+    connection = apiConnection("/h", definitionOf(Header), "/x")
+    handle = early.connect(connection)
+    early.write(handle, T0, 0, header(1))
+    early.flush()
+    topic.createIndex("frame_id")
+    for target in (early, late):
+        handle = target.connect(connection)
+        for number in range(1, 4):
+            target.write(handle, T0 + number, number, header(1))
+        target.flush()
+    (table,) = topic.tables
+    rows = rosCas.parts.directory.find(table.name, "", table.bucketOf(T0))
+    assert sorted(len(row.filled) for row in rows) == [0, 1]
+    for _ in ("open", "closed"):
+        result = execute(rosCas, "select seq from /h where frame_id = '1'", plan=plan)
+        assert len(list(result)) == 7
+        early.close()
+        late.close()
