@@ -68,6 +68,11 @@ def test_other_bytes_time_and_connection(rosCas, original, tmp_path):
     found = differences(rosCas, write(tmp_path / "b.bag", other))
     assert found[0] == 1
     assert "message 7 of the bag: its 10 bytes differ" in found[1][0]
+    # The next stored message has these bytes; it stands at its own place.
+    other = [*MESSAGES[:7], ("/a", MESSAGES[7][1], "text 8"), *MESSAGES[8:]]
+    found = differences(rosCas, write(tmp_path / "f.bag", other))
+    assert found[0] == 1
+    assert "message 7 of the bag: its 10 bytes differ" in found[1][0]
     other = [*MESSAGES[:7], ("/a", MESSAGES[7][1], "longer text"), *MESSAGES[8:]]
     found = differences(rosCas, write(tmp_path / "c.bag", other))
     assert "15 bytes in the bag, 10 in the store" in found[1][0]
@@ -218,6 +223,7 @@ def test_one_difference_does_not_spread():
     assert align(["a"] * 100, ["a"] * 99)[:2] == (99, 1)
     swapped = [*NUMBERS[:3], "4", "3", *NUMBERS[5:]]
     assert align(NUMBERS, swapped)[1] == 2
+    assert align("012345", "023145")[:2] == (5, 2)  # the shorter way: one lost, one more
 
 
 @given(st.lists(st.sampled_from("abc"), max_size=80), st.lists(st.sampled_from("abc"), max_size=80))

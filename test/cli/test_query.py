@@ -259,9 +259,9 @@ def test_parquet_keeps_types(call, rosCas, tmp_path):
 
 def test_parquet_of_nothing_and_of_a_late_value(call, rosCas, tmp_path, monkeypatch):
     """Types come from the statement: neither no row nor a first group of nulls changes them."""
-    from cassandra_ros.cli import parquet as module
+    from cassandra_ros.cli import results
 
-    monkeypatch.setattr(module, "GROUP_ROWS", 2)
+    monkeypatch.setattr(results, "GROUP_ROWS", 2)
     topic = rosCas.addTopic("/late")
     for n in range(5):
         topic.addData(UInt8MultiArray(data=bytes([7] * (n // 4))), key=n)

@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # The driver's own warnings speak of things that its caller chose.
     logging.getLogger("cassandra").setLevel(logging.ERROR)
     try:
-        return VERBS[options.verb].run(options)
+        return int(VERBS[options.verb].run(options))
     except CassandraRosError as exc:
         # One line; a question that is none with a caret under the spot.
         text = str(exc) if isinstance(exc, InvalidQuery) else " ".join(str(exc).split())

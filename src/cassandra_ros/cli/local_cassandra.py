@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import Mapping, Sequence
+from typing import Sequence
 
 from cassandra_ros.cli.local_verbs import clear, install, run, start, status, stop
-from cassandra_ros.cli.options import Verb, strip_remappings, verbs_parser
+from cassandra_ros.cli.options import strip_remappings, verbs_parser
 
-VERBS: Mapping[str, Verb] = {
+VERBS = {
     "install": install,
     "start": start,
     "stop": stop,
@@ -30,4 +30,4 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the verb that the arguments name; return the exit status."""
     arguments = sys.argv[1:] if argv is None else argv
     options = make_parser().parse_args(strip_remappings(arguments))
-    return VERBS[options.verb].run(options)
+    return int(VERBS[options.verb].run(options))

@@ -8,7 +8,8 @@ import argparse
 import inspect
 import re
 from decimal import Decimal
-from typing import TYPE_CHECKING, Mapping, Protocol, Sequence
+from types import ModuleType
+from typing import TYPE_CHECKING, Mapping, Sequence
 
 from cassandra_ros.errors import InvalidKey, InvalidOption
 from cassandra_ros.store.address import (
@@ -21,17 +22,6 @@ from cassandra_ros.store.address import (
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.ros_cassandra import RosCassandra
-
-
-class Verb(Protocol):
-    """A module of a verb; its docstring is the help text."""
-
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Add the verb's arguments."""
-
-    def run(self, options: argparse.Namespace) -> int:
-        """Do it; return the exit status."""
-
 
 _REMAPPING = re.compile(r"[A-Za-z0-9_~/]*:=")
 
@@ -46,7 +36,7 @@ def program_parser(program: str, text: str | None) -> argparse.ArgumentParser:
 
 
 def verbs_parser(
-    program: str, text: str | None, verbs: Mapping[str, Verb]
+    program: str, text: str | None, verbs: Mapping[str, ModuleType]
 ) -> argparse.ArgumentParser:
     """Return the parser of a program with verbs."""
     parser = argparse.ArgumentParser(prog=program, description=text)

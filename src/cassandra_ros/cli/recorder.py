@@ -187,31 +187,20 @@ def main(argv: Sequence[str] | None = None) -> int:
 def closing_table(reports: Sequence[TopicReport]) -> str:
     """Write what became of the messages of each topic."""
     names = ("topic", "type", "received", "stored", "lost", "gaps before us", "bytes", "rate")
-    rows = [
+    rows: list[Sequence[str]] = [
         (
             shown(r.topic),
             shown(", ".join(r.types)),
-            str(r.received),
-            str(r.stored),
-            str(r.lost),
+            *map(str, (r.received, r.stored, r.lost)),
             "-" if r.gaps is None else str(r.gaps),
             format_bytes(r.bytes),
             f"{r.rate_hz:.1f} Hz",
         )
         for r in reports
     ]
-    rows.append(
-        (
-            "total",
-            "",
-            str(sum(r.received for r in reports)),
-            str(sum(r.stored for r in reports)),
-            str(sum(r.lost for r in reports)),
-            str(sum(r.gaps or 0 for r in reports)),
-            format_bytes(sum(r.bytes for r in reports)),
-            "",
-        )
-    )
+    counts = [(r.received, r.stored, r.lost, r.gaps or 0) for r in reports]
+    totals = [str(sum(column)) for column in zip((0, 0, 0, 0), *counts)]
+    rows.append(("total", "", *totals, format_bytes(sum(r.bytes for r in reports)), ""))
     lines = [format_table(names, rows, right=names[2:])]
     for report in reports:
         for reason, count in report.reasons.items():

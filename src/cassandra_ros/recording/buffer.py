@@ -52,6 +52,8 @@ class Source:
         handle: Where the messages go; None until the table stands.
         error: Why they cannot be stored, or ''.
         waiting: Messages that came before the table stood.
+        submitted: Whether its table is being made.
+        conflicts: How often another one's schema change came between.
     """
 
     def __init__(self, connection: Connection) -> None:
@@ -61,6 +63,7 @@ class Source:
         self.error = ""
         self.waiting: deque[Item] = deque()
         self.submitted = False
+        self.conflicts = 0
         self.has_header = startsWithHeader(connection.definition_text)
         self._since = 0.0
         self._seen = 0

@@ -8,6 +8,7 @@ import logging
 import struct
 import threading
 import time
+from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import Mapping, Optional
 
@@ -60,52 +61,54 @@ class _Topic:
 
     def sequence(self, callerid: str) -> _Sequence:
         """Return what is known of a publisher; of too many the oldest is forgotten."""
-        while callerid not in self.sequences and len(self.sequences) >= MAX_SEQUENCES:
-            oldest = self.sequences.pop(next(iter(self.sequences)))
-            self.past_gaps += oldest.gaps if oldest.reliable else 0
-        return self.sequences.setdefault(callerid, _Sequence())
+        found = self.sequences.get(callerid)
+        if found is None:
+            while len(self.sequences) >= MAX_SEQUENCES:
+                self.past_gaps += self.sequences.pop(next(iter(self.sequences))).gaps
+            found = self.sequences[callerid] = _Sequence()
+        return found
 
 
+@dataclass
 class _Sequence:
     """``header.seq`` of one publisher: what is missing between two messages was lost before us."""
 
-    def __init__(self) -> None:
-        self._last: Optional[int] = None
-        self._feed: Optional[Feed] = None
-        self.reliable = True
-        """Whether the numbers are those of one counter."""
-        self.gaps = 0
+    last: int = 0
+    feed: Optional[Feed] = None
+    reliable: bool = True
+    """Whether the numbers are those of one counter."""
+    gaps: int = 0
 
     def see(self, number: int, feed: Feed) -> None:
         """Take the number of the next message."""
-        if self._last is not None and self.reliable:
-            step = (number - self._last) & 0xFFFFFFFF
+        if self.feed is not None and self.reliable:
+            step = (number - self.last) & 0xFFFFFFFF
             if 0 < step < _JUMP:
                 self.gaps += step - 1
-            elif feed is self._feed:
+            elif feed is self.feed:
                 # No number, or several counters behind one publisher (a played bag, a relay).
                 self.reliable = False
                 self.gaps = 0
-        self._last, self._feed = number, feed
+        self.last, self.feed = number, feed
 
 
 class Counts:
     """Counts by topic. Thread-safe."""
 
     def __init__(self) -> None:
-        self._topics: dict[str, _Topic] = {}
+        self._topics: defaultdict[str, _Topic] = defaultdict(_Topic)
         self._mutex = threading.Lock()
 
     def expect(self, topic: str) -> None:
         """List a topic from which nothing may come."""
         with self._mutex:
-            self._topic(topic)
+            self._topics[topic]  # makes its line
 
     def received(self, topic: str, wire: bytes) -> None:
         """Count a message that arrived."""
         now = time.monotonic()
         with self._mutex:
-            counted = self._topic(topic)
+            counted = self._topics[topic]
             if not counted.received:
                 counted.first = now
             counted.last = now
@@ -116,7 +119,7 @@ class Counts:
         """Note the connection over which a message arrived, and its sequence number."""
         connection = feed.source.connection
         with self._mutex:
-            counted = self._topic(topic)
+            counted = self._topics[topic]
             counted.types.add(connection.type)
             if feed.source.has_header and len(wire) >= 4:
                 counted.sequence(connection.callerid).see(_sequence(wire, 0)[0], feed)
@@ -125,7 +128,7 @@ class Counts:
         """Count messages that will not be stored."""
         now = time.monotonic()
         with self._mutex:
-            counted = self._topic(topic)
+            counted = self._topics[topic]
             known = reason in counted.lost or len(counted.lost) < MAX_REASONS
             reason = reason if known else "other reasons"
             counted.lost[reason] = counted.lost.get(reason, 0) + messages
@@ -150,9 +153,6 @@ class Counts:
         with self._mutex:
             names = sorted(self._topics)
             return [_report(n, self._topics[n], stored.get(n, 0), final) for n in names]
-
-    def _topic(self, topic: str) -> _Topic:
-        return self._topics.setdefault(topic, _Topic())
 
 
 def _report(name: str, counted: _Topic, stored: int, final: bool) -> TopicReport:

@@ -10,12 +10,14 @@ cannot be stored, is counted by topic and reason.
 from __future__ import annotations
 
 import logging
+import math
 import queue
 import threading
 import time
 import weakref
+from collections import deque
 from functools import partial
-from typing import Callable, Mapping, Optional
+from typing import Callable, Iterator, Mapping, Optional
 
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, SchemaConflict, StoreUnavailable
 from cassandra_ros.formats.table import DEFAULT_FORMAT
@@ -301,9 +303,8 @@ class _TableMaker:
         self._connect = connect
         self._done = done
         self._asked: queue.Queue[Optional[Source]] = queue.Queue()
-        self._finished: queue.Queue[Source] = queue.Queue()
-        self._conflicts: dict[Source, int] = {}
-        self._deadline: Optional[float] = None
+        self._finished: deque[Source] = deque()
+        self._deadline = math.inf
         self._thread = threading.Thread(target=self._run, name="recorder-tables", daemon=True)
         self._thread.start()
 
@@ -312,17 +313,14 @@ class _TableMaker:
         source.submitted = True
         self._asked.put(source)
 
-    def finished(self) -> list[Source]:
-        """Return the sources that got a handle or an error since the last call."""
-        found: list[Source] = []
-        while not self._finished.empty():
-            found.append(self._finished.get())
-        return found
+    def finished(self) -> Iterator[Source]:
+        """Yield the sources that got a handle or an error since the last call."""
+        while self._finished:
+            yield self._finished.popleft()
 
     def hurry(self) -> None:
-        """Note that the recorder ends: a store that is gone is not waited for much longer."""
-        if self._deadline is None:
-            self._deadline = time.monotonic() + LAST_TRIES_SEC
+        """Note that the recording ends: a store that is gone is not waited for much longer."""
+        self._deadline = min(self._deadline, time.monotonic() + LAST_TRIES_SEC)
 
     def close(self) -> None:
         """End the thread when it has done what was asked."""
@@ -330,12 +328,9 @@ class _TableMaker:
         self._thread.join()
 
     def _run(self) -> None:
-        while True:
-            source = self._asked.get()
-            if source is None:
-                return
+        for source in iter(self._asked.get, None):
             if self._try(source):
-                self._finished.put(source)
+                self._finished.append(source)
                 self._done()
             else:
                 time.sleep(PAUSE_SEC)
@@ -345,8 +340,11 @@ class _TableMaker:
         """Return whether it is decided what becomes of a source."""
         try:
             source.handle = self._connect(source)
+            return True
         except (StoreUnavailable, SchemaConflict) as exc:
-            if self._again(source, exc):
+            source.conflicts += isinstance(exc, SchemaConflict)
+            if source.conflicts < MAX_CONFLICTS and time.monotonic() <= self._deadline:
+                _log.warning("topic %s waits for its table: %s", source.topic, exc)
                 return False
             source.error = str(exc)
         except CassandraRosError as exc:
@@ -354,16 +352,5 @@ class _TableMaker:
         except Exception as exc:  # noqa: BLE001 - our mistake: counted, the other topics go on
             _log.exception("the table of topic %s could not be made", source.topic)
             source.error = _mistake(exc)
-        if source.error:
-            _log.error("topic %s cannot be recorded: %s", source.topic, source.error)
-        return True
-
-    def _again(self, source: Source, exc: CassandraRosError) -> bool:
-        if isinstance(exc, SchemaConflict):
-            self._conflicts[source] = self._conflicts.get(source, 0) + 1
-            if self._conflicts[source] >= MAX_CONFLICTS:
-                return False
-        if self._deadline is not None and time.monotonic() > self._deadline:
-            return False
-        _log.warning("topic %s waits for its table: %s", source.topic, exc)
+        _log.error("topic %s cannot be recorded: %s", source.topic, source.error)
         return True

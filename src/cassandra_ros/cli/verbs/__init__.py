@@ -4,12 +4,9 @@
 
 from __future__ import annotations
 
-from typing import Mapping
-
-from cassandra_ros.cli.options import Verb
 from cassandra_ros.cli.verbs import export, import_, index, info, list_, query, verify
 
-VERBS: Mapping[str, Verb] = {
+VERBS = {
     "list": list_,
     "info": info,
     "import": import_,
