@@ -198,10 +198,8 @@ class Cassandra:
         statement = self._prepared.get(cql)
         if statement is None:
             with self._prepare_lock:
-                statement = self._prepared.get(cql)
-                if statement is None:
-                    statement = self._prepareNew(cql)
-                    self._prepared[cql] = statement
+                statement = self._prepared.get(cql) or self._prepareNew(cql)
+                self._prepared[cql] = statement
         return statement
 
     def _prepareNew(self, cql: str) -> PreparedStatement:
@@ -251,6 +249,19 @@ class Cassandra:
             return list(self._session.execute(bound))
 
         return retried(what, run, seconds=retry_sec)
+
+    def system_schema(self, of: str, names: str, keyspace: str, table: str = "") -> list[CqlRow]:
+        """Read what the server's schema says of a keyspace, or of one of its tables.
+
+        Args:
+            of: 'keyspaces', 'tables', 'columns' or 'indexes'.
+            names: The columns that are wanted.
+        """
+        cql = f"SELECT {names} FROM system_schema.{of} WHERE keyspace_name = ?"
+        what = f"reading the {of} of {keyspace}"
+        if table:
+            cql, what = f"{cql} AND table_name = ?", f"{what}.{table}"
+        return self.execute(cql, (keyspace, table) if table else (keyspace,), what=what)
 
     def executeOnEach(
         self, cql: str, params: Sequence[object] = (), *, what: str

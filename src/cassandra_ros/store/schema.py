@@ -11,7 +11,7 @@ from typing import Callable, Collection, Mapping, Sequence, Tuple
 
 from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
 from cassandra_ros.metadata import SHADOW, TopicMetadata, fromComment
-from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.connection import Cassandra, CqlRow
 from cassandra_ros.store.index.table_files import TableFiles
 from cassandra_ros.store.names import chunkTableName, quoteName, quoteText, tableName
 from cassandra_ros.store.side_tables import SchemaLock, SideTables
@@ -91,14 +91,9 @@ class Schema:
             _log.warning("topic %s keeps the indexes it had: %s", known.topic, exc)
             return known
 
-    def _comments(self, table: str = "") -> list[tuple[str, str]]:
+    def _comments(self, table: str = "") -> list[CqlRow]:
         """Read (name, comment) of one table, where it is there, or of all."""
-        cql = "SELECT table_name, comment FROM system_schema.tables WHERE keyspace_name = ?"
-        if table:
-            params, what = [self.keyspace, table], f"looking for table {table}"
-            return self._cassandra.execute(f"{cql} AND table_name = ?", params, what=what)
-        what = f"listing the topics of keyspace {self.keyspace}"
-        return self._cassandra.execute(cql, [self.keyspace], what=what)
+        return self._cassandra.system_schema("tables", "table_name, comment", self.keyspace, table)
 
     def _read(self, table: str = "") -> dict[str, TopicMetadata]:
         found = {}
@@ -226,13 +221,9 @@ class Schema:
 
     def columns(self, table: str) -> dict[str, str]:
         """Read the columns of a table: name → CQL type."""
-        rows = self._cassandra.execute(
-            "SELECT column_name, type FROM system_schema.columns "
-            "WHERE keyspace_name = ? AND table_name = ?",
-            (self.keyspace, table),
-            what=f"reading the columns of {table}",
+        return dict(
+            self._cassandra.system_schema("columns", "column_name, type", self.keyspace, table)
         )
-        return dict(rows)
 
     def ensureChunkTable(self, table: str, metadata: TopicMetadata) -> str:
         """Make the table for a topic's large messages where it is missing; return its name."""

@@ -211,11 +211,7 @@ class SideTables:
         if self._keyspace_made:
             return
         wanted = min(3, self._cassandra.liveNodes())
-        rows = self._cassandra.execute(
-            "SELECT replication FROM system_schema.keyspaces WHERE keyspace_name = ?",
-            (self.keyspace,),
-            what=f"reading the replication of keyspace {self.keyspace}",
-        )
+        rows = self._cassandra.system_schema("keyspaces", "replication", self.keyspace)
         if rows:
             _warn_of_factor(self.keyspace, rows[0][0], wanted)
         else:
@@ -259,11 +255,7 @@ class SideTables:
     def _list(self) -> frozenset[str]:
         # Whoever asks for a table is about to use the keyspace.
         self._cassandra.useKeyspace(self.keyspace)
-        rows = self._cassandra.execute(
-            "SELECT table_name FROM system_schema.tables WHERE keyspace_name = ?",
-            (self.keyspace,),
-            what=f"listing the tables of keyspace {self.keyspace}",
-        )
+        rows = self._cassandra.system_schema("tables", "table_name", self.keyspace)
         return frozenset(name for (name,) in rows)
 
 

@@ -133,10 +133,6 @@ class IndexChanges:
 
     def _names(self, table: str) -> set[str]:
         """Names of the indexes of ours that a table has."""
-        rows = self._cassandra.execute(
-            "SELECT index_name FROM system_schema.indexes "
-            "WHERE keyspace_name = ? AND table_name = ?",
-            (self._schema.keyspace, table),
-            what=f"reading the indexes of table {table}",
-        )
+        keyspace = self._schema.keyspace
+        rows = self._cassandra.system_schema("indexes", "index_name", keyspace, table)
         return {name for (name,) in rows if name.startswith(table + SHADOW)}

@@ -87,12 +87,7 @@ class TableFiles:
         )
 
     def _options(self) -> dict[str, str]:
-        rows = self._cassandra.execute(
-            "SELECT compaction FROM system_schema.tables "
-            "WHERE keyspace_name = ? AND table_name = ?",
-            (self._keyspace, self._table),
-            what=f"reading how table {self._table} is compacted",
-        )
+        rows = self._cassandra.system_schema("tables", "compaction", self._keyspace, self._table)
         if not rows:
             raise TopicNotFound(f"table {self._keyspace}.{self._table} was removed meanwhile")
         return dict(rows[0][0])
