@@ -71,7 +71,7 @@ def test_an_index_that_one_of_two_writers_fills_hides_no_row(rosCas, plan):
     rows = rosCas.parts.directory.find(table.name, "", table.bucketOf(T0))
     assert sorted(len(row.filled) for row in rows) == [0, 1]
     for _ in ("open", "closed"):
-        result = execute(rosCas, "select seq from /h where frame_id = '1'", plan=plan)
+        result = rosCas.statements.select("select seq from /h where frame_id = '1'", plan=plan)
         assert len(list(result)) == 7
         early.close()
         late.close()
