@@ -76,19 +76,18 @@ def _head(fixed: Sequence[Fixed], first: int, after: int, has_length: bool) -> H
     times = [(i, converts[f.special]) for i, f in enumerate(fixed) if f.special in converts]
     varints = [i for i, f in enumerate(fixed) if f.special == "uint64"]
     blobs = [(first + i, f.cql_size) for i, f in enumerate(fixed) if f.column.kind == "array"]
-    join = b"".join
 
     def head(columns: Columns, count: int) -> bytes:
         for i, size in blobs:
             if len(columns[i]) != size:
                 raise struct.error("a blob has another size than its array")
-        return pack(*unpack(join(columns[first:after])))
+        return pack(*unpack(b"".join(columns[first:after])))
 
     def head_with_length(columns: Columns, count: int) -> bytes:
         for i, size in blobs:
             if len(columns[i]) != size:
                 raise struct.error("a blob has another size than its array")
-        return pack(*unpack(join(columns[first:after])), count)
+        return pack(*unpack(b"".join(columns[first:after])), count)
 
     def special_head(columns: Columns, count: int) -> bytes:
         for i, size in blobs:
@@ -99,16 +98,15 @@ def _head(fixed: Sequence[Fixed], first: int, after: int, has_length: bool) -> H
             own = list(own)
             for i in varints:
                 own[i] = int.from_bytes(own[i], "big", signed=True).to_bytes(8, "big")
-        values = list(unpack(join(own)))
+        values = list(unpack(b"".join(own)))
         for i, convert in times:
             values[i] = convert(values[i])
         if has_length:
             values.append(count)
         return pack(*values)
 
-    if times or varints:
-        return special_head
-    return head_with_length if has_length else head
+    plain = head_with_length if has_length else head
+    return special_head if times or varints else plain
 
 
 def _build_tail(tail: Tail, index: int) -> BuildTail:
