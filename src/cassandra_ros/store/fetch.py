@@ -44,12 +44,7 @@ class Wanted(NamedTuple):
 
 
 def fetchRows(wanted: Iterable[Wanted], ahead: int = AHEAD) -> Iterator[TableRow]:
-    """Yield the rows in the order asked for; one that was deleted meanwhile is left out.
-
-    Args:
-        wanted: The keys.
-        ahead: How many are on their way at once.
-    """
+    """Yield the rows in the order asked for; one that was deleted meanwhile is left out."""
     asked: Deque[tuple[Wanted, Asked]] = deque()
     for key in wanted:
         order = key.table.storedOrder(key.position.t, key.position.seq)
@@ -66,16 +61,14 @@ def firstAt(
     t: int,
     nodes: Sequence[str] | None,
 ) -> TableRow | None:
-    """Read the first row with exactly this time, in the order (node, seq, table).
+    """Read the first row with exactly this key time, ns, in the order (node, seq, table).
 
     The nodes that are known to write a table are asked first: one round trip. Only where they
     have nothing the directory is asked for others, so no row is missed; of two nodes with the
     very same time one that this process has not met yet comes behind.
 
     Args:
-        directory: Lists the nodes.
         tables: Those of a topic.
-        t: Key time, ns.
         nodes: Only these nodeIDs; None = all.
     """
     known = [(t_, n) for t_ in tables for n in sorted(t_.known_nodes if nodes is None else nodes)]
@@ -93,8 +86,7 @@ def firstAt(
 
 def _best(places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
     keys = [Wanted(table, Position(t, node, 0, table.name)) for table, node in places]
-    low, high = (t, MIN_SEQ), (t, MAX_SEQ)
-    asked = [(key, _ask(key, low, high, page_rows=1)) for key in keys]
+    asked = [(key, _ask(key, (t, MIN_SEQ), (t, MAX_SEQ), page_rows=1)) for key in keys]
     rows = [row for each in asked for row in _answer(*each)]
     return min(rows, key=lambda row: row[:4], default=None)
 
@@ -125,11 +117,7 @@ class NamedKey(NamedTuple):
 
 
 def listNames(table: RowTable, nodes: Sequence[str] | None) -> list[NamedKey]:
-    """List the keys of all rows of a table whose rows are found by name, in no order.
-
-    Args:
-        nodes: Only these nodeIDs; None = all.
-    """
+    """List the keys of all rows of a table whose rows are found by name, in no order."""
 
     def keys(rows: Iterable[RawRow]) -> list[NamedKey]:
         found = (_namedKey(values, table.name) for values in rows)
@@ -179,9 +167,7 @@ def keysByShadow(
     """Yield the keys of the rows whose shadow column has a value, in the order of time.
 
     Args:
-        directory: Lists the buckets, where there are too many rows to be put in order here.
         table: One in the order of time.
-        shadow: Name of the column.
         value: In CQL's encoding.
         nodes: Only these nodeIDs; None = all.
     """

@@ -77,10 +77,8 @@ class Registry:
 
     def _insert(self, table: str, columns: Mapping[str, object], what: str) -> None:
         marks = ", ".join("?" * len(columns))
-        names = f"{self._space}.{table} ({', '.join(columns)})"
-        self._cassandra.execute(
-            f"INSERT INTO {names} VALUES ({marks})", list(columns.values()), what=what
-        )
+        cql = f"INSERT INTO {self._space}.{table} ({', '.join(columns)}) VALUES ({marks})"
+        self._cassandra.execute(cql, list(columns.values()), what=what)
 
     def get_header(self, table: str, conn: int) -> StoredHeader | None:
         """Read a connection header back; None when there is none with this number."""
