@@ -194,6 +194,19 @@ def test_a_chunk_has_the_length_that_it_states(tmp_path, compression, more):
         read_all(path)
 
 
+def test_a_chunk_that_the_index_lists_twice_is_refused(tmp_path):
+    """Its messages would be there twice."""
+    record, path = message_record(), tmp_path / "a.bag"
+    make_bag(path, chunk_header(b"none", len(record)), record)
+    whole = path.read_bytes()
+    with BagReader(path) as reader:
+        info_pos = reader._index.chunks[3]
+    twice = whole.replace(b"chunk_count=" + bagformat.U32.pack(1), b"chunk_count=\2\0\0\0")
+    path.write_bytes(twice + whole[info_pos:])
+    with pytest.raises(BagError, match="is damaged: its index places a chunk at byte"):
+        read_all(path)
+
+
 @pytest.mark.parametrize("t", [4, 5, 7, 8])
 def test_a_message_outside_the_times_of_its_chunk_is_refused(tmp_path, t):
     """Messages are put in order by them: another one would come too late."""

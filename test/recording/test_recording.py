@@ -52,6 +52,14 @@ def test_buffer_drops_the_oldest():
     assert buffer.held_bytes == ITEM_BYTES + 10
 
 
+@pytest.mark.parametrize(("bound", "kept"), [(0, 2), (-1, 1)])
+def test_buffer_is_filled_to_its_bound_and_no_byte_more(bound, kept):
+    buffer = Buffer(2 * (ITEM_BYTES + 10) + bound)
+    for number in range(5):
+        buffer.put(item(number, 10))
+        assert buffer.held_bytes == min(kept, number + 1) * (ITEM_BYTES + 10)
+
+
 def test_buffer_takes_one_message_of_any_size():
     buffer = Buffer(1000)
     buffer.put(item(0, 100))
