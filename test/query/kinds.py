@@ -341,7 +341,7 @@ class Stored:
         types = message.types
         header = {"type": types.name, "md5sum": types.md5sum, "message_definition": types.text}
         connection = liveConnection(self.topic(format), header)
-        return writer.connect(connection, BUCKET, nodeID=message.node)
+        return writer.connect(connection, BUCKET, node=message.node)
 
     @staticmethod
     def _remove(topic, low, high):

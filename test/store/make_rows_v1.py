@@ -155,7 +155,7 @@ def main(host, port):
         for form in FORMATS:
             fill(rosCas, form)
         fill_keys(rosCas)
-        rosCas._opened.adder.close()
+        rosCas._open.adder.close()
         FOLDER.mkdir(exist_ok=True)
         tables = ask(
             rosCas,

@@ -277,7 +277,7 @@ def test_expired_messages_are_not_counted(rosCas):
     topic = rosCas.addTopic("/a", ttl=6)
     for number in range(3):
         topic.addData(String(), key=T0 + number)
-    rosCas._opened.adder.close()
+    rosCas._open.adder.close()
     assert topic.countTopicData() == 3
     deadline = time.monotonic() + 30
     while list(topic.rows()) and time.monotonic() < deadline:

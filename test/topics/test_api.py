@@ -277,7 +277,7 @@ def test_clock_of_simulated_time(monkeypatch):
     import sys
     from types import SimpleNamespace
 
-    from cassandra_ros.topics.adder import nowNs
+    from cassandra_ros.topics.message_writer import now_ns
 
     rospy = SimpleNamespace(
         core=SimpleNamespace(is_initialized=lambda: True),
@@ -285,7 +285,7 @@ def test_clock_of_simulated_time(monkeypatch):
     )
     monkeypatch.setitem(sys.modules, "rospy", rospy)
     with pytest.raises(ClockNotSet, match="/clock"):
-        nowNs(None)
+        now_ns(None)
 
 
 def test_a_dropped_topic_brings_nothing_back(rosCas):

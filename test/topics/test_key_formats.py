@@ -41,7 +41,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import apiConnection
 from cassandra_ros.messages.definition import definitionOf
 from cassandra_ros.messages.stamps import isoTime
-from cassandra_ros.topics.selection import valueOfText
+from cassandra_ros.topics.selection import TopicKeys
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -623,7 +623,7 @@ def test_several_definitions_with_a_key_field(rosCas, cassandra, keyspace):
     assert topic.getData("q").data == "q"
     assert topic.getData(0).data == 0
     for tables in (topic.tables, topic.tables[::-1]):
-        assert valueOfText([table for table in tables if table.valued], "0") == 0
+        assert TopicKeys("p", "msg_part", tables).of_text("0") == 0
     assert topic.keyOfText("0") == 0
     assert topic.keyOfText("q") == "q"
     with pytest.raises(InvalidKey, match="key of these messages"):

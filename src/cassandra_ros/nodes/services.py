@@ -150,7 +150,7 @@ class Services:
             return ExecuteCQLResponse(success=False, message=READ_ONLY)
         if request.cursor:
             raise InvalidKey("a cursor leads to the next page of a SELECT; leave it out here")
-        found = self._rosCas.statements.run(statement, nodeID=node)
+        found = self._rosCas.statements.run(statement, node=node)
         rows = [Row([toJson(value) for value in values]) for values in found]
         return ExecuteCQLResponse(success=True, columns=list(found.columns), rows=rows)
 
@@ -158,7 +158,7 @@ class Services:
         self, select: Select, node: Optional[str], limit: int, cursor: str
     ) -> ExecuteCQLResponse:
         with self._rosCas.statements.select(
-            select, nodeID=node, limit=limit + 1, after=cursor
+            select, node=node, limit=limit + 1, after=cursor
         ) as result:
             response = ExecuteCQLResponse(success=True, columns=[clean(c) for c in result.columns])
             size = 0

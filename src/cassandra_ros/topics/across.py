@@ -5,14 +5,14 @@
 from __future__ import annotations
 
 import heapq
+from operator import attrgetter
 from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.keys import Position
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.finding import Filter, Where
-from cassandra_ros.topics.reading import Rows
+from cassandra_ros.topics.reading import RowReader
 from cassandra_ros.topics.selection import LAST_NS, Stretch
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -30,7 +30,7 @@ class AcrossTopics:
         catalog: Finds its topics.
     """
 
-    def __init__(self, rows: Rows, catalog: Catalog) -> None:
+    def __init__(self, rows: RowReader, catalog: Catalog) -> None:
         self._rows = rows
         self._topics = catalog
 
@@ -38,13 +38,13 @@ class AcrossTopics:
         self,
         topics: Optional[Sequence[str]],
         stretch: Stretch,
-        nodeID: Optional[str],
+        node: Optional[str],
         received: bool,
         where: Conditions,
     ) -> Iterator[StoredRow]:
         """Walk lazily through the rows of some topics, None = of all, merged by time."""
-        filters = self._filters(where, topics, nodeID)
-        return self._merged(self.tables(topics), filters, stretch, nodeID, received)
+        filters = self._filters(where, topics, node)
+        return self._merged(self.tables(topics), filters, stretch, node, received)
 
     def nearest(
         self,
@@ -52,16 +52,16 @@ class AcrossTopics:
         topic_b: str,
         reach_ns: int,
         stretch: Stretch,
-        nodeID: Optional[str],
+        node: Optional[str],
         where: Conditions,
         unpaired: bool,
     ) -> Iterator[Pair]:
         """Pair each row of one topic with the nearest of another, at most ``reach_ns`` away."""
         first, second = self._topics.get(topic_a), self._topics.get(topic_b)
-        filters = self._filters(where, (topic_a, topic_b), nodeID)
-        rows = self._merged(first.tables, filters, stretch, nodeID)
+        filters = self._filters(where, (topic_a, topic_b), node)
+        rows = self._merged(first.tables, filters, stretch, node)
         low, high = max(0, stretch.low - reach_ns), min(LAST_NS, stretch.high + reach_ns)
-        partners = self._merged(second.tables, filters, Stretch(low, high), nodeID)
+        partners = self._merged(second.tables, filters, Stretch(low, high), node)
         return nearestPairs(rows, partners, reach_ns, unpaired)
 
     def tables(self, topics: Optional[Iterable[str]]) -> List[TopicTable]:
@@ -73,7 +73,7 @@ class AcrossTopics:
         return [table for topic in named.values() for table in topic.tables]
 
     def _filters(
-        self, where: Conditions, topics: Optional[Iterable[str]], nodeID: Optional[str]
+        self, where: Conditions, topics: Optional[Iterable[str]], node: Optional[str]
     ) -> Dict[str, Filter]:
         if where is None:
             return {}
@@ -91,7 +91,7 @@ class AcrossTopics:
                 )
             if topic.name in found:
                 raise InvalidOption(f"there are two conditions for topic {topic.name}; join them")
-            found[topic.name] = Filter(topic, condition, nodeID)
+            found[topic.name] = Filter(topic, condition, node)
         return found
 
     def _merged(
@@ -99,11 +99,11 @@ class AcrossTopics:
         tables: Sequence[TopicTable],
         filters: Mapping[str, Filter],
         stretch: Stretch,
-        nodeID: Optional[str],
+        node: Optional[str],
         received: bool = False,
     ) -> Iterator[StoredRow]:
-        rows, nodes = self._rows, check_nodes(nodeID)
-        read = rows.received if received else rows.read
+        nodes = check_nodes(node)
+        read = self._rows.received if received else self._rows.read
         by_topic: Dict[str, List[TopicTable]] = {name: [] for name in filters}
         free: List[TopicTable] = []
         for table in tables:
@@ -114,19 +114,10 @@ class AcrossTopics:
         for name, own in by_topic.items():
             if received and any(t.metadata.own_time and not t.named for t in own):
                 # Read by a time that its key is not: the store cannot look for both.
-                every = rows.received(own, stretch, nodes=nodes)
-                streams.append(filter(filters[name].test, every))
+                streams.append(filter(filters[name].test, read(own, stretch, nodes=nodes)))
             elif own:
-                streams.append(filters[name].rows(*stretch))
-        return heapq.merge(*streams, key=_arrival if received else _position)
-
-
-def _position(row: StoredRow) -> Position:
-    return row.position
-
-
-def _arrival(row: StoredRow) -> Tuple[int, str, int, str]:
-    return row.arrival
+                streams.append(filters[name].rows(stretch))
+        return heapq.merge(*streams, key=attrgetter("arrival" if received else "position"))
 
 
 def nearestPairs(

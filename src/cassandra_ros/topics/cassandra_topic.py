@@ -29,12 +29,12 @@ from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import toNs
 from cassandra_ros.metadata import MetaView
 from cassandra_ros.query.protocols import Chooser
-from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.finding import Filter, Finder, Where
 from cassandra_ros.topics.indexes import Progress, TopicIndexes
 from cassandra_ros.topics.keyspace import Keyspace, Wish
+from cassandra_ros.topics.message_writer import Adder
 from cassandra_ros.topics.reading import Columns
-from cassandra_ros.topics.selection import AnyKey, Time, key_of_text, stretchOf
+from cassandra_ros.topics.selection import AnyKey, Time, TopicKeys, stretchOf
 from cassandra_ros.topics.stored_row import Key, StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -274,11 +274,11 @@ class CassandraTopic:
     def _finder(self, nodeID: Optional[str], where: Optional[Where] = None) -> Finder:
         tables = self._stored()
         passing = None if where is None else Filter(self, where, nodeID)
-        return Finder(self._keyspace, self.name, self._key_format(), tables, nodeID, passing)
+        return Finder(self._keyspace, self.name, self._keys(tables), tables, nodeID, passing)
 
-    def _key_format(self) -> str:
-        tables = self.tables
-        return tables[0].metadata.key_format if tables else self._wish.key_format or "time"
+    def _keys(self, tables: list[TopicTable]) -> TopicKeys:
+        stored = tables[0].metadata.key_format if tables else self._wish.key_format
+        return TopicKeys(self.name, stored or "time", tables)
 
     def versions(
         self, name: str, *, nodeID: Optional[str] = None, reverse: bool = False
@@ -349,7 +349,7 @@ class CassandraTopic:
             InvalidKey: The text is no key of the topic.
         """
         check_text("text", text, error=InvalidKey)
-        return key_of_text(self._key_format(), self._stored(), text)
+        return self._keys(self._stored()).of_text(text)
 
     def countTopicData(
         self,

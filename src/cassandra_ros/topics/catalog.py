@@ -24,10 +24,10 @@ from cassandra_ros.messages.classes import installedDefinition
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.graph import topicType
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.indexes import checkUnnamed
 from cassandra_ros.topics.keyspace import Keyspace, Wish
+from cassandra_ros.topics.message_writer import Adder
 from cassandra_ros.topics.topic_table import TopicTable
 
 _log = logging.getLogger(__name__)

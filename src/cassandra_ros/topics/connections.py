@@ -24,7 +24,7 @@ def connectionId(connection: Connection) -> int:
     return int.from_bytes(digest[:8], "big", signed=True)
 
 
-class Connections:
+class ConnectionCache:
     """Reads connection headers once each and keeps them. Thread-safe."""
 
     def __init__(self, registry: Registry) -> None:

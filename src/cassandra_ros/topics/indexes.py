@@ -19,9 +19,9 @@ from cassandra_ros.messages.index_field import IndexField, nearestFields
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.directory import STALE_SEC, BucketRow, BucketTotals, Directory
 from cassandra_ros.store.index.backfill import Backfill, Update, Written
-from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.reading import Rows
+from cassandra_ros.topics.message_writer import Adder
+from cassandra_ros.topics.stored_row import readWire
 from cassandra_ros.topics.topic_table import TopicTable, definitionIn
 
 
@@ -50,7 +50,7 @@ class TopicIndexes:
         checkIndexable(self.name, self._tables, field)
         space.indexes.add(self.name, field, lambda metadata: _typeOf(metadata, field))
         self._adder.close()  # what it holds open could not be filled
-        filling = IndexFilling(space.directory, space.rows, field, progress)
+        filling = IndexFilling(space.directory, field, progress)
         return filling.fill(self._tables)
 
     def has(self, field: str) -> bool:
@@ -63,7 +63,9 @@ class TopicIndexes:
         space = self._keyspace
         space.schema.tables(fresh=True)
         tables = self._tables
-        if any(table.valued and table.keyPart().field == field for table in tables):
+        if any(
+            table.value_part is not None and table.value_part.field == field for table in tables
+        ):
             raise InvalidOption(
                 f"the index on {field} cannot be removed: it is the key_part of topic {self.name}, "
                 "and getData finds messages by it"
@@ -85,7 +87,7 @@ def checkIndexable(topic: str, tables: list[TopicTable], field: str) -> None:
         )
     for table in tables:
         checkUnnamed(topic, table.metadata.key_format)
-        if table.valued and table.keyPart().digest and table.keyPart().field == field:
+        if table.digest is not None and table.digest.field == field:
             raise InvalidOption(
                 f"field {field} is the key_part of topic {topic} and has an index for whole "
                 "arrays; one for their elements cannot be made besides"
@@ -141,7 +143,6 @@ class IndexFilling:
 
     Args:
         directory: Tells which buckets lack the index.
-        rows: Reads messages.
         field: The indexed field.
         progress: Called now and then.
     """
@@ -149,12 +150,10 @@ class IndexFilling:
     def __init__(
         self,
         directory: Directory,
-        rows: Rows,
         field: str,
         progress: Optional[Progress],
     ) -> None:
         self._directory = directory
-        self._rows = rows
         self._field = field
         self._progress = progress or (lambda done, total: None)
         self._done = self._total = 0
@@ -219,7 +218,7 @@ class IndexFilling:
             if counted is None:
                 continue
             try:
-                value, odd = index.value(self._rows.wire(table, row))
+                value, odd = index.value(readWire(table, row))
             except CorruptMessage as exc:
                 topic = table.metadata.topic
                 _log.warning("a message of topic %s cannot be indexed: %s", topic, exc)

@@ -22,8 +22,8 @@ from cassandra_ros.store.index.changes import IndexChanges
 from cassandra_ros.store.registry import Registry
 from cassandra_ros.store.schema import Planned, Schema
 from cassandra_ros.store.side_tables import SideTables
-from cassandra_ros.topics.connections import Connections
-from cassandra_ros.topics.reading import Rows
+from cassandra_ros.topics.connections import ConnectionCache
+from cassandra_ros.topics.reading import RowReader
 from cassandra_ros.topics.removal import Removal
 from cassandra_ros.topics.topic_table import TopicTable, TopicTables
 from cassandra_ros.topics.totals import TopicTotals
@@ -60,9 +60,9 @@ class Keyspace:
         self.indexes = IndexChanges(cassandra, self.schema)
         self.directory = Directory(cassandra, self.side_tables)
         self.registry = Registry(cassandra, self.side_tables)
-        self.connections = Connections(self.registry)
+        self.connections = ConnectionCache(self.registry)
         self.tables = TopicTables(cassandra, self.schema)
-        self.rows = Rows(cassandra, self.directory, self.connections)
+        self.rows = RowReader(cassandra, self.directory, self.connections)
         self.totals = TopicTotals(self.directory)
         self.removal = Removal(cassandra, self.directory)
 

@@ -1,39 +1,50 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Serialised messages into the store: what recorder, importer and addData write with."""
+"""Messages into the store: a writer of serialised ones, and addData's of single objects."""
 
 from __future__ import annotations
 
+import itertools
 import logging
+import sys
 import threading
+import time
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Mapping, Optional
+from types import ModuleType
+from typing import Callable, Mapping, Optional
 
 from cassandra_ros.arguments import check_new_topic, check_node
 from cassandra_ros.errors import (
     CassandraRosError,
+    ClockNotSet,
     CorruptMessage,
     DefinitionError,
     InvalidKey,
     TopicNotFound,
+    WriteFailed,
 )
 from cassandra_ros.formats.table import DEFAULT_FORMAT, formatClass
-from cassandra_ros.keys import COUNTER_BITS, MAX_NS, joinSeq
-from cassandra_ros.messages.classes import installedDefinition
-from cassandra_ros.messages.connection import Connection
-from cassandra_ros.messages.definition import Definition, parseDefinition
+from cassandra_ros.keys import COUNTER_BITS, MAX_NS, Position, RowName, joinSeq, newWriterId
+from cassandra_ros.messages.classes import installedDefinition, serialize
+from cassandra_ros.messages.connection import Connection, apiConnection
+from cassandra_ros.messages.definition import Definition, definitionOf, parseDefinition
+from cassandra_ros.messages.stamps import Stamp, toNs
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.row_table import NewRow
 from cassandra_ros.store.writer import LossCallback, RowWriter, WriteStats
 from cassandra_ros.topics.keyspace import Keyspace, defaultBucket
+from cassandra_ros.topics.selection import Time
+from cassandra_ros.topics.stored_row import Key
 from cassandra_ros.topics.topic_table import TopicTable
 
 _log = logging.getLogger(__name__)
 
 MAX_HANDLES = 1024
 """Connections whose handles are kept: anonymous publishers come without end."""
+
+Clock = Callable[[], Time]
 
 
 @dataclass(frozen=True)
@@ -66,11 +77,10 @@ class MessageWriter:
     Args:
         keyspace: The connected keyspace.
         writer_id: 31 bits, never 0.
-        linger_sec, give_up_after_sec, on_loss: As in RowWriter.
-        format: Name of the format for topics that are not stored yet.
-        nodeID: The entity that produces the messages; '' = nobody says.
+        node: The entity that produces the messages; '' = nobody says.
         ttl: Seconds until a row expires; 0 = never; None = as the topic was made.
         run: The recording or import that this is; stored at once and with counts at close.
+        linger_sec, give_up_after_sec, format, on_loss: See RosCassandra.messageWriter.
     """
 
     def __init__(
@@ -81,7 +91,7 @@ class MessageWriter:
         linger_sec: float = 0.2,
         give_up_after_sec: float = 60.0,
         format: str = DEFAULT_FORMAT,
-        nodeID: str = "",
+        node: str = "",
         ttl: Optional[int] = 0,
         run: Optional[Run] = None,
         on_loss: Optional[LossCallback] = None,
@@ -91,7 +101,7 @@ class MessageWriter:
         self.writer_id = writer_id
         self._keyspace = keyspace
         self._format = format
-        self._node = nodeID
+        self._node = node
         self._ttl = ttl
         self._on_loss = on_loss
         self._handles: dict[tuple[Connection, str, str], Handle] = {}
@@ -121,7 +131,7 @@ class MessageWriter:
         bucket_ns: Optional[int] = None,
         *,
         format: Optional[str] = None,
-        nodeID: Optional[str] = None,
+        node: Optional[str] = None,
         like: Optional[TopicMetadata] = None,
     ) -> Handle:
         """Make ready for the messages of a connection: its table, definition and header.
@@ -133,13 +143,13 @@ class MessageWriter:
             connection: Topic and header.
             bucket_ns: Length of the time buckets where the table is made here, ns; None =
                 1 min for types with arrays, else 10 min.
-            format, nodeID: Other ones than the writer's.
+            format, node: Other ones than the writer's.
             like: Where the table is made here, what the topic's former one said.
 
         Raises:
             SchemaConflict, StoreUnavailable: The table cannot be made.
         """
-        node = self._node if nodeID is None else check_node(nodeID)
+        node = self._node if node is None else check_node(node)
         key = (connection, format or self._format, node)
         with self._mutex:
             known = self._handles.get(key)
@@ -194,13 +204,13 @@ class MessageWriter:
                     found = None
             if found is None:
                 self._keyspace.schema.tables(fresh=True)
-                bucket_ns = handle.table.metadata.bucket_ns
+                former = handle.table.metadata
                 found = self.connect(
                     handle.connection,
-                    bucket_ns,
+                    former.bucket_ns,
                     format=handle.asked,
-                    nodeID=handle.node,
-                    like=handle.table.metadata,
+                    node=handle.node,
+                    like=former,
                 )
             handle = found
         return handle
@@ -336,3 +346,95 @@ def _definition(connection: Connection) -> Definition:
             if installed.md5sum == md5sum:
                 return installed
     return parseDefinition(connection.type, text, md5sum)
+
+
+class Adder:
+    """Stores single messages under one writer id. Thread-safe.
+
+    Args:
+        keyspace: Where to.
+        clock: Tells the time for messages without a key; None = rospy's or the wall's.
+    """
+
+    def __init__(self, keyspace: Keyspace, clock: Optional[Clock]) -> None:
+        self._keyspace = keyspace
+        self._clock = clock
+        self._counter = itertools.count()
+        self._writer: Optional[MessageWriter] = None
+        self._mutex = threading.Lock()
+
+    def now(self) -> int:
+        """Tell the time, ns; see now_ns."""
+        return now_ns(self._clock)
+
+    def add(self, table: TopicTable, msg: object, t: int, node: str, name: str = "") -> Key:
+        """Store a message of the table's type; return its key when it is acknowledged."""
+        wire = serialize(msg)
+        connection = apiConnection(table.metadata.topic, definitionOf(type(msg)), _caller_id())
+        # One at a time: a failure is raised to whoever flushes, and must be that message's.
+        with self._mutex:
+            writer = self._writer
+            if writer is None:
+                writer = MessageWriter(self._keyspace, newWriterId(), linger_sec=0.0, ttl=None)
+                self._writer, self._counter = writer, itertools.count()
+            handle = writer.connect(connection, format=table.metadata.format, node=node)
+            counter = next(self._counter)
+            seq = joinSeq(writer.writer_id, counter)
+            row = writer.write(handle, t, counter, wire, name)
+            try:
+                writer.flush()
+            except WriteFailed:
+                if writer.current(handle) is handle:
+                    raise
+                # Another client removed the topic while this was on its way.
+                row = writer.write(handle, t, counter, wire, name)
+                writer.flush()
+            stored = writer.current(handle).table
+        if row is None:
+            raise AssertionError("a writer without on_loss raises what it refuses")
+        if stored.named:
+            return RowName.of(Position(t, node, seq, stored.name, row.name))
+        return Stamp.fromNs(row.t, node=node, seq=row.seq, table=stored.name)
+
+    def close(self) -> None:
+        """Close the writer; the next add opens another."""
+        with self._mutex:
+            writer, self._writer = self._writer, None
+            if writer is not None:
+                writer.close()
+
+
+def _rospy() -> Optional[ModuleType]:
+    """Return rospy where a node runs in this process."""
+    # Not imported: a program without a node must not need rospy.
+    rospy = sys.modules.get("rospy")
+    return rospy if rospy is not None and rospy.core.is_initialized() else None
+
+
+def _caller_id() -> str:
+    rospy = _rospy()
+    return "" if rospy is None else str(rospy.get_name())
+
+
+def now_ns(clock: Optional[Clock]) -> int:
+    """Tell the time: the given clock's, else rospy's where a node runs here, else wall time.
+
+    Args:
+        clock: Returns a time of any kind that toNs takes, or None.
+
+    Returns:
+        Nanoseconds since 1970.
+
+    Raises:
+        ClockNotSet: The node uses simulated time and no /clock message has come.
+    """
+    if clock is not None:
+        return toNs(clock())
+    rospy = _rospy()
+    now = time.time_ns() if rospy is None else int(rospy.rostime.get_rostime().to_nsec())
+    if not now:
+        raise ClockNotSet(
+            "simulated time is in use (/use_sim_time) and no /clock message has come yet: start "
+            "the simulator or player, or give a key"
+        )
+    return now

@@ -6,14 +6,16 @@ from __future__ import annotations
 
 import heapq
 from itertools import islice
-from typing import Callable, Iterable, Iterator, Mapping, Optional, Sequence, Union
+from typing import Callable, Iterable, Iterator, Optional, Sequence, Union, cast
 
-from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
+from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import Position, RowName, isBehind
+from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.query.protocols import Chooser
+from cassandra_ros.query import protocols
+from cassandra_ros.store import reader
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.directory import BucketRow, Directory
+from cassandra_ros.store.directory import Directory
 from cassandra_ros.store.fetch import (
     Wanted,
     fetchRows,
@@ -22,48 +24,22 @@ from cassandra_ros.store.fetch import (
     listNames,
     versions,
 )
-from cassandra_ros.store.large import readChunks
-from cassandra_ros.store.reader import Query, Scan, readRows
+from cassandra_ros.store.reader import Scan, readRows
 from cassandra_ros.store.row_table import RowTable, TableRow
-from cassandra_ros.topics.connections import Connections
+from cassandra_ros.topics.connections import ConnectionCache
 from cassandra_ros.topics.selection import LAST_NS, AnyKey, Named, Selection, Stretch, Valued
-from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.stored_row import StoredRow, fetchRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 Nodes = Optional[Sequence[str]]
 Columns = Callable[[TopicTable], Optional[Sequence[str]]]
 
 
-class _OfTopics:
-    """A chooser that knows topic tables, for the store, which knows only rows.
-
-    Args:
-        chooser: Decides about topic tables.
-        tables: By their names.
-    """
-
-    def __init__(self, chooser: Chooser, tables: Mapping[str, TopicTable]) -> None:
-        self._chooser = chooser
-        self._tables = tables
-
-    def choose(self, table: RowTable, bucket: Sequence[BucketRow]) -> Optional[Sequence[Query]]:
-        """Ask it about the topic table."""
-        return self._chooser.choose(self._tables[table.name], bucket)
-
-    def few(self, table: RowTable) -> bool:
-        """Ask it about the topic table."""
-        return self._chooser.few(self._tables[table.name])
-
-    def learn(self, table: RowTable, bucket: Sequence[BucketRow], found: int) -> None:
-        """Tell it about the topic table."""
-        self._chooser.learn(self._tables[table.name], bucket, found)
-
-
-class Rows:
+class RowReader:
     """Reads the rows of one keyspace."""
 
     def __init__(
-        self, cassandra: Cassandra, directory: Directory, connections: Connections
+        self, cassandra: Cassandra, directory: Directory, connections: ConnectionCache
     ) -> None:
         self._cassandra = cassandra
         self._directory = directory
@@ -87,7 +63,7 @@ class Rows:
             rows = self._versions(tables, wanted.name, nodes, reverse)
         else:
             rows = self._valued(tables, wanted, nodes, reverse)
-        return islice(rows, limit)
+        return islice(self._stored(rows, tables), limit)
 
     def read(
         self,
@@ -99,7 +75,7 @@ class Rows:
         reverse: bool = False,
         limit: Optional[int] = None,
         columns: Optional[Columns] = None,
-        chooser: Optional[Chooser] = None,
+        chooser: Optional[protocols.Chooser] = None,
     ) -> Iterator[StoredRow]:
         """Yield rows with a time in a stretch in the order (t, node, seq, table), lazily.
 
@@ -110,23 +86,29 @@ class Rows:
                 others when its bytes are asked for.
             chooser: What the server may leave out; it may leave out less.
         """
-        by_name = {table.name: table for table in tables}
         scan = Scan(
-            stretch.low,
-            stretch.high,
+            *stretch,
             after,
             nodes,
             reverse,
-            None if columns is None else (lambda table: columns(by_name[table.name])),
-            None if chooser is None else _OfTopics(chooser, by_name),
+            # The store gives back the tables that it is given, which are TopicTables.
+            cast("Optional[Callable[[RowTable], Optional[Sequence[str]]]]", columns),
+            cast("Optional[reader.Chooser]", chooser),
         )
         timed = [table for table in tables if not table.named]
         rows: Iterable[TableRow] = readRows(self._directory, timed, scan)
         if len(timed) < len(tables):
             named = self._named([t for t in tables if t.named], scan)
             rows = heapq.merge(rows, named, key=lambda row: row.position, reverse=reverse)
-        for row in islice(rows, limit):
-            yield self._stored(row, by_name[row.table])
+        yield from self._stored(islice(rows, limit), tables)
+
+    def _stored(
+        self, rows: Iterable[TableRow], tables: Sequence[TopicTable]
+    ) -> Iterator[StoredRow]:
+        by_name = {table.name: table for table in tables}
+        for row in rows:
+            self._cassandra.require_open()  # also an iterator says at once that it cannot go on
+            yield StoredRow(row, by_name[row.table], self._connections)
 
     def _named(self, tables: Sequence[TopicTable], scan: Scan) -> Iterator[TableRow]:
         keys = [
@@ -141,29 +123,26 @@ class Rows:
 
     def _versions(
         self, tables: Sequence[TopicTable], name: str, nodes: Nodes, reverse: bool
-    ) -> Iterator[StoredRow]:
-        by_name = {table.name: table for table in tables if table.named}
+    ) -> Iterator[TableRow]:
         streams = []
-        for table in by_name.values():
-            known = [node for _, node in self._directory.nodes(table.name, 0, 0)]
-            asked = sorted(known if nodes is None else set(known) & set(nodes))
-            streams.append(versions(table, name, asked, reverse=reverse))
-        rows = heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
-        return (self._stored(row, by_name[row.table]) for row in rows)
+        for table in tables:
+            if table.named:
+                known = [node for _, node in self._directory.nodes(table.name, 0, 0)]
+                asked = sorted(known if nodes is None else set(known) & set(nodes))
+                streams.append(versions(table, name, asked, reverse=reverse))
+        return heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
 
     def _valued(
         self, tables: Sequence[TopicTable], wanted: Valued, nodes: Nodes, reverse: bool
-    ) -> Iterator[StoredRow]:
-        keys = [self._keysOf(table, value, nodes) for table, value in encoded(tables, wanted.value)]
+    ) -> Iterator[TableRow]:
+        every = encoded(tables, wanted.value)
+        keys = [self._keysOf(table, part, value, nodes) for table, part, value in every]
         merged: Iterable[Wanted] = heapq.merge(*keys, key=lambda key: key.position)
-        if reverse:
-            merged = reversed(list(merged))
-        by_name = {table.name: table for table in tables}
-        for row in fetchRows(merged):
-            yield self._stored(row, by_name[row.table])
+        yield from fetchRows(reversed(list(merged)) if reverse else merged)
 
-    def _keysOf(self, table: TopicTable, wanted: bytes, nodes: Nodes) -> Iterator[Wanted]:
-        part = table.keyPart()
+    def _keysOf(
+        self, table: TopicTable, part: KeyPart, wanted: bytes, nodes: Nodes
+    ) -> Iterator[Wanted]:
         index = part.index(wanted)
         if index is not None:
             shadow = table.metadata.indexes[part.field]
@@ -181,20 +160,16 @@ class Rows:
 
         Of topics whose key is a time in the message all keys are listed first.
         """
-        by_name = {table.name: table for table in tables}
-        foreign = [t for t in tables if t.metadata.own_time and not t.named]
-        own = self.read([t for t in tables if t not in foreign], stretch, nodes=nodes)
+        foreign = {t.name: t for t in tables if t.metadata.own_time and not t.named}
+        own = self.read([t for t in tables if t.name not in foreign], stretch, nodes=nodes)
         scan = Scan(0, LAST_NS, None, nodes, columns=lambda table: ())
-        found = readRows(self._directory, foreign, scan)
-        keys = [
+        keys = sorted(
             (r.received, r.node, r.seq, r.table, r.position)
-            for r in found
+            for r in readRows(self._directory, list(foreign.values()), scan)
             if stretch.low <= r.received <= stretch.high
-        ]
-        keys.sort()
-        wanted = (Wanted(by_name[position.table], position) for *_, position in keys)
-        rows = fetchRows(wanted)
-        late = (self._stored(row, by_name[row.table]) for row in rows)
+        )
+        wanted = (Wanted(foreign[position.table], position) for *_, position in keys)
+        late = self._stored(fetchRows(wanted), tables)
         return heapq.merge(own, late, key=lambda row: row.arrival)
 
     # ---------------------------------------------------------------- one
@@ -204,68 +179,38 @@ class Rows:
         name = str(key) if isinstance(key, RowName) else ""
         t = key.t if isinstance(key, RowName) else key.ns
         position = Position(t, key.node or "", key.seq or 0, table.name, name)
-        rows = fetchRows([Wanted(table, position)], ahead=1)
-        row = next(rows, None)
-        return None if row is None else self._stored(row, table)
+        return self._single(fetchRow(table, position), [table])
 
     def at(self, tables: Sequence[TopicTable], t: int, nodes: Nodes) -> Optional[StoredRow]:
         """Read the first row with exactly this time."""
         timed = [table for table in tables if not table.named]
-        row = firstAt(self._directory, timed, t, nodes)
-        if row is None:
-            return None
-        return self._stored(row, next(table for table in tables if table.name == row.table))
+        return self._single(firstAt(self._directory, timed, t, nodes), tables)
 
-    def _stored(self, row: TableRow, table: TopicTable) -> StoredRow:
-        self._cassandra.require_open()  # also an iterator says at once that it cannot go on
-        return StoredRow(row, table, self.wire, self._connections.get)
-
-    def wire(self, table: TopicTable, row: TableRow) -> bytes:
-        """Return the serialised message of a row.
-
-        Raises:
-            CorruptMessage: Its chunks are incomplete, or its columns give another message.
-        """
-        if row.nchunks:
-            return readChunks(table, row)
-        if row.raw is None and len(row.columns) < len(table.columns):
-            row = self._whole(table, row)
-        wire = table.format.decodeWire(row.columns, row.raw)
-        if len(wire) != row.size:
-            raise CorruptMessage(
-                f"the message of topic {table.metadata.topic} at {row.t} has {len(wire)} bytes "
-                f"instead of {row.size}: its columns were changed by somebody else"
-            )
-        return wire
-
-    def _whole(self, table: TopicTable, row: TableRow) -> TableRow:
-        """Fetch a row of which only some columns were read."""
-        found = next(fetchRows([Wanted(table, row.position)], ahead=1), None)
-        if found is None:
-            raise MessageNotFound(
-                f"the message of topic {table.metadata.topic} at {row.t} was removed while it was "
-                "read"
-            )
-        return found
+    def _single(self, row: Optional[TableRow], tables: Sequence[TopicTable]) -> Optional[StoredRow]:
+        return next(self._stored([] if row is None else [row], tables), None)
 
 
-def encoded(tables: Sequence[TopicTable], value: AnyKey) -> list[tuple[TopicTable, bytes]]:
+def encoded(tables: Sequence[TopicTable], value: AnyKey) -> list[tuple[TopicTable, KeyPart, bytes]]:
     """Return the tables whose key field can have a value, each with the value for its index.
 
     Raises:
         InvalidKey: In none of them the field is of the value's kind.
     """
-    found: list[tuple[TopicTable, bytes]] = []
-    problems: list[InvalidKey] = []
-    valued = [table for table in tables if table.valued]
-    for table in valued:
-        try:
-            wanted = table.keyPart().encode(value)
-        except InvalidKey as exc:
-            problems.append(exc)
+    found: list[tuple[TopicTable, KeyPart, bytes]] = []
+    problem: Optional[InvalidKey] = None
+    fitting = False
+    for table in tables:
+        part = table.value_part
+        if part is None:
             continue
+        try:
+            wanted = part.encode(value)
+        except InvalidKey as exc:
+            problem = problem or exc
+            continue
+        fitting = True
         if wanted is not None:
-            found.append((table, wanted))
-    if problems and len(problems) == len(valued):
-        raise problems[0]
+            found.append((table, part, wanted))
+    if problem is not None and not fitting:
+        raise problem
     return found

@@ -32,11 +32,10 @@ from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.writer import LossCallback
 from cassandra_ros.topics.across import AcrossTopics, Conditions, Pair
-from cassandra_ros.topics.adder import Adder, Clock
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.keyspace import Keyspace, Wish
-from cassandra_ros.topics.message_writer import MessageWriter
+from cassandra_ros.topics.message_writer import Adder, Clock, MessageWriter
 from cassandra_ros.topics.selection import Time, stretchOf
 from cassandra_ros.topics.statements import Statements
 from cassandra_ros.topics.stored_row import StoredRow
@@ -146,10 +145,6 @@ class RosCassandra:
             raise KeyspaceNotFound("no keyspace is connected: call connectToKeyspace('ros') first")
         return self._opened
 
-    @property
-    def _topics(self) -> Catalog:
-        return self._open.catalog
-
     def close(self) -> None:
         """Store what is on its way and close the connection. Twice is harmless."""
         try:
@@ -217,7 +212,7 @@ class RosCassandra:
             user=check_user_keys({} if metadata is None else metadata),
             index=check_fields("index", index),
         )
-        return self._topics.add(check_new_topic(topic), wish, msg_type)
+        return self._open.catalog.add(check_new_topic(topic), wish, msg_type)
 
     def getTopic(self, topic: str) -> CassandraTopic:
         """Return a topic by its name, with or without the leading slash.
@@ -226,11 +221,11 @@ class RosCassandra:
             TopicNotFound: There is none; the text gives the nearest names.
             InvalidName: It is no text.
         """
-        return self._topics.get(topic)
+        return self._open.catalog.get(topic)
 
     def existTopic(self, topic: str) -> bool:
         """Say whether getTopic would find the topic."""
-        return self._topics.exists(topic)
+        return self._open.catalog.exists(topic)
 
     def getAllTopics(self, pattern: Optional[str] = None) -> list[CassandraTopic]:
         """Return all topics, sorted by name.
@@ -243,7 +238,7 @@ class RosCassandra:
         """
         if pattern is not None:
             check_text("pattern", pattern, error=InvalidName, wanted="a regular expression")
-        return self._topics.all(pattern)
+        return self._open.catalog.all(pattern)
 
     def removeTopic(self, topic: str) -> None:
         """Drop a topic with all its messages.
@@ -251,7 +246,7 @@ class RosCassandra:
         Raises:
             TopicNotFound: There is none.
         """
-        self._topics.remove(topic)
+        self._open.catalog.remove(topic)
 
     def truncateTopic(self, topic: str) -> None:
         """Remove all messages of a topic; the topic and its metadata stay.
@@ -259,7 +254,7 @@ class RosCassandra:
         Raises:
             TopicNotFound: There is none.
         """
-        self._topics.truncate(topic)
+        self._open.catalog.truncate(topic)
 
     def renameTopic(self, topic: str, new_name: str) -> None:
         """Give a topic another name. Its messages stay where they are: this takes no time.
@@ -273,7 +268,7 @@ class RosCassandra:
                 the leading slash.
             InvalidName: The new name is not one.
         """
-        self._topics.rename(topic, check_new_topic(new_name))
+        self._open.catalog.rename(topic, check_new_topic(new_name))
 
     def messageWriter(
         self,
@@ -309,7 +304,7 @@ class RosCassandra:
             self.parts,
             newWriterId() if writer_id is None else check_writer_id(writer_id),
             format=format,
-            nodeID=check_node(nodeID),
+            node=check_node(nodeID),
             ttl=check_ttl(ttl),
             linger_sec=check_seconds("linger_sec", linger_sec),
             give_up_after_sec=check_seconds("give_up_after_sec", give_up_after_sec),
@@ -429,7 +424,7 @@ class RosCassandra:
         Raises:
             InvalidQuery: Shows the statement with a caret under the spot.
         """
-        return self.statements.run(statement, params, nodeID=nodeID, limit=limit)
+        return self.statements.run(statement, params, node=nodeID, limit=limit)
 
     def iterCQL(
         self,
@@ -441,7 +436,7 @@ class RosCassandra:
         after: Optional[Position] = None,
     ) -> QueryResult:
         """Run a SELECT lazily: an iterator of tuples with ``.columns``; as executeCQL."""
-        return self.statements.select(statement, params, nodeID=nodeID, limit=limit, after=after)
+        return self.statements.select(statement, params, node=nodeID, limit=limit, after=after)
 
     def explainCQL(
         self, statement: str, params: Sequence[Any] = (), *, nodeID: Optional[str] = None
@@ -497,4 +492,6 @@ class RosCassandra:
             MissingDependency: tf2_py is not installed.
             InvalidKey, InvalidName.
         """
-        return TransformFinder(self._topics.get, nodeID).lookup(target, source, time, tf, tf_static)
+        return TransformFinder(self._open.catalog.get, nodeID).lookup(
+            target, source, time, tf, tf_static
+        )

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a key stands for: a stretch of time, a name, or the value of a field."""
+"""What keys stand for: a stretch of time, a name, or the value of a field."""
 
 from __future__ import annotations
 
@@ -43,92 +43,86 @@ class Valued(NamedTuple):
 Selection = Union[Stretch, Named, Valued]
 
 
-def valueOfText(tables: Sequence[TopicTable], text: str) -> AnyKey:
-    """Read the value of a key field that a person typed, as the first table that can takes it.
-
-    Fields of text come last, for they take anything.
-
-    Raises:
-        InvalidKey: The text is a value in none of the tables.
-    """
-    problem: Optional[InvalidKey] = None
-    for part in sorted((table.keyPart() for table in tables), key=lambda part: part.is_text):
-        try:
-            return part.fromText(text)
-        except InvalidKey as exc:
-            problem = problem or exc
-    raise problem or InvalidKey(f"{text!r:.80} is no key")
-
-
-def selectMany(
-    topic: str, key_format: str, tables: Sequence[TopicTable], key: AnyKey, to_key: AnyKey
-) -> Selection:
-    """Say what key and to_key mean as the ends of a stretch, or what key alone means.
-
-    Args:
-        topic: Its name, for error texts.
-        key_format: The topic's.
-        tables: Of the topic.
-        key, to_key: As the user gave them; None = open.
-
-    Raises:
-        InvalidKey: The keys of the topic have no order, or a key cannot be one.
-    """
-    if key is None and to_key is None:
-        return Stretch()
-    named = key_format in NAMED_FORMATS
-    if named and to_key is not None:
-        raise InvalidKey(
-            f"messages of topic {topic} are kept under names (key_format {key_format}), and names "
-            "have no order: there is no stretch between two of them; give one key, or none for all"
-        )
-    if named:
-        return Named(check_message_name(topic, key))
-    low_is_value, high_is_value = (_isValue(tables, end) for end in (key, to_key))
-    if to_key is None and low_is_value:
-        return Valued(key)
-    if low_is_value or high_is_value:
-        part = next(table.keyPart() for table in tables if table.valued)
-        raise InvalidKey(
-            f"the key of topic {topic} is its field {part.field}, and its messages lie in the "
-            "order of time: a stretch goes from one genpy.Time to another; ask for a range of "
-            "values with executeCQL"
-        )
-    return stretchOf(key, to_key)
-
-
 def stretchOf(key: Optional[Time], to_key: Optional[Time]) -> Stretch:
     """Return the stretch between two times, both included; None = open."""
     low = 0 if key is None else toNs(key)
     return Stretch(low, LAST_NS if to_key is None else toNs(to_key))
 
 
-def selectOne(topic: str, key_format: str, tables: Sequence[TopicTable], key: AnyKey) -> Selection:
-    """Say what a single key means: one time, one name, or one value.
+class TopicKeys:
+    """Says what the keys of one topic mean.
 
-    Raises:
-        InvalidKey: It cannot be a key of the topic.
+    Args:
+        topic: Its name, for error texts.
+        key_format: The topic's.
+        tables: Of the topic.
     """
-    if key_format in NAMED_FORMATS:
-        return Named(check_message_name(topic, key))
-    if _isValue(tables, key):
-        return Valued(key)
-    t = toNs(key)
-    return Stretch(t, t)
 
+    def __init__(self, topic: str, key_format: str, tables: Sequence[TopicTable]) -> None:
+        self._topic = topic
+        self._format = key_format
+        self._tables = tables
+        self._named = key_format in NAMED_FORMATS
+        self._parts = [t.value_part for t in tables if t.value_part is not None]
 
-def _isValue(tables: Sequence[TopicTable], key: AnyKey) -> bool:
-    return key is not None and not isTime(key) and any(table.valued for table in tables)
+    def several(self, key: AnyKey, to_key: AnyKey) -> Selection:
+        """Say what key and to_key mean as the ends of a stretch, or what key alone means.
 
+        Args:
+            key, to_key: As the user gave them; None = open.
 
-def key_of_text(key_format: str, tables: Sequence[TopicTable], text: str) -> AnyKey:
-    """Read a key that a person typed; see CassandraTopic.keyOfText."""
-    if key_format in NAMED_FORMATS or any(table.named for table in tables):
-        return text
-    valued = [table for table in tables if table.valued]
-    if valued and not isIsoText(text):
-        return valueOfText(valued, text)
-    if valued:
-        return Stamp.fromNs(toNs(text))
-    text = text.strip()
-    return int(text) if text.isascii() and text.isdigit() and len(text) < 40 else text
+        Raises:
+            InvalidKey: The keys of the topic have no order, or a key cannot be one.
+        """
+        if key is None and to_key is None:
+            return Stretch()
+        if self._named and to_key is not None:
+            raise InvalidKey(
+                f"messages of topic {self._topic} are kept under names (key_format "
+                f"{self._format}), and names have no order: there is no stretch between two of "
+                "them; give one key, or none for all"
+            )
+        if to_key is None and (self._named or self._isValue(key)):
+            return self.one(key)
+        if self._isValue(key) or self._isValue(to_key):
+            raise InvalidKey(
+                f"the key of topic {self._topic} is its field {self._parts[0].field}, and its "
+                "messages lie in the order of time: a stretch goes from one genpy.Time to "
+                "another; ask for a range of values with executeCQL"
+            )
+        return stretchOf(key, to_key)
+
+    def one(self, key: AnyKey) -> Selection:
+        """Say what a single key means: one time, one name, or one value.
+
+        Raises:
+            InvalidKey: It cannot be a key of the topic.
+        """
+        if self._named:
+            return Named(check_message_name(self._topic, key))
+        if self._isValue(key):
+            return Valued(key)
+        t = toNs(key)
+        return Stretch(t, t)
+
+    def _isValue(self, key: AnyKey) -> bool:
+        return bool(self._parts) and key is not None and not isTime(key)
+
+    def of_text(self, text: str) -> AnyKey:
+        """Read a key that a person typed; see CassandraTopic.keyOfText."""
+        if self._named or any(table.named for table in self._tables):
+            return text
+        if self._parts:
+            return Stamp.fromNs(toNs(text)) if isIsoText(text) else self._value(text)
+        text = text.strip()
+        return int(text) if text.isascii() and text.isdigit() and len(text) < 40 else text
+
+    def _value(self, text: str) -> AnyKey:
+        """Read a value as the first table that can takes it: texts last, they take anything."""
+        problem: Optional[InvalidKey] = None
+        for part in sorted(self._parts, key=lambda part: part.is_text):
+            try:
+                return part.fromText(text)
+            except InvalidKey as exc:
+                problem = problem or exc
+        raise problem or InvalidKey(f"{text!r:.80} is no key")

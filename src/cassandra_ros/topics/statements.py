@@ -13,7 +13,8 @@ runs are removed or not.
 
 from __future__ import annotations
 
-from typing import Any, Mapping, Optional, Sequence, Union
+from contextlib import contextmanager
+from typing import Any, Iterator, Mapping, Optional, Sequence, Union
 
 from cassandra_ros.arguments import check_limit, check_nodes
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, TopicNotFound
@@ -58,34 +59,23 @@ class Statements:
         self,
         statement: Union[str, Select, Change],
         params: Sequence[Any] = (),
-        nodeID: Optional[str] = None,
+        node: Optional[str] = None,
         limit: Optional[int] = None,
     ) -> Rows:
-        """Run a statement of any kind and return all its rows.
-
-        Args:
-            statement: Its text, or the tree that was made of it with its parameters.
-            params: Values of its ``?`` and ``%s``, in their order.
-            nodeID: SELECT and DELETE only: messages of this node; None = of all.
-            limit: SELECT only: at most so many rows, besides its LIMIT; None = no bound.
-
-        Raises:
-            InvalidQuery: The statement cannot be understood, names something unknown, or cannot
-                be run with these arguments.
-        """
-        check_nodes(nodeID)
+        """Run a statement, or its parsed tree, and return all its rows; see executeCQL."""
+        check_nodes(node)
         if isinstance(statement, (Select, Delete, Truncate, CreateIndex, DropIndex)):
             parsed: Union[Select, Change] = statement
         else:
             parsed = parseStatement(statement, params)
         if isinstance(parsed, Select):
-            result = self.select(parsed, nodeID=nodeID, limit=limit)
+            result = self.select(parsed, node=node, limit=limit)
             return Rows(result, result.columns)
         if limit is not None:
             raise _refused(parsed, "limit= bounds the rows of a SELECT, it does nothing here")
         if isinstance(parsed, Delete):
-            return Rows([(self._delete(parsed, nodeID),)], ["deleted"])
-        if nodeID is not None:
+            return Rows([(self._delete(parsed, node),)], ["deleted"])
+        if node is not None:
             raise _refused(
                 parsed,
                 "this is done for the messages of all nodes, not of one; DELETE with NODE = '…' "
@@ -104,12 +94,12 @@ class Statements:
         statement: Union[str, Select],
         params: Sequence[Any] = (),
         *,
-        nodeID: Optional[str] = None,
+        node: Optional[str] = None,
         limit: Optional[int] = None,
         after: Cursor = None,
         plan: str = "auto",
     ) -> QueryResult:
-        """Run a SELECT statement lazily; see select_rows.
+        """Run a SELECT statement, or its parsed tree, lazily; see select_rows.
 
         Raises:
             InvalidQuery: The statement cannot be understood, or names something unknown.
@@ -117,16 +107,16 @@ class Statements:
             InvalidOption: ``limit`` is negative.
         """
         check_limit(limit)
-        check_nodes(nodeID)
+        check_nodes(node)
         select = statement if isinstance(statement, Select) else parseSelect(statement, params)
         topic = self._topic(select)
-        return select_rows(select, topic, nodeID=nodeID, limit=limit, after=after, plan=plan)
+        return select_rows(select, topic, nodeID=node, limit=limit, after=after, plan=plan)
 
     def explain(
-        self, statement: str, params: Sequence[Any] = (), nodeID: Optional[str] = None
+        self, statement: str, params: Sequence[Any] = (), node: Optional[str] = None
     ) -> Explanation:
         """Run a SELECT statement to its end, keeping no row, and say how it was answered."""
-        result = self.select(statement, params, nodeID=nodeID)
+        result = self.select(statement, params, node=node)
         return explain(result, self._topic(result.select))
 
     def _topic(self, statement: Union[Select, Delete, Truncate]) -> CassandraTopic:
@@ -134,16 +124,14 @@ class Statements:
 
     def _find(self, text: str, topic: str, position: int) -> CassandraTopic:
         """Find the topic that a statement names at a position."""
-        try:
+        with _at(text, position):
             return self._catalog.get(topic)
-        except TopicNotFound as exc:
-            raise InvalidQuery(text, position, str(exc)) from exc
 
-    def _delete(self, statement: Delete, nodeID: Optional[str]) -> int:
+    def _delete(self, statement: Delete, node: Optional[str]) -> int:
         text = statement.text
         topic = self._topic(statement)
         named = any(table.named for table in topic.tables)
-        condition = Condition.ofStatement(text, statement.condition, nodeID)
+        condition = Condition.ofStatement(text, statement.condition, node)
         bounds = condition.bounds(named)
         if not named:
             _refuseSeconds(topic, statement)
@@ -151,8 +139,8 @@ class Statements:
             return self._keyspace.removal.deleteRows(condition.rows(topic))
         if bounds.empty or not topic.tables:
             return 0
-        ends = (Stamp.fromNs(bounds.low), Stamp.fromNs(bounds.high))
-        return topic.removeData(*ends, nodeID=bounds.node)
+        low, high = Stamp.fromNs(bounds.low), Stamp.fromNs(bounds.high)
+        return topic.removeData(low, high, nodeID=bounds.node)
 
     def _create_index(self, statement: CreateIndex) -> None:
         text, on, name = statement.text, statement.on, statement.name
@@ -166,32 +154,23 @@ class Statements:
                 f"topic {topic.name} has an index on {field} already; IF NOT EXISTS accepts that, "
                 "and completes one whose making was interrupted",
             )
-        try:
+        with _at(text, on.field.position):
             checkIndexable(topic.name, topic.tables, field)
-        except (InvalidName, InvalidOption, TopicNotFound) as exc:
-            raise InvalidQuery(text, on.field.position, str(exc)) from exc
         if name is not None:
-            try:
+            with _at(text, name.position):
                 self._names.give(topic.name, field, name.text)
-            except InvalidName as exc:
-                raise InvalidQuery(text, name.position, str(exc)) from exc
         topic.createIndex(field)
 
     def _drop_index(self, statement: DropIndex) -> None:
         index = statement.index
-        found = (
-            self._index_named(statement, index)
-            if isinstance(index, IndexName)
-            else self._index_on(statement, index)
-        )
-        if found is None:
-            return
-        topic, field = found
-        try:
-            topic.removeIndex(field)
-        except (InvalidName, InvalidOption) as exc:  # or somebody was quicker; or the key needs it
-            spot = index.position if isinstance(index, IndexName) else index.field.position
-            raise InvalidQuery(statement.text, spot, str(exc)) from exc
+        if isinstance(index, IndexName):
+            found, spot = self._index_named(statement, index), index.position
+        else:
+            found, spot = self._index_on(statement, index), index.field.position
+        if found is not None:
+            topic, field = found
+            with _at(statement.text, spot):  # somebody was quicker; or the key needs it
+                topic.removeIndex(field)
 
     def _index_named(
         self, statement: DropIndex, name: IndexName
@@ -215,12 +194,9 @@ class Statements:
         self, statement: DropIndex, index: Indexed
     ) -> Optional[tuple[CassandraTopic, str]]:
         self._keyspace.schema.tables(fresh=True)
-        try:
-            topic = self._catalog.get(index.topic)
-        except TopicNotFound as exc:
-            if statement.if_exists:
-                return None
-            raise InvalidQuery(statement.text, index.topic_position, str(exc)) from exc
+        if statement.if_exists and not self._catalog.exists(index.topic):
+            return None
+        topic = self._find(statement.text, index.topic, index.topic_position)
         field, known = index.field.dotted, list(topic.getMeta["indexes"])
         if field in known:
             return topic, field
@@ -232,6 +208,15 @@ class Statements:
             f"topic {topic.name} has no index on {field}{nearest(field, known)}; "
             "its indexes are on " + (", ".join(sorted(known)) or "nothing"),
         )
+
+
+@contextmanager
+def _at(text: str, position: int) -> Iterator[None]:
+    """Show what is wrong with a name that a statement gives under the name."""
+    try:
+        yield
+    except (InvalidName, InvalidOption, TopicNotFound) as exc:
+        raise InvalidQuery(text, position, str(exc)) from exc
 
 
 def _refused(statement: Change, reason: str) -> InvalidQuery:
@@ -252,10 +237,6 @@ def _refuseSeconds(topic: CassandraTopic, statement: Delete) -> None:
             )
 
 
-Named = Mapping[str, TopicMetadata]
-"""Metadata of tables, by table."""
-
-
 class IndexNames:
     """The names of the indexes of a keyspace."""
 
@@ -274,7 +255,7 @@ class IndexNames:
             TopicNotFound: The topic is gone.
         """
 
-        def check(tables: Named) -> None:
+        def check(tables: Mapping[str, TopicMetadata]) -> None:
             for other in _known(tables).get(name, []):
                 if other != (topic, field):
                     raise InvalidName(
@@ -288,13 +269,10 @@ class IndexNames:
         self._schema.changeTopic(topic, change, check)
 
 
-def _known(tables: Named) -> dict[str, list[tuple[str, str]]]:
+def _known(tables: Mapping[str, TopicMetadata]) -> dict[str, list[tuple[str, str]]]:
     found: dict[str, set[tuple[str, str]]] = {}
     for metadata in tables.values():
-        for name, field in _valid(metadata).items():
-            found.setdefault(name, set()).add((metadata.topic, field))
+        for name, field in metadata.index_names.items():
+            if field in metadata.indexes:
+                found.setdefault(name, set()).add((metadata.topic, field))
     return {name: sorted(indexed) for name, indexed in found.items()}
-
-
-def _valid(metadata: TopicMetadata) -> dict[str, str]:
-    return {name: f for name, f in metadata.index_names.items() if f in metadata.indexes}

@@ -5,15 +5,18 @@
 from __future__ import annotations
 
 import logging
-from typing import Any, Callable, Optional, Union
+from typing import Any, Optional, Union
 
-from cassandra_ros.errors import DefinitionError
+from cassandra_ros.errors import CorruptMessage, DefinitionError, MessageNotFound
 from cassandra_ros.keys import Position, RowName
 from cassandra_ros.messages.classes import deserialize, messageClass, rawClass
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.definition import parseDefinition
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.store.fetch import Wanted, fetchRows
+from cassandra_ros.store.large import readChunks
 from cassandra_ros.store.row_table import TableRow
+from cassandra_ros.topics.connections import ConnectionCache
 from cassandra_ros.topics.topic_table import TopicTable
 
 _log = logging.getLogger(__name__)
@@ -34,73 +37,40 @@ class StoredRow:
         seq: Writer id << 32 | counter.
         conn: Number of its connection.
         size: Serialised bytes.
+        chunked: Whether its bytes lie in the chunk table.
+        odd: Whether some field is not held exactly in its column.
+        columns: The format's columns, undecoded: all of them, or those that were asked for.
+        name: The name under which it is kept; '' where it is found by time.
+        received: When the message was received, ns.
         table: The TopicTable in which it lies.
     """
 
-    __slots__ = ("_connection_of", "_row", "_wire", "_wire_of", "table")
+    __slots__ = (
+        "_connections",
+        "_row",
+        "_wire",
+        "chunked",
+        "columns",
+        "conn",
+        "name",
+        "node",
+        "odd",
+        "received",
+        "seq",
+        "size",
+        "t",
+        "table",
+    )
 
-    def __init__(
-        self,
-        row: TableRow,
-        table: TopicTable,
-        wire_of: Callable[[TopicTable, TableRow], bytes],
-        connection_of: Callable[[str, int], Connection],
-    ) -> None:
-        self._row = row
+    def __init__(self, row: TableRow, table: TopicTable, connections: ConnectionCache) -> None:
+        self.t, self.node, self.seq, _, self.conn, self.size, chunks = row[:7]
+        _, self.odd, _, self.columns, self.name, received = row[7:]
+        self.received = self.t if received < 0 else received
+        self.chunked = chunks > 0
         self.table = table
+        self._row = row
         self._wire: Optional[bytes] = None
-        self._wire_of = wire_of
-        self._connection_of = connection_of
-
-    @property
-    def t(self) -> int:
-        """Key time, ns."""
-        return self._row.t
-
-    @property
-    def node(self) -> str:
-        """The nodeID."""
-        return self._row.node
-
-    @property
-    def seq(self) -> int:
-        """Writer id << 32 | counter."""
-        return self._row.seq
-
-    @property
-    def conn(self) -> int:
-        """Number of the connection."""
-        return self._row.conn
-
-    @property
-    def size(self) -> int:
-        """Serialised bytes."""
-        return self._row.size
-
-    @property
-    def chunked(self) -> bool:
-        """Whether its bytes lie in the chunk table."""
-        return self._row.nchunks > 0
-
-    @property
-    def odd(self) -> bool:
-        """Whether some field is not held exactly in its column."""
-        return self._row.odd
-
-    @property
-    def columns(self) -> tuple[Optional[bytes], ...]:
-        """The format's columns, undecoded."""
-        return self._row.columns
-
-    @property
-    def received(self) -> int:
-        """When the message was received, ns."""
-        return self._row.t if self._row.received < 0 else self._row.received
-
-    @property
-    def name(self) -> str:
-        """The name under which it is kept; '' where it is found by time."""
-        return self._row.name
+        self._connections = connections
 
     @property
     def topic(self) -> str:
@@ -115,27 +85,26 @@ class StoredRow:
     @property
     def arrival(self) -> tuple[int, str, int, str]:
         """Its place in the order of reads by the time of reception."""
-        return (self.received, self._row.node, self._row.seq, self._row.table)
+        return (self.received, self.node, self.seq, self.table.name)
 
     @property
     def key(self) -> Key:
         """The row key: exact time or name, and where the row lies."""
-        row = self._row
-        if row.name:
-            return RowName.of(row.position)
-        return Stamp.fromNs(row.t, node=row.node, seq=row.seq, table=row.table)
+        if self.name:
+            return RowName.of(self.position)
+        return Stamp.fromNs(self.t, node=self.node, seq=self.seq, table=self.table.name)
 
     @property
     def wire(self) -> bytes:
         """The serialised message, byte for byte as it was sent."""
         if self._wire is None:
-            self._wire = self._wire_of(self.table, self._row)
+            self._wire = readWire(self.table, self._row)
         return self._wire
 
     @property
     def connection(self) -> Connection:
         """The connection over which it came."""
-        return self._connection_of(self.table.name, self._row.conn)
+        return self._connections.get(self.table.name, self.conn)
 
     @property
     def type(self) -> str:
@@ -149,16 +118,15 @@ class StoredRow:
 
     def messageClass(self) -> Any:
         """Return the class of the message: installed, generated, or RawMessage."""
-        known = self.table.classes.get(self._row.conn)
+        known = self.table.classes.get(self.conn)
         if known is None:
             if len(self.table.classes) >= MAX_CLASSES:
                 self.table.classes.clear()
-            known = self.table.classes[self._row.conn] = self._findClass()
+            known = self.table.classes[self.conn] = self._findClass()
         return known
 
     def _findClass(self) -> Any:
-        table, type_ = self.table, self.type
-        definition = table.definition
+        type_, definition = self.type, self.table.definition
         if definition is None:
             return rawClass(type_, self.md5sum)
         try:
@@ -179,3 +147,34 @@ class StoredRow:
             CorruptMessage: The bytes are not a message of the type.
         """
         return deserialize(self.messageClass(), self.wire)
+
+
+def fetchRow(table: TopicTable, position: Position) -> Optional[TableRow]:
+    """Read one row by its place: one SELECT. None where there is none."""
+    return next(fetchRows([Wanted(table, position)], ahead=1), None)
+
+
+def readWire(table: TopicTable, row: TableRow) -> bytes:
+    """Return the serialised message of a row.
+
+    Raises:
+        CorruptMessage: Its chunks are incomplete, or its columns give another message.
+        MessageNotFound: It was removed since some of its columns were read.
+    """
+    topic = table.metadata.topic
+    if row.nchunks:
+        return readChunks(table, row)
+    if row.raw is None and len(row.columns) < len(table.columns):
+        whole = fetchRow(table, row.position)
+        if whole is None:
+            raise MessageNotFound(
+                f"the message of topic {topic} at {row.t} was removed while it was read"
+            )
+        row = whole
+    wire = table.format.decodeWire(row.columns, row.raw)
+    if len(wire) != row.size:
+        raise CorruptMessage(
+            f"the message of topic {topic} at {row.t} has {len(wire)} bytes instead of "
+            f"{row.size}: its columns were changed by somebody else"
+        )
+    return wire

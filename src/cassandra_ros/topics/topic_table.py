@@ -7,7 +7,8 @@ from __future__ import annotations
 import hashlib
 import logging
 import threading
-from typing import Any, Callable, Mapping, Optional, Sequence
+from functools import partial
+from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import DefinitionError, InvalidName
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
@@ -22,6 +23,9 @@ from cassandra_ros.store.row_table import Indexed, NewRow, RowTable, Shadows, en
 from cassandra_ros.store.schema import Schema
 
 _log = logging.getLogger(__name__)
+
+_Value = Callable[[bytes], Tuple[Optional[bytes], bool]]
+"""From a serialised message to its value in an index, None = unset, and whether it is odd."""
 
 
 class TopicTable(RowTable):
@@ -44,6 +48,9 @@ class TopicTable(RowTable):
         super().__init__(cassandra, keyspace, name, metadata, columns)
         self.key_part = _keyPart(metadata, definition)
         """The field that is the key, where there is one."""
+        timed = self.key_part is None or self.key_part.is_time
+        self.value_part = None if timed else self.key_part
+        """The field by whose value rows are found, where there is one."""
         self.classes: dict[int, Any] = {}
         """Message classes by the number of the connection."""
         self._indexes: tuple[Mapping[str, str], dict[str, IndexField]] = ({}, {})
@@ -61,56 +68,44 @@ class TopicTable(RowTable):
     @property
     def valued(self) -> bool:
         """Whether rows are found by the value of a field that is no time."""
-        return self.key_part is not None and not self.key_part.is_time
+        return self.value_part is not None
 
     @property
     def index_fields(self) -> dict[str, IndexField]:
         """The indexes that conditions can use, by their field, as the comment lists them now."""
+        indexes, definition = self.metadata.indexes, self.definition
         known, fields = self._indexes
-        if known != self.metadata.indexes:
-            indexes = self.metadata.indexes
-            found = {f: self._indexField(f, shadow) for f, shadow in indexes.items()}
-            fields = {f: index for f, index in found.items() if index is not None}
+        if definition is not None and known != indexes:
+            fields = {}
+            for field, shadow in indexes.items():
+                if self.digest is not None and self.digest.field == field:
+                    continue  # holds whole arrays, not their elements
+                try:
+                    fields[field] = IndexField(definition, field, shadow)
+                except InvalidName as exc:
+                    topic = self.metadata.topic
+                    _log.warning("an index of topic %s is not used: %s", topic, exc)
             self._indexes = indexes, fields
         return fields
 
-    def _indexField(self, field: str, shadow: str) -> Optional[IndexField]:
-        if self.definition is None or self._isDigest(field):
-            return None
-        try:
-            return IndexField(self.definition, field, shadow)
-        except InvalidName as exc:
-            _log.warning("an index of topic %s is not used: %s", self.metadata.topic, exc)
-            return None
-
-    def _isDigest(self, field: str) -> bool:
-        part = self.key_part
-        return part is not None and part.field == field and part.digest
+    @property
+    def digest(self) -> Optional[KeyPart]:
+        """The key field whose index holds the md5 of a whole array, where there is one."""
+        part = self.value_part
+        return part if part is not None and part.digest else None
 
     def shadows(self) -> Optional[Shadows]:
         """Return the indexes that a bucket which is opened now is filled with; None = none."""
-        values: dict[str, Callable[[bytes], tuple[Optional[bytes], bool]]] = {
-            index.shadow: index.value for index in self.index_fields.values()
-        }
-        if self.valued and self.keyPart().digest:
-            values[self.metadata.indexes[self.keyPart().field]] = self._digest
+        values: dict[str, _Value] = {i.shadow: i.value for i in self.index_fields.values()}
+        part = self.digest
+        if part is not None:
+            values[self.metadata.indexes[part.field]] = partial(_digest, part)
         if not values:
             return None
         every = tuple(values.values())
         if len(every) == 1:
             return Shadows(tuple(values), lambda wire: _alone(every[0](wire)))
         return Shadows(tuple(values), lambda wire: _together([value(wire) for value in every]))
-
-    def _digest(self, wire: bytes) -> tuple[Optional[bytes], bool]:
-        part = self.keyPart()
-        value = part.value(wire)
-        return (None, True) if value is None else (part.index(value), False)
-
-    def keyPart(self) -> KeyPart:
-        """Return the key field; only where ``valued`` says that there is one."""
-        if self.key_part is None:
-            raise AssertionError(f"table {self.name} has no key field")
-        return self.key_part
 
     def newRow(self, received: int, seq: int, conn: int, wire: bytes, name: str = "") -> NewRow:
         """Make the row of a message: its columns, and its place by the topic's key format.
@@ -132,7 +127,7 @@ class TopicTable(RowTable):
             columns = (*columns, encodeLong(received), encodeLong(seq))
             digest = hashlib.md5(metadata.msg_type.encode("utf-8") + b"\0" + wire).hexdigest()
             return NewRow(0, 0, conn, wire, columns, odd, raw, digest)
-        if self.key_part is None or self.valued:
+        if self.key_part is None or self.value_part is not None:
             return NewRow(received, seq, conn, wire, columns, odd, raw)
         t = self.key_part.time(wire)
         columns = (*columns, encodeLong(received))
@@ -172,6 +167,11 @@ class TopicTables:
         """List the tables of a topic: one for each md5 and format."""
         tables = sorted(self._schema.tables().items())
         return [self.get(name, m) for name, m in tables if m.topic == topic]
+
+
+def _digest(part: KeyPart, wire: bytes) -> tuple[Optional[bytes], bool]:
+    value = part.value(wire)
+    return (None, True) if value is None else (part.index(value), False)
 
 
 def _alone(value: tuple[Optional[bytes], bool]) -> Indexed:

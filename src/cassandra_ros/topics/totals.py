@@ -86,28 +86,22 @@ class TopicTotals:
         found: list[TopicInfo] = []
         for table in tables:
             if table.named:
-                found.extend(self._infoOfNames(table))
-                continue
-            rows = self._directory.buckets(table.name, _FIRST, _LAST, ttl=table.metadata.ttl)
-            settled = settle(self._directory, table, rows)
-            for node in sorted({row.node for row in settled}) or [table.metadata.nodeID]:
-                found.append(_describe(table, node, [r for r in settled if r.node == node]))
+                rows = _namesAsBuckets(table)
+            else:
+                rows = self._directory.buckets(table.name, _FIRST, _LAST, ttl=table.metadata.ttl)
+                rows = settle(self._directory, table, rows)
+            for node in sorted({row.node for row in rows}) or [table.metadata.nodeID]:
+                found.append(_describe(table, node, [r for r in rows if r.node == node]))
         return found
 
-    def _infoOfNames(self, table: TopicTable) -> list[TopicInfo]:
-        by_node: dict[str, list[NamedKey]] = {}
-        for key in listNames(table, None):
-            by_node.setdefault(key.position.node, []).append(key)
-        return [
-            _describe(table, node, [_asBucket(number, key) for number, key in _numbered(keys)])
-            for node, keys in sorted((by_node or {table.metadata.nodeID: []}).items())
-        ]
 
-
-def _numbered(keys: list[NamedKey]) -> list[tuple[int, NamedKey]]:
-    """Number the names as if they were buckets."""
+def _namesAsBuckets(table: TopicTable) -> list[BucketRow]:
+    """Describe each named message as if its name were a bucket."""
     numbers: dict[str, int] = {}
-    return [(numbers.setdefault(k.position.name, len(numbers)), k) for k in keys]
+    return [
+        _asBucket(numbers.setdefault(key.position.name, len(numbers)), key)
+        for key in listNames(table, None)
+    ]
 
 
 def _asBucket(number: int, key: NamedKey) -> BucketRow:

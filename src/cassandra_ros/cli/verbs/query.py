@@ -109,7 +109,7 @@ def _answer(rosCas: RosCassandra, options: argparse.Namespace, params: Sequence[
     statement, node = parseStatement(options.statement, params), options.node_id
     where = (options.output, options.output_file, options.force)
     if isinstance(statement, Select):
-        with rosCas.statements.select(statement, nodeID=node, limit=options.limit) as result:
+        with rosCas.statements.select(statement, node=node, limit=options.limit) as result:
             kinds = [(name, ArrayType("mixed")) for name in result.columns]
             if options.output == "parquet":
                 kinds = columnTypes(statement, rosCas.getTopic(statement.topic).tables)
@@ -117,6 +117,6 @@ def _answer(rosCas: RosCassandra, options: argparse.Namespace, params: Sequence[
         return
     if not options.allow_writes:
         raise InvalidOption("the statement changes what is stored; to run it, add --allow-writes")
-    rows = rosCas.statements.run(statement, nodeID=node, limit=options.limit)
+    rows = rosCas.statements.run(statement, node=node, limit=options.limit)
     if rows.columns:
         write([(name, ArrayType("int64")) for name in rows.columns], rows, *where)
