@@ -23,10 +23,9 @@ from cassandra_ros.errors import CorruptMessage, InvalidQuery
 from cassandra_ros.formats.table import FORMATS, formatClass
 from cassandra_ros.messages.classes import deserialize, installedDefinition, messageClass
 from cassandra_ros.messages.definition import parseDefinition
-from cassandra_ros.query.fields import allFields
+from cassandra_ros.query.names import Findings, allFields
 from cassandra_ros.query.parse import parseSelect
-from cassandra_ros.query.plan import TablePlan
-from cassandra_ros.query.scope import Findings
+from cassandra_ros.query.projection import Projection
 
 SEEDS = st.integers(0, 2**32)
 EVERY = "\n".join(
@@ -167,9 +166,8 @@ def test_installed_types():
 
 def language(rows, select):
     """The rows of a statement, as the query language gives them."""
-    definition = rows[0].table.definition
-    plan = TablePlan(select, definition, Findings(select.text))
-    return [[shown(value) for value in line] for row in rows for line in plan.rows(row)]
+    projection = Projection.compile(select, rows[0].table, Findings(select.text))
+    return [[shown(value) for value in line] for row in rows for line in projection.rows(row)]
 
 
 @campaign(400)
@@ -197,7 +195,7 @@ def test_rows_per_element_are_those_of_the_language(seed, data):
     try:
         select = parseSelect(text)
         findings = Findings(text)
-        TablePlan(select, definition, findings)
+        projection = Projection.compile(select, table, findings)
         findings.check()
         expected = language(rows, select)
     except InvalidQuery:
@@ -209,14 +207,13 @@ def test_rows_per_element_are_those_of_the_language(seed, data):
         rows = [row for row in rows if row.t in keys]
     found = gather(rows, fields, where, [table])
     columns = [shown(array) for array in found.values()]
-    names = list(dict.fromkeys(TablePlan(select, definition, Findings(text)).names[0]))
-    assert names == ["KEY"]
-    assert same([list(line) for line in zip(*columns)], unique(expected, select, definition))
+    assert [output.name for output in projection.groups[0]] == ["KEY"]
+    assert same([list(line) for line in zip(*columns)], unique(expected, projection))
 
 
-def unique(lines, select, definition):
+def unique(lines, projection):
     """Rows without the columns that were asked for twice."""
-    names = [n for group in TablePlan(select, definition, Findings("")).names for n in group]
+    names = [output.name for group in projection.groups for output in group]
     first = [names.index(name) for name in dict.fromkeys(names)]
     return [[line[n] for n in first] for line in lines]
 

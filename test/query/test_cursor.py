@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import Position, encodeCursor
-from cassandra_ros.query.cursor import START, Place, readPlace
+from cassandra_ros.query.run import START, Place, readPlace
 
 POSITION = Position(5, "röbot", 1 << 40, "t_0")
 

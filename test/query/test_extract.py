@@ -12,10 +12,9 @@ from query.rows import attribute, row_of, table_of
 
 from cassandra_ros.messages.definition import parseDefinition
 from cassandra_ros.query.extract import Extractor
-from cassandra_ros.query.fields import allFields
+from cassandra_ros.query.names import Findings, allFields
 from cassandra_ros.query.parse import parseSelect
-from cassandra_ros.query.plan import TablePlan
-from cassandra_ros.query.scope import Findings
+from cassandra_ros.query.projection import Projection
 
 BAGS = (
     "backpack_multiecho_bz2",
@@ -74,7 +73,8 @@ def test_rows_per_element(bags):
         if definition.type != "tf/tfMessage":
             continue
         plan = plans.setdefault(
-            definition.md5sum, TablePlan(parseSelect(text), definition, Findings(text))
+            definition.md5sum,
+            Projection.compile(parseSelect(text), table_of(definition), Findings(text)),
         )
         found = plan.rows(row_of(wire=wire, t=5, table=table_of(definition)))
         expected = [(t.child_frame_id, t.transform.rotation.w, 5) for t in msg.transforms]

@@ -19,10 +19,10 @@ from cassandra_ros.query.syntax import (
     DropIndex,
     Either,
     IsNull,
-    Key,
+    KeyOperand,
     Literal,
     Negation,
-    Node,
+    NodeOperand,
     OneOf,
     Select,
     Truncate,
@@ -82,7 +82,7 @@ def test_conditions_bind_as_they_read():
     assert (first.operand.text, second.items[0].operand.text) == ("a", "b")
     assert isinstance(second, All)
     assert isinstance(second.items[1], Negation)
-    assert isinstance(second.items[1].item.items[1].operand, Key)
+    assert isinstance(second.items[1].item.items[1].operand, KeyOperand)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_operators_and_lists():
     assert parseCondition("x <> 1").operator == "!="
     between = parseCondition("x between 1 and 2 and y = 3")
     assert [item.operator for item in between.items[0].items] == [">=", "<="]
-    assert isinstance(parseCondition("NODE in ('a', 'b')").operand, Node)
+    assert isinstance(parseCondition("NODE in ('a', 'b')").operand, NodeOperand)
     assert isinstance(parseCondition("x not in (1)"), Negation)
 
 

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassandra_ros.query.terms import NEVER, Held, spanOf, waysOf
+from cassandra_ros.query.pushdown import NEVER, Held, spanOf, waysOf
 
 OPERATORS = {
     "=": operator.eq,

@@ -5,14 +5,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Optional, Sequence
+from typing import TYPE_CHECKING, Any, Optional, Sequence, Tuple
 
 import numpy as np
 
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.spec import Field
-from cassandra_ros.query.extract import Array
-from cassandra_ros.query.fields import FieldRef
+from cassandra_ros.query.names import Array, FieldRef
+from cassandra_ros.query.projection import Projection, Projections
+from cassandra_ros.query.protocols import Table
+from cassandra_ros.query.syntax import Select
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    AnyArray = NDArray[Any]
+    AnyType = np.dtype[Any]
+
+Typed = Tuple[str, "ArrayType"]
+"""Name and type of a column."""
 
 MIXED = "mixed"
 _MANTISSA = {"float32": 24, "float64": 53}
@@ -31,7 +41,7 @@ class ArrayType:
     """Elements of the one array, where it is of fixed length."""
 
     @property
-    def dtype(self) -> Any:
+    def dtype(self) -> AnyType:
         """The type of one value in numpy; times and durations are integer nanoseconds."""
         if self.kind in ("time", "duration"):
             return np.dtype(np.int64)
@@ -45,7 +55,10 @@ class ArrayType:
 
 def typeOf(ref: FieldRef, definition: Definition, unnested: Sequence[Array]) -> ArrayType:
     """Return the type of a field, beside the arrays of messages that are unnested."""
-    fields = list(_fields(ref, definition))
+    fields, msg_type = [], definition.type
+    for step in ref.steps:
+        fields.append(next(f for f in definition.specs[msg_type].fields if f.name == step.name))
+        msg_type = fields[-1].type
     lengths = [
         field.length
         for n, (step, field) in enumerate(zip(ref.steps, fields))
@@ -58,12 +71,38 @@ def typeOf(ref: FieldRef, definition: Definition, unnested: Sequence[Array]) -> 
     return ArrayType(kind, len(lengths), lengths[0] if len(lengths) == 1 else None)
 
 
-def _fields(ref: FieldRef, definition: Definition) -> Any:
-    msg_type = definition.type
-    for step in ref.steps:
-        field: Field = next(f for f in definition.specs[msg_type].fields if f.name == step.name)
-        yield field
-        msg_type = field.type
+def groupTypes(projection: Projection, table: Table) -> list[list[Typed]]:
+    """Return name and type of what each selected path gives in a table."""
+
+    def kind(of: str, ref: Optional[FieldRef]) -> ArrayType:
+        if ref is None or table.definition is None:
+            return ArrayType(of)
+        return typeOf(ref, table.definition, projection.unnested)
+
+    return [[(o.name, kind(o.kind, o.ref)) for o in group] for group in projection.groups]
+
+
+def columnTypes(select: Select, tables: Sequence[Table]) -> list[Typed]:
+    """Return name and type of each column of the result of a statement.
+
+    Args:
+        select: The statement.
+        tables: The tables of its topic.
+    """
+    projections = Projections(select, tables)
+    return uniteColumns([groupTypes(projections.of(table), table) for table in tables])
+
+
+def uniteColumns(tables: Sequence[Sequence[Sequence[Typed]]]) -> list[Typed]:
+    """Return name and type of all tables' columns, path by path."""
+    united: list[Typed] = []
+    for groups in zip(*tables):
+        names: dict[str, list[ArrayType]] = {}
+        for group in groups:
+            for name, kind in group:
+                names.setdefault(name, []).append(kind)
+        united += [(name, uniteTypes(kinds)) for name, kinds in names.items()]
+    return united
 
 
 def uniteTypes(types: Sequence[ArrayType]) -> ArrayType:

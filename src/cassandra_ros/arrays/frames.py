@@ -1,19 +1,30 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The fields of many messages as a pandas.DataFrame."""
+"""The fields of many messages as a pandas.DataFrame.
+
+pandas and pyarrow are loaded when a table is asked for: nothing else needs them.
+"""
 
 from __future__ import annotations
 
+import importlib
+import sys
 from typing import Any
 
 import numpy as np
 
 from cassandra_ros.arguments import check_list
 from cassandra_ros.arrays.gather import FieldArray, Fields, ReadRows, Where, gatherFields
-from cassandra_ros.arrays.join import rowsOf
-from cassandra_ros.arrays.optional import optionalModule
+from cassandra_ros.arrays.values import rowsOf
+from cassandra_ros.errors import MissingDependency
 from cassandra_ros.query.protocols import Row, Source
 
+OLD = sys.version_info < (3, 9)
+VERSIONS = {
+    "pandas": "2.0.3" if OLD else "2.3.3",
+    "pyarrow": "17.0.0" if OLD else "25.0.1",
+}
+"""As in requirements-tables.txt."""
 _UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}
 
 
@@ -51,3 +62,25 @@ def _series(pandas: Any, array: FieldArray) -> Any:
     elif missing is not None and values.dtype.kind == "b":
         return pandas.arrays.BooleanArray(values, missing)
     return values
+
+
+def optionalModule(name: str, purpose: str) -> Any:
+    """Import a module of an optional package.
+
+    Args:
+        name: The module, as 'pyarrow.parquet'.
+        purpose: What needs it, for the error text.
+
+    Raises:
+        MissingDependency: The package is not installed, or does not run here.
+    """
+    package = name.split(".")[0]
+    try:
+        return importlib.import_module(name)
+    except ImportError as exc:
+        wanted = f"{package}=={VERSIONS[package]}"
+        why = "is not installed" if exc.name == package else f"cannot be loaded ({exc})"
+        raise MissingDependency(
+            f"{purpose} needs the Python package {package}, which {why}: "
+            f"{sys.executable} -m pip install {wanted}"
+        ) from exc

@@ -5,22 +5,34 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Callable, Iterator, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Iterator,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    Union,
+)
 
 import numpy as np
 
 from cassandra_ros.arguments import check_list
-from cassandra_ros.arrays.array_types import MIXED, ArrayType, uniteTypes
-from cassandra_ros.arrays.join import castValues, emptyValues, joinValues
-from cassandra_ros.arrays.outputs import uniteOutputs
+from cassandra_ros.arrays.array_types import MIXED, ArrayType, uniteColumns
 from cassandra_ros.arrays.table_values import TableValues
+from cassandra_ros.arrays.values import castValues, emptyValues, joinValues
 from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.query.names import Findings
 from cassandra_ros.query.parse import parseCondition, parseSelect
 from cassandra_ros.query.protocols import Row, Source, Table
-from cassandra_ros.query.scope import Findings
-from cassandra_ros.query.syntax import Column, Key, Operand, Select
+from cassandra_ros.query.syntax import Aggregate, KeyOperand, Operand, Select, Selected
 
-Where = Union[None, str, Tuple[str, Sequence[Any]]]
+if TYPE_CHECKING:
+    from cassandra_ros.arrays.array_types import AnyArray
+
+Where = Union[None, str, Tuple[str, Sequence[object]]]
 """A condition, or a condition with the values of its ``?``."""
 Fields = Union[None, str, Sequence[str]]
 """Names of fields; None = all."""
@@ -36,8 +48,8 @@ class FieldArray(NamedTuple):
     """The values of a field."""
 
     kind: ArrayType
-    values: Any
-    missing: Any
+    values: AnyArray
+    missing: Optional[AnyArray]
     """A bool for each row: the message has no such value. None where all have it."""
 
 
@@ -57,7 +69,7 @@ def gatherFields(
         InvalidQuery: A field or the condition cannot be understood, or is not in the topic.
     """
     text: Any = where
-    params: Sequence[Any] = ()
+    params: Sequence[object] = ()
     if isinstance(where, (tuple, list)) and len(where) == 2:
         text, params = where
     if text is not None:
@@ -85,7 +97,9 @@ def gatherFields(
     return _united(select, list(tables.values()))
 
 
-def readArrays(topic: Source[Row], fields: Fields, where: Where, read: ReadRows) -> dict[str, Any]:
+def readArrays(
+    topic: Source[Row], fields: Fields, where: Where, read: ReadRows
+) -> dict[str, AnyArray]:
     """Return fields as arrays, those of which values are missing as masked ones.
 
     Arguments and errors are those of gatherFields.
@@ -93,18 +107,20 @@ def readArrays(topic: Source[Row], fields: Fields, where: Where, read: ReadRows)
     return {name: _plain(array) for name, array in gatherFields(topic, fields, where, read).items()}
 
 
-def _plain(array: FieldArray) -> Any:
+def _plain(array: FieldArray) -> AnyArray:
     many = array.values.ndim > 1
     if array.missing is None or (array.values.dtype.kind == "O" and not many):
         return array.values
     mask = array.missing
     if many:
         mask = np.broadcast_to(mask[:, None], array.values.shape)
-    masked: Any = np.ma.MaskedArray  # has no types
-    return masked(array.values, mask)
+    masked: AnyArray = np.ma.MaskedArray(array.values, mask)  # type: ignore[no-untyped-call]
+    return masked
 
 
-def _statement(topic: str, fields: Fields, where: Optional[str], params: Sequence[Any]) -> Select:
+def _statement(
+    topic: str, fields: Fields, where: Optional[str], params: Sequence[object]
+) -> Select:
     """Parse what was asked for as the statement that it is."""
     names = ["*"] if fields is None else check_list("fields", fields, "['linear.x']")
     for name in names:
@@ -114,40 +130,40 @@ def _statement(topic: str, fields: Fields, where: Optional[str], params: Sequenc
     # In lines of their own no comment hides what follows, and an error shows the one alone.
     text = f"SELECT {', '.join(names)}\nFROM {shown}"  # noqa: S608 (read by our own grammar)
     select = parseSelect(text if where is None else f"{text} WHERE (\n{where}\n)", params)
-    for aggregate in select.aggregates:
-        raise InvalidQuery(
-            select.text,
-            aggregate.position,
-            f"{aggregate.text} is one value, no field; executeCQL answers it",
-        )
     called: dict[str, Operand] = {}
     for column in select.columns or ():
-        other = called.setdefault(column.text, column.what)  # type: ignore[arg-type]
-        if other.text != column.what.text:
-            reason = f"both {column.what.text} and {other.text} are called {column.text}"
-            raise InvalidQuery(select.text, column.what.position, reason)
+        what = column.what
+        if isinstance(what, Aggregate):
+            reason = f"{what.text} is one value, no field; executeCQL answers it"
+            raise InvalidQuery(select.text, what.position, reason)
+        other = called.setdefault(column.text, what)
+        if other.text != what.text:
+            reason = f"both {what.text} and {other.text} are called {column.text}"
+            raise InvalidQuery(select.text, what.position, reason)
     return select
 
 
 def _united(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArray]:
-    names = dict(uniteOutputs([table.outputs for table in tables]))
     if not tables:
-        columns = select.columns or (Column(Key(0)),)
+        columns = select.columns or (Selected(KeyOperand(0)),)
         return {column.text: _nothing(column) for column in columns}
     filled = [table for table in tables if table.count]
     order = None
     if len(filled) > 1:
         order = np.argsort(np.concatenate([table.order for table in filled]), kind="stable")
-    return {name: _column(name, uniteTypes(kinds), filled, order) for name, kinds in names.items()}
+    kinds = dict(uniteColumns([table.groups for table in tables]))
+    return {name: _column(name, kind, filled, order) for name, kind in kinds.items()}
 
 
-def _nothing(column: Column) -> FieldArray:
+def _nothing(column: Selected) -> FieldArray:
     """Return no value, of a topic that has no type yet."""
-    kind = ArrayType("time" if isinstance(column.what, Key) else MIXED)
+    kind = ArrayType("time" if isinstance(column.what, KeyOperand) else MIXED)
     return FieldArray(kind, np.empty(0, kind.dtype), None)
 
 
-def _column(name: str, kind: ArrayType, tables: Sequence[TableValues], order: Any) -> FieldArray:
+def _column(
+    name: str, kind: ArrayType, tables: Sequence[TableValues], order: Optional[AnyArray]
+) -> FieldArray:
     parts = []
     for table in tables:
         found = table.take(name)

@@ -9,26 +9,149 @@ value by value.
 
 from __future__ import annotations
 
+import logging
 import struct
-from typing import Any, Optional, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Callable, List, Mapping, NamedTuple, Optional, Sequence, Union
 
 import numpy as np
 
-from cassandra_ros.arrays.array_types import ArrayType
-from cassandra_ros.arrays.join import joinValues
-from cassandra_ros.arrays.outputs import Output, outputsOf
-from cassandra_ros.arrays.table_columns import TableColumns
-from cassandra_ros.arrays.values import Values, countElements, fromDecoded, objectsOf
-from cassandra_ros.errors import CassandraRosError, CorruptMessage
-from cassandra_ros.query.conditions import readable
-from cassandra_ros.query.evaluate import compileCondition
-from cassandra_ros.query.extract import Extractor
+from cassandra_ros.arrays.array_types import ArrayType, groupTypes
+from cassandra_ros.arrays.values import (
+    Convert,
+    Values,
+    compileConvert,
+    countElements,
+    fromDecoded,
+    joinValues,
+    objectsOf,
+)
+from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFound
+from cassandra_ros.messages.wire.layout import FieldColumn
+from cassandra_ros.messages.wire.plan import wirePlan
+from cassandra_ros.query.names import FieldRef, Findings
+from cassandra_ros.query.projection import Projection
 from cassandra_ros.query.protocols import Row, Table
-from cassandra_ros.query.scope import KEY_PLACE, NODE_PLACE, Findings, Scope
-from cassandra_ros.query.syntax import Key, Node, Select
+from cassandra_ros.query.syntax import Select
+
+if TYPE_CHECKING:
+    from cassandra_ros.arrays.array_types import AnyArray
+
+_log = logging.getLogger(__name__)
 
 BATCH_ROWS = 4096
 BATCH_BYTES = 8 * 1024 * 1024
+
+
+class Origin(NamedTuple):
+    """Where the values of a field come from."""
+
+    place: int
+    """Of the column among those that are cut out."""
+    convert: Convert
+    inside: bool
+    """The column is a list whose elements are rows."""
+
+
+class TableColumns:
+    """Takes undecoded columns from rows, or else cuts them out of the serialised message.
+
+    Args:
+        table: Whose rows.
+        fields: With their types; None = KEY or NODE.
+        arrays: The dotted names of the arrays of messages that are unnested.
+
+    Attributes:
+        direct: Whether every field can be taken so. The others are of no use where not.
+        names: The columns.
+        origins: For each field.
+        listed: Place of a column with one element for each row, where there is one.
+    """
+
+    def __init__(
+        self,
+        table: Table,
+        fields: Sequence[tuple[Optional[FieldRef], ArrayType]],
+        arrays: Sequence[str],
+    ) -> None:
+        self._table = table
+        self.names: List[str] = []
+        self._cut: Optional[Callable[[bytes], Sequence[Optional[bytes]]]] = None
+        self._places: dict[int, Optional[list[int]]] = {}
+        known: Mapping[str, FieldColumn] = {}
+        if table.definition is not None:
+            plan = wirePlan(table.definition)
+            known = {column.name: column for column in plan.all_columns}
+        self.origins = [
+            None if ref is None else self._origin(ref, kind, known, arrays) for ref, kind in fields
+        ]
+        self.direct = len(arrays) <= 1 and all(
+            ref is None or origin is not None for (ref, _), origin in zip(fields, self.origins)
+        )
+        inside = [origin.place for origin in self.origins if origin is not None and origin.inside]
+        self.listed = inside[0] if inside else None
+        if self.names:
+            self._cut = plan.cutter(self.names)
+
+    def _origin(
+        self,
+        ref: FieldRef,
+        kind: ArrayType,
+        known: Mapping[str, FieldColumn],
+        arrays: Sequence[str],
+    ) -> Optional[Origin]:
+        column = known.get(ref.column)
+        if column is None:
+            return None
+        inside = column.array in arrays
+        convert = compileConvert(ref, column, kind, inside)
+        if convert is None:
+            return None
+        if column.name not in self.names:
+            self.names.append(column.name)
+        return Origin(self.names.index(column.name), convert, inside)
+
+    @property
+    def needed(self) -> Sequence[str]:
+        """The columns of the table that must be read, in its order."""
+        every = self._table.columns
+        if not self.direct or not set(self.names) <= set(every):
+            return every
+        return [name for name in every if name in self.names]
+
+    def read(self, row: Row) -> Optional[Sequence[Optional[bytes]]]:
+        """Return the columns of a row, None for each where the message cannot be read.
+
+        None instead of all where the message was removed since its columns were read.
+        """
+        if self._cut is None:
+            return ()
+        try:
+            columns = row.columns
+            places = self._where(len(columns))
+            if places is not None:
+                raws = [columns[n] for n in places]
+                # A column of a row that is marked as odd is exact, if it is there at all.
+                if None not in raws:
+                    return raws
+            return self._cut(row.wire)
+        except MessageNotFound:
+            return None
+        except CorruptMessage as exc:
+            _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
+            return [None] * len(self.names)
+
+    def _where(self, width: int) -> Optional[list[int]]:
+        """Places of the columns in a row of so many: all of the table's, or those asked for."""
+        if not self._table.by_field:
+            return None
+        if width not in self._places:
+            held = list(self._table.columns)
+            if width != len(held):
+                held = [name for name in held if name in self.names]
+            fits = width == len(held) and all(name in held for name in self.names)
+            self._places[width] = [held.index(name) for name in self.names] if fits else None
+        return self._places[width]
 
 
 class TableValues:
@@ -40,34 +163,32 @@ class TableValues:
         findings: Collects what the statement names in vain.
 
     Attributes:
-        outputs: The columns that the table has, for each selected path.
+        groups: Name and type of the columns that each selected path gives.
+        count: How many values there are of each.
     """
 
     def __init__(self, select: Select, table: Table, findings: Findings) -> None:
-        definition = table.definition
-        self._scope = scope = Scope(definition, findings, table.named)
-        self._check = compileCondition(select.condition, scope.locate, scope.fit)
-        tested = scope.refs
-        self.outputs = outputsOf(select, scope, definition, table.named)
-        self._all = [output for group in self.outputs for output in group]
-        self._named = table.named
-        self._extractor = scope.extractor()
-        self._columns = TableColumns(table, self._all, scope.unnested)
-        self._tester: Optional[Extractor] = None
-        if definition is not None and any(
-            array in scope.unnested for ref in tested for array in ref.arrays
-        ):
-            self._tester = Extractor(definition, tested, scope.unnested)
-        self._chunks: list[list[Values]] = [[] for _ in self._all]
-        self._orders: list[Any] = []
+        self._projection = Projection.compile(select, table, findings)
+        unnested = self._projection.unnested
+        self.groups = groupTypes(self._projection, table)
+        self._outputs = [output for group in self._projection.groups for output in group]
+        self._kinds = [kind for group in self.groups for _, kind in group]
+        fields = [(output.ref, kind) for output, kind in zip(self._outputs, self._kinds)]
+        arrays = [".".join(step.name for step in array) for array in unnested]
+        self._columns = TableColumns(table, fields, arrays)
+        condition = Projection.compile(replace(select, columns=()), table, Findings(select.text))
+        self._tester = condition if condition.unnested else None
+        """Tells of each element whether it satisfies the condition; None: all of them do."""
+        self._chunks: list[list[Values]] = [[] for _ in self._outputs]
+        self._orders: list[AnyArray] = []
         self._clear()
 
     def _clear(self) -> None:
         self._numbers: list[int] = []
-        self._own: list[tuple[Any, str]] = []
+        self._own: list[tuple[Union[int, str], str]] = []
         self._raws: list[Sequence[Optional[bytes]]] = []
         self._hits: list[list[bool]] = []
-        self._decoded: list[Sequence[Any]] = []
+        self._decoded: list[Sequence[object]] = []
         self._bytes = 0
 
     # ---------------------------------------------------------------- rows
@@ -79,32 +200,26 @@ class TableValues:
             row: A row of the table that satisfies the condition.
             number: Orders the rows of all tables; never falls.
         """
+        projection = self._projection
         if self._columns.direct:
             raws = self._columns.read(row)
             if raws is None:
                 return
             self._numbers.append(number)
-            self._own.append((row.name if self._named else row.t, row.node))
+            self._own.append((row.name if projection.named else row.t, row.node))
             self._raws.append(raws)
             if self._tester is not None:
-                self._hits.append(self._test(row, self._tester))
+                self._hits.append(list(self._tester.hits(row)))
             self._bytes += sum([len(raw) for raw in raws if raw is not None])
         else:
-            found = readable(row, self._scope.rows(row, self._extractor), self._scope.width)
+            found = projection.values(row)
             if self._tester is not None:
-                found = [values for values in found if self._check(values) is True]
+                found = [values for values in found if projection.check(values) is True]
             self._decoded += found
             self._numbers += [number] * len(found)
             self._bytes += row.size
         if len(self._numbers) >= BATCH_ROWS or self._bytes >= BATCH_BYTES:
             self.flush()
-
-    def _test(self, row: Row, tester: Extractor) -> list[bool]:
-        """Say for each element of the unnested array whether it satisfies the condition."""
-        own = (row.name if self._named else row.t, row.node)
-        values = ((*own, *found) for found in tester.values(row))
-        found = readable(row, values, self._scope.width)
-        return [self._check(element) is True for element in found]
 
     # ---------------------------------------------------------------- arrays
 
@@ -125,7 +240,10 @@ class TableValues:
     def _value_by_value(self) -> list[Values]:
         columns = list(zip(*self._decoded))
         self._orders.append(_order(self._numbers))
-        return [fromDecoded(columns[_placeOf(o)], o.kind) for o in self._all]
+        return [
+            fromDecoded(columns[output.place], kind)
+            for output, kind in zip(self._outputs, self._kinds)
+        ]
 
     def _direct(self) -> list[Values]:
         columns = list(zip(*self._raws))
@@ -136,19 +254,19 @@ class TableValues:
         elif self._columns.listed is not None:
             counts = countElements(columns[self._columns.listed])
         chunks = []
-        for output, source in zip(self._all, self._columns.sources):
-            if source is None:
-                chunk = self._ownValues(output)
+        for output, kind, origin in zip(self._outputs, self._kinds, self._columns.origins):
+            if origin is None:
+                chunk = self._ownValues(output.place, kind)
             else:
-                chunk = source.convert(columns[source.place])
-            inside = source is not None and source.inside
+                chunk = origin.convert(columns[origin.place])
+            inside = origin is not None and origin.inside
             chunks.append(_chosen(chunk, None if inside else counts, kept))
         self._orders.append(_chosen(Values(_order(self._numbers)), counts, kept).values)
         return chunks
 
-    def _ownValues(self, output: Output) -> Values:
-        own = [pair[_placeOf(output)] for pair in self._own]
-        return Values(objectsOf(own) if output.kind.dtype.kind == "O" else np.array(own, np.int64))
+    def _ownValues(self, place: int, kind: ArrayType) -> Values:
+        own = [pair[place] for pair in self._own]
+        return Values(objectsOf(own) if kind.dtype.kind == "O" else np.array(own, np.int64))
 
     @property
     def needed(self) -> Sequence[str]:
@@ -161,31 +279,25 @@ class TableValues:
         return sum(len(order) for order in self._orders)
 
     @property
-    def order(self) -> Any:
+    def order(self) -> AnyArray:
         """The numbers of the rows from which the values come."""
         return np.concatenate(self._orders)
 
     def take(self, name: str) -> Optional[tuple[ArrayType, Values]]:
         """Give away the values of a column, with their type; None where the table lacks it."""
-        for n, output in enumerate(self._all):
+        for n, (output, kind) in enumerate(zip(self._outputs, self._kinds)):
             if output.name == name:
                 chunks, self._chunks[n] = self._chunks[n], []
-                return output.kind, joinValues(chunks, output.kind)
+                return kind, joinValues(chunks, kind)
         return None
 
 
-def _placeOf(output: Output) -> int:
-    if isinstance(output.what, Key):
-        return KEY_PLACE
-    return NODE_PLACE if isinstance(output.what, Node) else output.place
-
-
-def _order(numbers: Sequence[int]) -> Any:
+def _order(numbers: Sequence[int]) -> AnyArray:
     # While only one table has rows all are 0, and take no memory.
     return np.array(numbers) if numbers[-1] else np.broadcast_to(np.int64(0), (len(numbers),))
 
 
-def _chosen(chunk: Values, counts: Any, kept: Any) -> Values:
+def _chosen(chunk: Values, counts: Optional[AnyArray], kept: Optional[AnyArray]) -> Values:
     """Repeat the values of a message for each of its elements, and leave those that match."""
     values, missing = chunk
     if counts is not None:

@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Undecoded columns of many rows to arrays, all rows at once; and values that were decoded.
 
-What is missing is a zero in the array, and marked in a second one.
+What is missing is a zero in the array, and marked in a second one. Those of batches and of tables
+are joined to one.
 """
 
 from __future__ import annotations
 
-from typing import Any, Callable, List, NamedTuple, Optional, Sequence
+from typing import TYPE_CHECKING, Any, Callable, List, NamedTuple, Optional, Sequence
 
 import numpy as np
 
@@ -16,7 +17,10 @@ from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.values import splitList
-from cassandra_ros.query.fields import FieldRef
+from cassandra_ros.query.names import FieldRef
+
+if TYPE_CHECKING:
+    from cassandra_ros.arrays.array_types import AnyArray, AnyType
 
 Raws = Sequence[Optional[bytes]]
 _BIG = {
@@ -36,8 +40,8 @@ _NO_LIST = b"\0\0\0\1"
 class Values(NamedTuple):
     """An array of values, one a row."""
 
-    values: Any
-    missing: Any = None
+    values: AnyArray
+    missing: Optional[AnyArray] = None
     """A bool for each row, or None where nothing is missing."""
 
 
@@ -46,7 +50,7 @@ Convert = Callable[[Raws], Values]
 
 def compileConvert(
     ref: FieldRef, column: FieldColumn, kind: ArrayType, inside: bool
-) -> Convert | None:
+) -> Optional[Convert]:
     """Return the function from the columns of many rows to a field's values.
 
     Args:
@@ -72,12 +76,12 @@ def compileConvert(
     return _part(convert, ref.part) if ref.part else convert
 
 
-def countElements(raws: Raws) -> Any:
+def countElements(raws: Raws) -> AnyArray:
     """Return how many elements the lists have; where one is missing, it stands for one."""
     return np.frombuffer(b"".join([raw[:4] if raw else _NO_LIST for raw in raws]), ">i4")
 
 
-def _absent(raws: Raws) -> Any:
+def _absent(raws: Sequence[object]) -> Optional[AnyArray]:
     if None not in raws:
         return None
     return np.fromiter((raw is None for raw in raws), bool, len(raws))
@@ -103,7 +107,7 @@ def _one(ref: FieldRef, column: FieldColumn, kind: ArrayType) -> Convert:
     return convert
 
 
-def _joined(raws: Raws, dtype: Any) -> Any:
+def _joined(raws: Raws, dtype: AnyType) -> AnyArray:
     """Lay the values of all rows side by side; each has its type's size."""
     filler = bytes(dtype.itemsize)
     joined = b"".join([filler if raw is None else raw for raw in raws])
@@ -112,7 +116,7 @@ def _joined(raws: Raws, dtype: Any) -> Any:
     return np.frombuffer(joined, dtype)
 
 
-def _varints(raws: Raws) -> Any:
+def _varints(raws: Raws) -> AnyArray:
     joined = b"".join([(raw or b"")[-8:].rjust(8, b"\0") for raw in raws])
     return np.frombuffer(joined, ">u8").astype(np.uint64)
 
@@ -125,11 +129,12 @@ def _texts(raws: Raws) -> Values:
     return Values(values, _absent(raws))
 
 
-def numbersOf(kind: str, wire: bytes) -> Any:
+def numbersOf(kind: str, wire: bytes) -> AnyArray:
     """Read the elements of a primitive array as on the wire."""
     if kind in ("time", "duration"):
         pairs = np.frombuffer(wire, "<u4" if kind == "time" else "<i4").reshape(-1, 2)
-        return pairs[:, 0].astype(np.int64) * SECOND_NS + pairs[:, 1]
+        ns: AnyArray = pairs[:, 0].astype(np.int64) * SECOND_NS + pairs[:, 1]
+        return ns
     dtype = np.dtype("u1" if kind == "bool" else kind)
     return np.frombuffer(wire, dtype.newbyteorder("<")).astype(kind)
 
@@ -232,7 +237,7 @@ def _part(convert: Convert, part: str) -> Convert:
     return whole
 
 
-def objectsOf(cells: Sequence[Any]) -> Any:
+def objectsOf(cells: Sequence[object]) -> AnyArray:
     """Return an array of objects, whatever they are."""
     values = np.empty(len(cells), object)
     for n, cell in enumerate(cells):
@@ -240,7 +245,7 @@ def objectsOf(cells: Sequence[Any]) -> Any:
     return values
 
 
-def arraysOf(cells: Sequence[Any], kind: ArrayType) -> Values:
+def arraysOf(cells: Sequence[Optional[AnyArray]], kind: ArrayType) -> Values:
     """Return arrays of one dimension as rows of one array, if their length is fixed."""
     missing = np.fromiter((cell is None for cell in cells), bool, len(cells))
     if kind.length is None:
@@ -266,9 +271,61 @@ def fromDecoded(values: Sequence[Any], kind: ArrayType) -> Values:
     return arraysOf([None if value is None else _cell(value, kind) for value in values], kind)
 
 
-def _cell(value: Any, kind: ArrayType) -> Any:
+def _cell(value: Any, kind: ArrayType) -> AnyArray:
     if isinstance(value, bytes):
         return np.frombuffer(value, np.uint8).copy()
     if kind.dtype.kind == "O" or None in value:
         return objectsOf(value)
     return np.array(value, kind.dtype)
+
+
+def emptyValues(kind: ArrayType, count: int) -> Values:
+    """Return values of which all are missing."""
+    dtype = np.dtype(object) if kind.cells else kind.dtype
+    shape = (count, kind.length) if kind.depth == 1 and kind.length is not None else (count,)
+    values = np.full(shape, None, object) if dtype.kind == "O" else np.zeros(shape, dtype)
+    return Values(values, np.ones(count, bool) if count else None)
+
+
+def joinValues(parts: Sequence[Values], kind: ArrayType) -> Values:
+    """Lay values of one type after each other."""
+    if not parts:
+        return emptyValues(kind, 0)
+    values = np.concatenate([part.values for part in parts])
+    if all(part.missing is None for part in parts):
+        return Values(values)
+    marks = [
+        np.zeros(len(part.values), bool) if part.missing is None else part.missing for part in parts
+    ]
+    return Values(values, np.concatenate(marks))
+
+
+def castValues(found: Values, own: ArrayType, kind: ArrayType) -> Values:
+    """Turn the values of one table into the type that holds those of all.
+
+    Args:
+        found: The values.
+        own: Their type.
+        kind: What uniteTypes made of it and others.
+    """
+    values, missing = found
+    if own == kind or own.depth > 1:
+        return found
+    if kind.depth == 1 and not kind.cells or own.depth == kind.depth == 0:
+        values = values.astype(kind.dtype)
+        if missing is not None and values.dtype.kind == "O":
+            values[missing] = None
+        return Values(values, missing)
+    if own.depth == 0:
+        return Values(rowsOf(values.astype(object), missing), missing)  # beside arrays
+    cells = rowsOf(values, missing)
+    dtype = own.dtype if kind.depth == 0 else kind.dtype
+    return Values(objectsOf([c if c is None else c.astype(dtype) for c in cells]), missing)
+
+
+def rowsOf(values: AnyArray, missing: Optional[AnyArray]) -> AnyArray:
+    """Return an array of objects, one a row: the rows of an array, None where one is missing."""
+    rows = objectsOf(list(values))
+    if missing is not None:
+        rows[missing] = None
+    return rows

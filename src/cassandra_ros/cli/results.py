@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import IO, TYPE_CHECKING, Any, Iterable, Iterator, Sequence, Tuple
 
 from cassandra_ros.arrays.array_types import ArrayType
-from cassandra_ros.arrays.optional import optionalModule
+from cassandra_ros.arrays.frames import optionalModule
 from cassandra_ros.cli.text import shown
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.stamps import Stamp, isoTime

@@ -13,16 +13,15 @@ from __future__ import annotations
 
 import math
 import operator
-from typing import Any, Callable, Optional, Sequence, Union
+from collections import defaultdict
+from fractions import Fraction
+from typing import Any, Callable, Dict, Protocol, Sequence, Union
 
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.syntax import Select
 
-_BITS = 1074
-"""Every finite float is a multiple of 2 ** -1074."""
 
-
-class Totals:
+class Aggregation:
     """The aggregates of a statement, over the rows that it is given.
 
     Args:
@@ -40,29 +39,32 @@ class Totals:
             InvalidQuery: The values of a field are of kinds that have no order among them.
         """
         for row in rows:
-            for n, value in enumerate(row):
-                if value is not None:
-                    try:
-                        self._totals[n].add(value)
-                    except TypeError as exc:
-                        asked = self._select.aggregates[n]
-                        raise InvalidQuery(
-                            self._select.text,
-                            asked.position,
-                            "the definitions of this topic hold values of different kinds there, "
-                            f"which {asked.function} cannot compare ({exc})",
-                        ) from None
+            for total, asked, value in zip(self._totals, self._select.aggregates, row):
+                try:
+                    if value is not None:
+                        total.add(value)
+                except TypeError as exc:
+                    reason = (
+                        "the definitions of this topic hold values of different kinds there, "
+                        f"which {asked.function} cannot compare ({exc})"
+                    )
+                    raise InvalidQuery(self._select.text, asked.position, reason) from None
 
     def values(self) -> tuple[Any, ...]:
         """Return the aggregates of the rows so far."""
         return tuple(total.value() for total in self._totals)
 
 
+class _Total(Protocol):
+    def add(self, value: Any) -> None: ...
+    def value(self) -> Any: ...
+
+
 class _Count:
     def __init__(self) -> None:
         self._count = 0
 
-    def add(self, value: Any) -> None:
+    def add(self, value: object) -> None:
         self._count += 1
 
     def value(self) -> int:
@@ -84,44 +86,42 @@ class _Extreme:
 
 
 class _Sum:
-    """An exact sum: one integer for integers, one of multiples of 2 ** -1074 for floats."""
+    """An exact sum; of integers alone an integer."""
 
     def __init__(self, mean: bool = False) -> None:
-        self._mean = mean
+        self._mean = self._floats = mean
         self._count = 0
-        self._whole = 0
-        self._fine = 0
+        # A fraction for each row would cost thirty times as much as the row's integers.
+        self._numerators: Dict[int, int] = defaultdict(int)
+        """By their denominators."""
         self._odd = 0.0
         """Sum of infinities and NaNs."""
-        self._floats = mean
 
     def add(self, value: Union[int, float]) -> None:
         self._count += 1
-        if isinstance(value, int):
-            self._whole += value
-        elif math.isfinite(value):
+        if not isinstance(value, int):
             self._floats = True
-            numerator, denominator = value.as_integer_ratio()
-            self._fine += numerator << (_BITS + 1 - denominator.bit_length())
-        else:
-            self._floats = True
-            self._odd += value
+            if not math.isfinite(value):
+                self._odd += value
+                return
+        numerator, denominator = value.as_integer_ratio()
+        self._numerators[denominator] += numerator
 
-    def value(self) -> Optional[Union[int, float]]:
+    def value(self) -> Union[int, float, None]:
         if not self._count:
             return None
-        if not self._floats:
-            return self._whole
         if self._odd != 0:
             return self._odd
-        total = (self._whole << _BITS) + self._fine
+        exact = sum((Fraction(n, d) for d, n in self._numerators.items()), Fraction())
+        if not self._floats:
+            return int(exact)
         try:
-            return total / ((self._count if self._mean else 1) << _BITS)
+            return float(exact / self._count if self._mean else exact)
         except OverflowError:
-            return math.inf if total > 0 else -math.inf
+            return math.inf if exact > 0 else -math.inf
 
 
-_TOTALS: dict[str, Callable[[], Any]] = {
+_TOTALS: dict[str, Callable[[], _Total]] = {
     "count": _Count,
     "min": lambda: _Extreme(operator.lt),
     "max": lambda: _Extreme(operator.gt),

@@ -1,49 +1,159 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A condition by itself, as ``where=`` takes it: which messages satisfy it."""
+"""A condition by itself, as ``where=`` takes it: which messages satisfy it.
+
+Of any condition the store can check the span of KEY, and NODE: its bounds. Only conjuncts are used
+for them, so they may be weaker than the condition and are never stronger.
+"""
 
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any, Callable, Iterator, Optional, Sequence
+from typing import Callable, Iterator, Optional, Sequence
 
-from cassandra_ros.errors import CorruptMessage, InvalidKey, InvalidQuery, MessageNotFound
-from cassandra_ros.keys import Position, isBehind
-from cassandra_ros.query.bounds import Bounds, boundsOf
-from cassandra_ros.query.builder import StatementError
-from cassandra_ros.query.evaluate import compileCondition
+from cassandra_ros.arguments import check_node
+from cassandra_ros.errors import InvalidKey, InvalidName, InvalidQuery
+from cassandra_ros.keys import MAX_NS, Position, isBehind
+from cassandra_ros.query.literals import fitToText, fitToTime
 from cassandra_ros.query.parse import parseCondition
-from cassandra_ros.query.protocols import Row, RowT, Source, Table
+from cassandra_ros.query.projection import Projections
+from cassandra_ros.query.protocols import Columns, Row, RowT, Source, Table, TopicChooser
 from cassandra_ros.query.pushdown import Pushdown
-from cassandra_ros.query.scope import Findings, Scope
-from cassandra_ros.query.syntax import Expression
+from cassandra_ros.query.syntax import (
+    All,
+    Compare,
+    Delete,
+    Expression,
+    KeyOperand,
+    Literal,
+    NodeOperand,
+    OneOf,
+    Select,
+    StatementError,
+    given,
+    leaves,
+)
 
 _log = logging.getLogger(__name__)
 
 Test = Callable[[Row], bool]
+_ORDERED = ("<", "<=", ">", ">=")
+
+SECONDS_BELOW = 10**12
+"""An integer key below is 17 minutes after 1970, or was meant as seconds."""
 
 
-class _TableTest:
-    """Tells whether a row of one table satisfies a condition."""
+@dataclass(frozen=True)
+class Bounds:
+    """Rows outside of these cannot match."""
 
-    def __init__(self, expression: Expression, table: Table, findings: Findings) -> None:
-        self._by_field = table.by_field
-        self._scope = Scope(table.definition, findings, table.named)
-        self._check = compileCondition(expression, self._scope.locate, self._scope.fit)
-        self._extractor = self._scope.extractor()
+    low: int = 0
+    """Least KEY, included, ns."""
+    high: int = MAX_NS
+    """Greatest KEY, included, ns."""
+    node: Optional[str] = None
+    """The one nodeID, None = all."""
+    name: Optional[str] = None
+    """The one name, None = all; only where messages are kept under names."""
+    empty: bool = False
+    """No row can match."""
+    whole: bool = True
+    """The bounds are the whole condition: every row inside matches."""
 
-    @property
-    def columns(self) -> Optional[Sequence[str]]:
-        """Columns of the table that it looks at; None = all."""
-        if self._extractor is None:
-            return ()
-        return self._extractor.columns if self._by_field else None
+    def within(self, low: Optional[int], high: Optional[int], node: Optional[str] = None) -> Bounds:
+        """Narrow the bounds further."""
+        found = replace(
+            self,
+            low=self.low if low is None else max(self.low, low),
+            high=self.high if high is None else min(self.high, high),
+        )
+        if node is not None:
+            clash = self.node is not None and self.node != node
+            found = replace(found, node=node, empty=found.empty or clash)
+        return replace(found, empty=found.empty or found.low > found.high)
 
-    def __call__(self, row: Row) -> bool:
-        values = self._scope.rows(row, self._extractor)
-        found = readable(row, values, self._scope.width)
-        return any(self._check(value) is True for value in found)
+
+def boundsOf(select: Select, node: Optional[str] = None, named: bool = False) -> Bounds:
+    """Find the bounds of a statement.
+
+    Args:
+        select: The statement.
+        node: nodeID that was asked for besides, None = all.
+        named: The messages are kept under names: KEY is text.
+
+    Raises:
+        InvalidQuery: A value is no time, or NODE is compared with something else than text, or
+            names are asked for their order.
+    """
+    bounds = Bounds().within(None, None, node)
+    try:
+        for part in _conjuncts(select.condition):
+            bounds = _narrowed(bounds, part, named)
+        for leaf in leaves(select.condition) if named else ():
+            ordered = isinstance(leaf, Compare) and leaf.operator in _ORDERED
+            if ordered and isinstance(leaf.operand, KeyOperand):
+                raise StatementError(
+                    leaf.operand.position,
+                    "KEY is a name here, and names have no order; compare it with =, IN or LIKE",
+                )
+    except StatementError as exc:
+        raise InvalidQuery(select.text, exc.position, exc.reason) from None
+    return bounds
+
+
+def meantAsSeconds(condition: Optional[Expression]) -> Iterator[Literal]:
+    """Yield what KEY is compared with and looks like seconds: integers are ns."""
+    for comparison in leaves(condition):
+        for found in given(comparison) if isinstance(comparison.operand, KeyOperand) else ():
+            value = found.value if isinstance(found, Literal) else None
+            if type(value) is int and 0 < value < SECONDS_BELOW:
+                yield Literal(value, found.position)
+
+
+def warnOfSeconds(condition: Optional[Expression]) -> None:
+    """Log a warning where KEY is compared with what looks like seconds."""
+    for found in meantAsSeconds(condition):
+        _log.warning(
+            "KEY is compared with %(ns)d, which means nanoseconds since 1970; did you mean "
+            "seconds, %(ns)d.0?",
+            {"ns": found.value},
+        )
+
+
+def _conjuncts(condition: Optional[Expression]) -> Iterator[Expression]:
+    if isinstance(condition, All):
+        for item in condition.items:
+            yield from _conjuncts(item)
+    elif condition is not None:
+        yield condition
+
+
+def _narrowed(bounds: Bounds, part: Expression, named: bool) -> Bounds:
+    if isinstance(part, Compare) and isinstance(part.value, Literal):
+        if isinstance(part.operand, NodeOperand) and part.operator == "=":
+            node = fitToText(part.value, "NODE")
+            try:
+                return bounds.within(None, None, check_node(node))
+            except InvalidName:
+                return replace(bounds, empty=True)  # no message can be of such a node
+        if isinstance(part.operand, KeyOperand) and part.operator == "=" and named:
+            name = fitToText(part.value, "KEY")
+            clash = bounds.name not in (None, name)
+            return replace(bounds, name=name, empty=bounds.empty or clash)
+        if named:
+            return replace(bounds, whole=False)
+        if isinstance(part.operand, KeyOperand) and part.operator in ("=", *_ORDERED):
+            ns = fitToTime(part.value)
+            low = {"=": ns, ">=": ns, ">": ns + 1}.get(part.operator)
+            high = {"=": ns, "<=": ns, "<": ns - 1}.get(part.operator)
+            return bounds.within(low, high)
+    if isinstance(part, OneOf) and isinstance(part.operand, KeyOperand) and not named:
+        times = [fitToTime(value) for value in part.values if isinstance(value, Literal)]
+        if times:
+            bounds = bounds.within(min(times), max(times))
+    return replace(bounds, whole=False)
 
 
 class Condition:
@@ -60,18 +170,18 @@ class Condition:
         InvalidQuery: The text is no condition, or the parameters do not fit.
     """
 
-    def __init__(self, text: str, params: Sequence[Any] = (), nodeID: Optional[str] = None) -> None:
-        self.text = text
-        self._expression = parseCondition(text, params)
+    def __init__(
+        self, text: str, params: Sequence[object] = (), nodeID: Optional[str] = None
+    ) -> None:
+        self._select = Select(text, (), "", 0, parseCondition(text, params))
         self._node = nodeID
 
     @classmethod
-    def ofStatement(
-        cls, text: str, expression: Expression, nodeID: Optional[str] = None
-    ) -> Condition:
+    def ofStatement(cls, statement: Delete, node: Optional[str] = None) -> Condition:
         """Return the condition that stands in a statement; errors show the whole of it."""
         condition = cls.__new__(cls)
-        condition.text, condition._expression, condition._node = text, expression, nodeID
+        condition._select = Select(statement.text, (), "", 0, statement.condition)
+        condition._node = node
         return condition
 
     def bounds(self, named: bool = False) -> Bounds:
@@ -83,35 +193,20 @@ class Condition:
         Raises:
             InvalidQuery: KEY or NODE is compared with what it cannot be.
         """
-        try:
-            return boundsOf(self._expression, self._node, named)
-        except StatementError as exc:
-            raise InvalidQuery(self.text, exc.position, exc.reason) from None
+        return boundsOf(self._select, self._node, named)
 
     def test(self, tables: Sequence[Table]) -> Test:
         """Return a function that tells whether a stored row satisfies the condition.
 
         Args:
-            tables: The TopicTables of the source.
+            tables: Those of the source.
 
         Raises:
             InvalidQuery: The condition names a field that no definition of the topic has, or
                 compares one with a value of another kind.
         """
-        testOf = self._tests(tables)
-        return lambda row: testOf(row.table)(row)
-
-    def _tests(self, tables: Sequence[Any]) -> Callable[[Any], _TableTest]:
-        findings = Findings(self.text)
-        tests = {t.name: _TableTest(self._expression, t, findings) for t in tables}
-        findings.check()
-
-        def testOf(table: Table) -> _TableTest:
-            if table.name not in tests:  # made since
-                tests[table.name] = _TableTest(self._expression, table, Findings(self.text))
-            return tests[table.name]
-
-        return testOf
+        projections = Projections(self._select, tables)
+        return lambda row: any(projections.of(row.table).hits(row))
 
     def rows(
         self,
@@ -126,7 +221,7 @@ class Condition:
         """Walk through the rows of a topic that satisfy the condition, in the order of time.
 
         Args:
-            topic: A CassandraTopic.
+            source: The topic.
             key: Lower end, included, ns; None = open.
             to_key: Upper end, included, ns; None = open.
             after: Begin behind this row.
@@ -134,13 +229,17 @@ class Condition:
             bare: Only the keys are wanted: a row fetches its message when it is asked for.
         """
         tables = source.tables
-        testOf = self._tests(tables)
+        projections = Projections(self._select, tables)
         bounds = self.bounds(any(t.named for t in tables)).within(key, to_key)
-        reading: Any = {"chooser": Pushdown(self._expression)}
-        if bare:
-            reading["columns"] = lambda table: testOf(table).columns
-        rows = boundedRows(source, bounds, after, reverse, **reading)
-        return (row for row in rows if testOf(row.table)(row))
+        rows = boundedRows(
+            source,
+            bounds,
+            after,
+            reverse,
+            columns=(lambda table: projections.of(table).columns) if bare else None,
+            chooser=Pushdown(self._select.condition),
+        )
+        return (row for row in rows if any(projections.of(row.table).hits(row)))
 
 
 def boundedRows(
@@ -149,17 +248,24 @@ def boundedRows(
     after: Optional[Position] = None,
     reverse: bool = False,
     limit: Optional[int] = None,
-    **reading: Any,
+    *,
+    columns: Optional[Columns],
+    chooser: TopicChooser,
 ) -> Iterator[RowT]:
-    """Walk through the rows of a topic inside of bounds; ``reading`` goes on to source.rows."""
+    """Walk through the rows of a topic inside of bounds; see Source.rows."""
     if bounds.empty:
         return iter(())
     if bounds.name is None:
-        direction: Any = {"after": after, "reverse": reverse, "limit": limit}
-        rows: Iterator[RowT] = source.rows(
-            bounds.low, bounds.high, nodeID=bounds.node, **direction, **reading
+        return source.rows(
+            bounds.low,
+            bounds.high,
+            nodeID=bounds.node,
+            limit=limit,
+            after=after,
+            reverse=reverse,
+            columns=columns,
+            chooser=chooser,
         )
-        return rows
     try:
         every = source.versions(bounds.name, nodeID=bounds.node, reverse=reverse)
     except InvalidKey:
@@ -170,15 +276,3 @@ def boundedRows(
         if bounds.low <= row.t <= bounds.high and isBehind(row.position, after, reverse)
     )
     return islice(found, limit)
-
-
-def readable(row: Row, values: Iterator[Sequence[Any]], width: int) -> list[Sequence[Any]]:
-    """Return the values of a row; where its bytes are no message, its fields are missing."""
-    try:
-        return list(values)
-    except MessageNotFound:
-        return []  # removed since its columns were read
-    except CorruptMessage as exc:
-        _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
-        key = row.name if row.table.named else row.t
-        return [(key, row.node, *[None] * (width - 2))]

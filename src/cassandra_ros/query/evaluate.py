@@ -12,16 +12,17 @@ elements gives no row, so that nothing inside it is null either.
 Values compare as Python compares them: int with float exactly, NaN as IEEE 754 says (equal to
 nothing, ``!=`` to everything), −0.0 equal to 0, text by code point, times as integer nanoseconds.
 ``CONTAINS`` compares each element of an array of primitives so; ``LIKE`` the whole text with a
-pattern, see ``patterns``.
+pattern, in which ``%`` stands for any text, also none, ``_`` for exactly one code point, everything
+else for itself; there is no escape character, and upper and lower case differ.
 """
 
 from __future__ import annotations
 
 import operator
-from typing import Any, Callable, Optional, Sequence
+import re
+from typing import Any, Callable, Optional, Pattern, Sequence
 
 from cassandra_ros.query.literals import Comparable
-from cassandra_ros.query.patterns import likePattern
 from cassandra_ros.query.syntax import (
     All,
     Compare,
@@ -86,7 +87,7 @@ def _comparison(place: int, sign: str, wanted: Optional[Comparable]) -> Check:
     if wanted is None:
         return _unknown
     if sign == "LIKE":
-        return _tested(place, likePattern(str(wanted)))
+        return _tested(place, _like(str(wanted)))
     if sign == "CONTAINS":
         return _tested(place, _holding(wanted))
     compare = _OPERATORS[sign]
@@ -117,6 +118,35 @@ def _tested(place: int, test: Callable[[Any], bool]) -> Check:
         return None if value is None else test(value)
 
     return check
+
+
+def _like(pattern: str) -> Callable[[str], bool]:
+    """Return a function that tells whether the whole of a text matches a pattern of LIKE.
+
+    Its time is at worst that of text times pattern, whatever the pattern: one regular expression
+    with several ``.*`` could take for ever, so each piece between two ``%`` is looked for by
+    itself, where it comes first.
+    """
+    pieces = pattern.split("%")
+    head, tail = _piece(pieces[0]), _piece(pieces[-1])
+    if len(pieces) == 1:
+        return lambda text: head.fullmatch(text) is not None
+    middle = [_piece(piece) for piece in pieces[1:-1] if piece]
+
+    def test(text: str) -> bool:
+        found = head.match(text)
+        for piece in middle:
+            if found is None:
+                return False
+            found = piece.search(text, found.end())
+        last = len(text) - len(pieces[-1])
+        return found is not None and found.end() <= last and tail.match(text, last) is not None
+
+    return test
+
+
+def _piece(text: str) -> Pattern[str]:
+    return re.compile("".join("." if c == "_" else re.escape(c) for c in text), re.DOTALL)
 
 
 def _holding(wanted: Comparable) -> Callable[[Any], bool]:

@@ -15,11 +15,11 @@ from cassandra_ros.query.syntax import (
     Either,
     Expression,
     IsNull,
-    Key,
+    KeyOperand,
     Leaf,
     Literal,
     Negation,
-    Node,
+    NodeOperand,
     given,
     leaves,
 )
@@ -110,7 +110,7 @@ def _alone(condition: Optional[Expression], pushed: set[Leaf]) -> Iterator[str]:
             yield from _alone(item, pushed)
     elif condition is not None and not pushed.intersection(leaves(condition)):
         inside = list(leaves(condition))
-        if not all(isinstance(leaf.operand, (Key, Node)) for leaf in inside):
+        if not all(isinstance(leaf.operand, (KeyOperand, NodeOperand)) for leaf in inside):
             yield _shown(condition)
 
 

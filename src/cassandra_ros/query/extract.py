@@ -8,25 +8,28 @@ values per element. Other arrays of messages on the way to a field give a list o
 
 from __future__ import annotations
 
-from typing import Any, Callable, Iterator, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Container, Iterator, Optional, Sequence
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.plan import wirePlan
-from cassandra_ros.query.fields import FieldRef, Step
+from cassandra_ros.query.names import Array, FieldRef
 from cassandra_ros.query.protocols import Row
 
 Get = Callable[[Any], Any]
-Array = Tuple[Step, ...]
 
 
 class Extractor:
-    """Reads the values of some fields of one message type.
+    """Reads the values of some fields of one message type out of stored messages.
 
     Args:
         definition: The type.
         refs: The fields.
         unnested: The arrays of messages to unnest, each inside the one before.
+
+    Attributes:
+        columns: The columns of format ``ros`` that hold the fields, in their order; None where one
+            lies in no column.
     """
 
     def __init__(
@@ -34,39 +37,33 @@ class Extractor:
     ) -> None:
         self._plan = wirePlan(definition)
         self._depth = len(unnested)
-        known = {column.name: n for n, column in enumerate(self._plan.all_columns)}
-        columns = [_columnOf(ref, known) for ref in refs]
-        self._names = [name for name in columns if name]
-        self._given = [name is not None for name in columns]
+        known = {column.name for column in self._plan.all_columns}
+        held = [_heldSteps(ref, known) for ref in refs]
+        names = [".".join(s.name for s in ref.steps[:n]) for ref, n in zip(refs, held) if n]
+        self._given = [n > 0 for n in held]
         self._gets = [
-            _emptyGets(definition, ref, unnested) if name is None else _gets(ref, name, unnested)
-            for ref, name in zip(refs, columns)
+            _gets(ref, n, unnested) if n else _emptyGets(definition, ref, unnested)
+            for ref, n in zip(refs, held)
         ]
-        self._read = self._plan.reader(self._names)
+        self._read = self._plan.reader(names)
         numbers = {column.name: n for n, column in enumerate(self._plan.columns)}
-        self._stored = [numbers[name] for name in self._names if name in numbers]
-        held = sorted(set(self._stored))
-        self._projected = [held.index(n) for n in self._stored]
+        self._stored = [numbers[name] for name in names if name in numbers]
+        asked = sorted(set(self._stored))
+        self._projected = [asked.index(n) for n in self._stored]
         self.columns: Optional[list[str]] = None
-        """The columns of format ``ros`` that hold the fields, in their order; None where one lies
-        in no column."""
-        if len(self._stored) == len(self._names):
-            self.columns = [self._plan.columns[n].name for n in held]
+        if len(self._stored) == len(names):
+            self.columns = [self._plan.columns[n].name for n in asked]
 
     def values(self, row: Row) -> Iterator[list[Any]]:
         """Yield the values of a stored row: once, or once per element of the unnested array.
-
-        Args:
-            row: A stored row.
 
         Raises:
             CorruptMessage: The bytes are no message of the type.
         """
         found = iter(self._columns(row))
-        values = [next(found) if given else [] for given in self._given]
-        return self._unnest(0, values)
+        return self._unnest(0, [next(found) if given else [] for given in self._given])
 
-    def _columns(self, row: Row) -> list[Any]:
+    def _columns(self, row: Row) -> Sequence[Any]:
         """Values of the named columns, from the row's own where it has them."""
         if self.columns is not None and row.table.by_field:
             # A column that cannot give its field back is unset, also in an odd row.
@@ -77,19 +74,14 @@ class Extractor:
                 return [self._plan.value(n, r) for n, r in zip(self._stored, raw) if r is not None]
         return self._read(row.wire)
 
-    def _unnest(self, level: int, values: list[Any]) -> Iterator[list[Any]]:
-        current = list(values)
-        inner = []
-        for n, gets in enumerate(self._gets):
-            if len(gets) > level:
-                current[n] = gets[level](values[n])
-                if len(gets) > level + 1:
-                    inner.append(n)
+    def _unnest(self, level: int, values: Sequence[Any]) -> Iterator[list[Any]]:
+        gets = self._gets
+        current = [g[level](value) if len(g) > level else value for g, value in zip(gets, values)]
         if level == self._depth:
             yield current
             return
-        count = min((_count(current[n]) for n in inner), default=0)
-        for element in range(count):
+        inner = [n for n, g in enumerate(gets) if len(g) > level + 1]
+        for element in range(min((_count(current[n]) for n in inner), default=0)):
             one = list(current)
             for n in inner:
                 one[n] = current[n][element]
@@ -100,14 +92,14 @@ def _count(values: Any) -> int:
     return len(values) if isinstance(values, (list, bytes)) else 0
 
 
-def _columnOf(ref: FieldRef, known: Any) -> Optional[str]:
-    """The column that holds a field: its own, or that of the array in whose blob it lies."""
+def _heldSteps(ref: FieldRef, known: Container[str]) -> int:
+    """How many steps lead to the column that holds a field: its own, or the blob it lies in.
+
+    0: no column does, for it lies in an array of fixed length 0.
+    """
     names = [step.name for step in ref.steps]
-    for length in range(1, len(names) + 1):
-        name = ".".join(names[:length])
-        if name in known:
-            return name
-    return None  # an array of fixed length 0
+    every = range(1, len(names) + 1)
+    return next((n for n in every if ".".join(names[:n]) in known), 0)
 
 
 def _emptyGets(definition: Definition, ref: FieldRef, unnested: Sequence[Array]) -> list[Get]:
@@ -123,49 +115,29 @@ def _emptyGets(definition: Definition, ref: FieldRef, unnested: Sequence[Array])
     return [_itself] * (level + 2)
 
 
+def _gets(ref: FieldRef, held: int, unnested: Sequence[Array]) -> list[Get]:
+    """Functions from a column's value to the field's, one more than arrays are unnested.
+
+    Args:
+        ref: The field.
+        held: How many steps lead to the column; the other ones lead on inside of a blob.
+        unnested: The arrays of messages that are unnested.
+    """
+    gets: list[Get] = []
+    get = _last(ref)
+    for n, step in reversed(list(enumerate(ref.steps))):
+        if step.many and ref.steps[: n + 1] in unnested:
+            gets.append(get)
+            get = _itself
+        elif step.many:
+            get = _each(get) if step.index is None else _at(step.index, get)
+        if n >= held:
+            get = _inside(step.name, get)
+    return [get, *reversed(gets)]
+
+
 def _itself(value: Any) -> Any:
     return value
-
-
-def _gets(ref: FieldRef, column: str, unnested: Sequence[Array]) -> list[Get]:
-    """Functions from a column's value to the field's, one more than arrays are unnested."""
-    ops = _operations(ref, len(column.split(".")), set(unnested))
-    gets: list[Get] = []
-    current: list[Union[Step, str]] = []
-    for op in ops:
-        if op is None:
-            gets.append(_follow(current, None))
-            current = []
-        else:
-            current.append(op)
-    gets.append(_follow(current, _last(ref)))
-    return gets
-
-
-def _operations(ref: FieldRef, held: int, unnested: set[Array]) -> Iterator[Union[Step, str, None]]:
-    """What to do with the value of a column that holds the first ``held`` steps.
-
-    A step: take the element, or all elements, of this array. A name: take this field out of a
-    message in a blob. None: the array is unnested here.
-    """
-    for n, step in enumerate(ref.steps):
-        if n >= held:
-            yield step.name
-        if step.many:
-            yield None if ref.steps[: n + 1] in unnested else step
-
-
-def _follow(ops: Sequence[Union[Step, str]], last: Optional[Get]) -> Get:
-    """Chain operations from the last to the first; what is missing stays None."""
-    get: Get = last or _itself
-    for op in reversed(ops):
-        if isinstance(op, str):
-            get = _inside(op, get)
-        elif op.index is None:
-            get = _each(get)
-        else:
-            get = _at(op.index, get)
-    return get
 
 
 def _inside(name: str, then: Get) -> Get:
@@ -190,11 +162,14 @@ def _at(index: int, then: Get) -> Get:
     return get
 
 
-def _last(ref: FieldRef) -> Optional[Get]:
-    part: Optional[Get] = None
-    if ref.part:
-        which = 0 if ref.part == "secs" else 1
-        part = lambda ns: None if ns is None else divmod(ns, SECOND_NS)[which]  # noqa: E731
-    if ref.index is None:
-        return part
-    return _at(ref.index, part or (lambda value: value))
+def _last(ref: FieldRef) -> Get:
+    get = {"": _itself, "secs": _secs, "nsecs": _nsecs}[ref.part]
+    return get if ref.index is None else _at(ref.index, get)
+
+
+def _secs(ns: Optional[int]) -> Optional[int]:
+    return None if ns is None else ns // SECOND_NS
+
+
+def _nsecs(ns: Optional[int]) -> Optional[int]:
+    return None if ns is None else ns % SECOND_NS

@@ -15,9 +15,8 @@ from typing import Any, Optional, Union
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.messages.stamps import secondsToNs, toNs
-from cassandra_ros.query.builder import StatementError
-from cassandra_ros.query.fields import FieldRef
-from cassandra_ros.query.syntax import DecimalText, Literal
+from cassandra_ros.query.names import FieldRef
+from cassandra_ros.query.syntax import DecimalText, Literal, StatementError
 
 Comparable = Union[int, float, str]
 

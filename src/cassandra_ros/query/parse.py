@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import replace
 from functools import lru_cache
 from numbers import Integral
@@ -20,27 +19,43 @@ from typing import (
     Union,
 )
 
-from lark import Lark, UnexpectedInput
+from lark import Lark, Token, Transformer, UnexpectedInput, v_args
 from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 
 from cassandra_ros.arguments import MAX_LIMIT
 from cassandra_ros.errors import InvalidQuery
-from cassandra_ros.query.builder import BUILDER, Parsed, StatementError
+from cassandra_ros.query.names import nearest
 from cassandra_ros.query.syntax import (
+    Aggregate,
+    All,
     Change,
     Compare,
+    CreateIndex,
+    DecimalText,
     Delete,
+    DropIndex,
+    Either,
     Expression,
+    Indexed,
+    IndexName,
     IsNull,
-    Leaf,
+    KeyOperand,
     Literal,
     Negation,
+    NodeOperand,
     OneOf,
+    Operand,
+    Part,
+    Path,
     Placeholder,
     Select,
+    Selected,
+    StatementError,
+    Truncate,
     Value,
     given,
     leaves,
+    parts,
 )
 
 MAX_STATEMENT = 1 << 20
@@ -64,6 +79,8 @@ _WORDS = {
     "DOT": "'.'",
     "$END": "the end",
 }
+_KEPT_KEYWORDS = {"ASC", "DESC", "TABLE", "NOT", "LIKE", "CONTAINS"}
+"""Those that the grammar leaves in the tree; the names of the others begin with '_'."""
 _UNSAID = {"QUOTED", "_END", "FUNCTION", "TRUE", "FALSE"}
 _NEVER_CHANGED = (
     "messages are never changed: addData and the recorder store new ones, DELETE removes them"
@@ -80,6 +97,202 @@ _INSTEAD = {
 """What does here what other words do in CQL."""
 
 
+_Not = Optional[Token]
+MAX_DEPTH = 100
+MAX_DIGITS = 400
+"""Of a number: Python converts longer ones in quadratic time, or refuses."""
+
+
+@v_args(inline=True)
+class _Builder(Transformer):  # type: ignore[type-arg]
+    """One method per rule of the grammar, called while lark parses."""
+
+    def select(
+        self,
+        columns: Optional[tuple[Selected, ...]],
+        topic: tuple[str, int],
+        condition: Optional[Expression],
+        descending: Optional[bool],
+        limit: Optional[Value],
+    ) -> tuple[Select, Optional[Value]]:
+        return Select("", columns, *topic, condition, bool(descending)), limit
+
+    def delete(self, topic: tuple[str, int], condition: Optional[Expression]) -> Delete:
+        if condition is None:
+            raise StatementError(
+                topic[1],
+                "DELETE takes a condition: WHERE KEY < …, say; every message of a topic is removed "
+                "by TRUNCATE",
+            )
+        return Delete("", *topic, condition)
+
+    def truncate(self, *words: Union[Token, tuple[str, int]]) -> Truncate:
+        last = words[-1]
+        return Truncate("", *(self.topic(last) if isinstance(last, Token) else last))
+
+    def create_index(
+        self, unless: Optional[bool], name: Optional[IndexName], indexed: Indexed
+    ) -> CreateIndex:
+        return CreateIndex("", indexed, name, bool(unless))
+
+    def drop_index(self, condition: Optional[bool], index: Union[IndexName, Indexed]) -> DropIndex:
+        return DropIndex("", index, bool(condition))
+
+    drop_index_on = drop_index
+
+    def if_exists(self, *_not: Token) -> bool:
+        return True
+
+    if_not_exists = if_exists
+
+    def index_name(self, token: Token) -> IndexName:
+        # As CQL has it.
+        return IndexName(_name(token) if token.type == "QUOTED" else token.lower(), _at(token))
+
+    def indexed(self, topic: tuple[str, int], field: Operand) -> Indexed:
+        if not isinstance(field, Path):
+            raise StatementError(field.position, f"{field.text} needs no index: rows lie by it")
+        for part in field.parts:
+            if part.index is not None:
+                raise StatementError(
+                    part.position,
+                    f"an index is on all elements of an array: leave [{part.index}] out",
+                )
+        return Indexed(*topic, field)
+
+    def everything(self, _star: Token) -> None:
+        return None
+
+    def selected(self, *columns: Selected) -> tuple[Selected, ...]:
+        one = [c.what for c in columns if isinstance(c.what, Aggregate)]
+        many = [c.what for c in columns if not isinstance(c.what, Aggregate)]
+        if one and many:
+            raise StatementError(
+                one[0].position,
+                f"{one[0].text} is one value made of all rows: it stands alone or beside other "
+                f"aggregates, not beside {many[0].text}",
+            )
+        return columns
+
+    def column(self, what: Union[Operand, Aggregate], alias: Optional[Token]) -> Selected:
+        return Selected(what, None if alias is None else _name(alias))
+
+    def aggregate(self, word: Token, operand: Union[Token, Operand]) -> Aggregate:
+        function = word.lower()
+        if not isinstance(operand, Token):
+            return Aggregate(function, operand, _at(word))
+        if function != "count":
+            raise StatementError(_at(operand), f"{function} takes one field; only count takes *")
+        return Aggregate(function, None, _at(word))
+
+    def topic(self, token: Token) -> tuple[str, int]:
+        return _name(token), _at(token)
+
+    def order(self, _key: Token, direction: Optional[Token]) -> bool:
+        return direction is not None and direction.type == "DESC"
+
+    def limit(self, count: Union[Token, Placeholder]) -> Value:
+        return Literal(_integer(count), _at(count)) if isinstance(count, Token) else count
+
+    def either(self, *items: Expression) -> Expression:
+        return items[0] if len(items) == 1 else _shallow(Either(items), items)
+
+    def all(self, *items: Expression) -> Expression:
+        return items[0] if len(items) == 1 else _shallow(All(items), items)
+
+    def negate(self, _not: Token, item: Expression) -> Expression:
+        return _shallow(Negation(item), (item,))
+
+    def compare(self, operand: Operand, operator: Token, value: Value) -> Compare:
+        return Compare(operand, "!=" if operator == "<>" else str(operator), value)
+
+    def match(self, operand: Operand, negated: _Not, operator: Token, value: Value) -> Expression:
+        return _unless(negated, Compare(operand, operator.upper(), value))
+
+    def one_of(self, operand: Operand, negated: _Not, *values: Optional[Value]) -> Expression:
+        return _unless(negated, OneOf(operand, tuple(v for v in values if v is not None)))
+
+    def in_list(self, operand: Operand, negated: _Not, values: Placeholder) -> Expression:
+        return _unless(negated, OneOf(operand, (values,), whole=True))
+
+    def between(self, operand: Operand, negated: _Not, low: Value, high: Value) -> Expression:
+        inside = All((Compare(operand, ">=", low), Compare(operand, "<=", high)))
+        return _unless(negated, inside)
+
+    def is_null(self, operand: Operand, negated: _Not) -> Expression:
+        return _unless(negated, IsNull(operand))
+
+    def aggregate_as_condition(self, found: Aggregate) -> Operand:
+        raise StatementError(
+            found.position,
+            f"{found.text} is made of the rows that satisfy the condition, so it cannot stand in "
+            "it; select it, and compare its value in a second statement",
+        )
+
+    def key(self, token: Token) -> KeyOperand:
+        return KeyOperand(_at(token))
+
+    def node(self, token: Token) -> NodeOperand:
+        return NodeOperand(_at(token))
+
+    def path(self, *parts: tuple[Part, ...]) -> Path:
+        names = tuple(name for part in parts for name in part)
+        return Path(names, names[0].position)
+
+    def part(self, token: Token, index: Optional[Token]) -> tuple[Part, ...]:
+        names = _name(token).split(".") if token.type == "QUOTED" else [str(token)]
+        made = [Part(name, None, _at(token)) for name in names]
+        if index is not None:
+            made[-1] = Part(names[-1], _integer(index), _at(token))
+        return tuple(made)
+
+    def number(self, token: Token) -> Literal:
+        if token.lstrip("+-").isdigit():
+            return Literal(_integer(token), _at(token))
+        return Literal(DecimalText(str(token)), _at(token))
+
+    def text(self, token: Token) -> Literal:
+        return Literal(token[1:-1].replace("''", "'"), _at(token))
+
+    def true(self, token: Token) -> Literal:
+        return Literal(True, _at(token))
+
+    def false(self, token: Token) -> Literal:
+        return Literal(False, _at(token))
+
+    def placeholder(self, token: Token) -> Placeholder:
+        return Placeholder(_at(token))
+
+
+def _at(token: Token) -> int:
+    return token.start_pos or 0
+
+
+def _unless(negated: _Not, item: Expression) -> Expression:
+    return item if negated is None else Negation(item)
+
+
+def _name(token: Token) -> str:
+    return token[1:-1].replace('""', '"') if token.type == "QUOTED" else str(token)
+
+
+def _integer(token: Token) -> int:
+    if len(token) > MAX_DIGITS:
+        raise StatementError(_at(token), f"a number has at most {MAX_DIGITS} digits")
+    return int(token)
+
+
+def _shallow(made: Expression, items: tuple[Expression, ...]) -> Expression:
+    """Return made unless it is nested so deep that walking it would overflow the stack."""
+    level, depth = list(items), 1
+    while level:
+        level = [part for item in level for part in parts(item)]
+        depth += 1
+        if depth > MAX_DEPTH:
+            raise StatementError(0, f"the condition is nested deeper than {MAX_DEPTH}")
+    return made
+
+
 @lru_cache(maxsize=1)
 def _grammar() -> Lark:
     return Lark.open(
@@ -87,11 +300,11 @@ def _grammar() -> Lark:
         rel_to=__file__,
         parser="lalr",
         start=["statement", "lone_condition"],
-        transformer=BUILDER,
+        transformer=_Builder(),  # holds no state, so threads may share it
     )
 
 
-def parseStatement(text: str, params: Sequence[Any] = ()) -> Union[Select, Change]:
+def parseStatement(text: str, params: Sequence[object] = ()) -> Union[Select, Change]:
     """Parse a statement and bind its parameters.
 
     Args:
@@ -101,17 +314,21 @@ def parseStatement(text: str, params: Sequence[Any] = ()) -> Union[Select, Chang
     Raises:
         InvalidQuery: The text is no statement, or the parameters do not fit.
     """
-    parsed: Union[Parsed, Change] = _parse(text, "statement")
-    if isinstance(parsed, Parsed):
-        return _select(text, parsed, params)
+    found = _parse(text, "statement")
+    parsed: Union[Select, Change]
+    parsed, limit = found if isinstance(found, tuple) else (found, None)
+    if not isinstance(parsed, (Select, Delete)):
+        _Binding(text, params)
+        return replace(parsed, text=text)
+    bound = _Binding(text, params, parsed.condition, limit)
     if isinstance(parsed, Delete):
-        condition = _boundCondition(text, parsed.condition, params)
-        return replace(parsed, text=text, condition=condition)
-    _Binding(text, [], params)
-    return replace(parsed, text=text)
+        return replace(parsed, text=text, condition=bound.expression(parsed.condition))
+    condition = parsed.condition and bound.expression(parsed.condition)
+    most = limit and _limit(text, bound.value(limit))
+    return replace(parsed, text=text, condition=condition, limit=most)
 
 
-def parseSelect(text: str, params: Sequence[Any] = ()) -> Select:
+def parseSelect(text: str, params: Sequence[object] = ()) -> Select:
     """Parse a statement that gives rows and changes nothing, as parseStatement does.
 
     Raises:
@@ -128,72 +345,55 @@ def parseSelect(text: str, params: Sequence[Any] = ()) -> Select:
     )
 
 
-def _select(text: str, parsed: Parsed, params: Sequence[Any]) -> Select:
-    values = list(leaves(parsed.condition))
-    binding = _Binding(text, [*_placeholders(values), *_of_limit(parsed.limit)], params)
-    return Select(
-        text=text,
-        columns=parsed.columns,
-        topic=parsed.topic,
-        topic_position=parsed.topic_position,
-        condition=None if parsed.condition is None else binding.expression(parsed.condition),
-        descending=parsed.descending,
-        limit=None if parsed.limit is None else _limit(text, binding.value(parsed.limit)),
-    )
-
-
-def parseCondition(text: str, params: Sequence[Any] = ()) -> Expression:
+def parseCondition(text: str, params: Sequence[object] = ()) -> Expression:
     """Parse a condition, what stands behind WHERE, and bind its parameters.
 
     Raises:
         InvalidQuery: The text is no condition, or the parameters do not fit.
     """
-    return _boundCondition(text, _parse(text, "lone_condition"), params)
-
-
-def _boundCondition(text: str, found: Expression, params: Sequence[Any]) -> Expression:
-    binding = _Binding(text, list(_placeholders(list(leaves(found)))), params)
-    return binding.expression(found)
-
-
-def nearest(name: str, known: Sequence[str]) -> str:
-    """Return ' (did you mean …?)' with the names most like one, or '' where none is."""
-    lowered = {other.lower(): other for other in known}
-    close = difflib.get_close_matches(name.lower(), lowered, n=3, cutoff=0.6)
-    longer = [other for other in lowered if len(name) > 1 and other.startswith(name.lower())]
-    return meant([lowered[other] for other in dict.fromkeys(close + longer)])
-
-
-def meant(names: Sequence[str]) -> str:
-    """Return ' (did you mean …?)' with up to three names, or '' where there are none."""
-    return f" (did you mean {' or '.join(names[:3])}?)" if names else ""
+    found: Expression = _parse(text, "lone_condition")
+    return _Binding(text, params, found).expression(found)
 
 
 class _Binding:
-    """Puts the values of parameters where their placeholders stand."""
+    """Puts the values of parameters where their placeholders stand.
 
-    def __init__(self, text: str, found: list[Placeholder], params: Sequence[Any]) -> None:
+    Args:
+        text: The statement.
+        params: The values.
+        condition, limit: The clauses in which placeholders may stand.
+    """
+
+    def __init__(
+        self,
+        text: str,
+        params: Sequence[object],
+        condition: Optional[Expression] = None,
+        limit: Optional[Value] = None,
+    ) -> None:
+        values = [value for leaf in leaves(condition) for value in given(leaf)]
+        if limit is not None:
+            values.append(limit)
+        found = sorted(value.position for value in values if isinstance(value, Placeholder))
         _check_params(text, found, params)
         if len(found) != len(params):
-            ordered = sorted(p.position for p in found)
-            at = ordered[len(params)] if len(params) < len(found) else len(text)
+            at = found[len(params)] if len(params) < len(found) else len(text)
             raise InvalidQuery(
                 text, at, f"the statement has {len(found)} parameters, {len(params)} were given"
             )
-        ordered = sorted(p.position for p in found)
         self._text = text
-        self._values = dict(zip(ordered, params))
+        self._values = dict(zip(found, params))
 
     def expression(self, item: Expression) -> Expression:
         if isinstance(item, Compare):
-            return Compare(item.operand, item.operator, self.value(item.value))
+            return replace(item, value=self.value(item.value))
         if isinstance(item, OneOf):
             return OneOf(item.operand, tuple(self._listed(item)))
         if isinstance(item, IsNull):
             return item
         if isinstance(item, Negation):
             return Negation(self.expression(item.item))
-        return type(item)(tuple(self.expression(part) for part in item.items))
+        return replace(item, items=tuple(self.expression(part) for part in item.items))
 
     def value(self, value: Value) -> Literal:
         if isinstance(value, Literal):
@@ -212,7 +412,7 @@ class _Binding:
             yield Literal(element, whole.position)
 
 
-def _check_params(text: str, found: list[Placeholder], params: Any) -> None:
+def _check_params(text: str, found: Sequence[int], params: object) -> None:
     unordered = (str, bytes, Mapping, AbstractSet)
     if isinstance(params, Collection) and not isinstance(params, unordered):
         return
@@ -220,18 +420,8 @@ def _check_params(text: str, found: list[Placeholder], params: Any) -> None:
         reason = f"one value: give [{params!r:.80}]"
     else:
         reason = f"a {type(params).__name__}"
-    at = min((placeholder.position for placeholder in found), default=0)
     reason = f"the parameters are a list of values in the order of their ?, not {reason}"
-    raise InvalidQuery(text, at, reason)
-
-
-def _placeholders(comparisons: list[Leaf]) -> Iterator[Placeholder]:
-    for item in comparisons:
-        yield from (value for value in given(item) if isinstance(value, Placeholder))
-
-
-def _of_limit(limit: Optional[Value]) -> list[Placeholder]:
-    return [limit] if isinstance(limit, Placeholder) else []
+    raise InvalidQuery(text, min(found, default=0), reason)
 
 
 def _limit(text: str, most: Literal) -> int:
@@ -272,7 +462,11 @@ def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
         return position, f"the quote {found[0]} is not closed"
     if text.startswith("/*", position):
         return position, "the comment /* is not closed"
-    keywords = [name.lstrip("_") for name in expected if _is_keyword(name)]
+    keywords = [
+        name.lstrip("_")
+        for name in expected - {"_END"}
+        if name.startswith("_") or name in _KEPT_KEYWORDS
+    ]
     shown = f"found {found!r}" if found else "the statement ends here"
     words = {**_WORDS, "NAME": "a name"} if "_ON" in expected else _WORDS
     wanted = ", ".join(sorted(words.get(name, name.lstrip("_")) for name in expected - _UNSAID))
@@ -302,10 +496,6 @@ def _hint(before: str, found: str, expected: set[str], previous: str) -> str:
     if found.upper() == "NULL" and "NUMBER" in expected:
         return " (what is missing is found by IS NULL)"
     return ""
-
-
-def _is_keyword(name: str) -> bool:
-    return name.startswith("_") and name != "_END" or name in ("ASC", "DESC", "TABLE")
 
 
 def _word_at(text: str, position: int) -> str:

@@ -125,13 +125,13 @@ class Bucket(Protocol):
 
 Columns = Callable[[Table], Optional[Sequence[str]]]
 """Gives for a table those of its columns that are to be read, in their order; None = all."""
-Terms = Tuple[Tuple[str, str, bytes], ...]
-"""Column, operator and encoded value; all of them hold."""
-Query = Tuple[Terms, bool]
-"""What the server is to check, and whether it finds the rows by an index."""
+Term = Tuple[str, str, bytes]
+"""Column, operator and encoded value."""
+Query = Tuple[Tuple[Term, ...], bool]
+"""What the server is to check, all of it, and whether it finds the rows by an index."""
 
 
-class Chooser(Protocol):
+class TopicChooser(Protocol):
     """Decides, bucket by bucket, what the server is to check."""
 
     def choose(self, table: Table, bucket: Sequence[Bucket]) -> Optional[Sequence[Query]]:
@@ -172,7 +172,7 @@ class Source(Protocol[RowT_co]):
         after: Optional[Position] = None,
         reverse: bool = False,
         columns: Optional[Columns] = None,
-        chooser: Optional[Chooser] = None,
+        chooser: Optional[TopicChooser] = None,
     ) -> Iterator[RowT_co]:
         """Walk through the rows with a time in [key, to_key], ns, in its order; None = open."""
 

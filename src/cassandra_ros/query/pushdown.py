@@ -5,20 +5,28 @@
 It only has to leave out what cannot match: every row that comes is checked again here. So what
 cannot be said in CQL is left away, OR becomes several queries whose rows are united, and the rows
 whose columns are not exact (``_odd``) are read besides.
+
+Cassandra compares otherwise than we do: −0.0 is less than 0.0 and NaN more than all, a float32
+column takes a double for the float32 nearest to it, and a bound beyond an integer column's range
+is an error. So bounds go outwards to the next value that the column can hold; what it cannot
+hold cannot match.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from itertools import product
 from typing import Any, Dict, Iterator, NamedTuple, Optional, Sequence, Tuple
 
+import numpy
+
 from cassandra_ros.messages.index_field import MAX_TEXT_BYTES
 from cassandra_ros.messages.wire.plan import wirePlan
-from cassandra_ros.query.builder import StatementError
-from cassandra_ros.query.fields import FieldRef, fieldOf
+from cassandra_ros.messages.wire.values import encode_value
 from cassandra_ros.query.literals import Comparable, fitToField
-from cassandra_ros.query.protocols import Bucket, Query, Table
-from cassandra_ros.query.scope import wantsArray
+from cassandra_ros.query.names import FieldRef, fieldOf, wantsArray
+from cassandra_ros.query.protocols import Bucket, Query, Table, Term
 from cassandra_ros.query.syntax import (
     All,
     Compare,
@@ -29,9 +37,9 @@ from cassandra_ros.query.syntax import (
     Literal,
     Negation,
     Path,
+    StatementError,
     given,
 )
-from cassandra_ros.query.terms import NEVER, Held, Term, Ways, spanOf, waysOf
 
 PLANS = ("auto", "index", "filter", "client")
 """What may be pushed: whatever is quickest; the same, with every index; no index; nothing."""
@@ -49,6 +57,26 @@ DENSE_ROWS = 500
 CROWDED_SHARE = 0.3
 """Where more of a bucket is wanted, it is read once instead of by several queries."""
 _ODD = ((("_odd", "=", b"\x01"),), False)
+Ways = Optional[Tuple[Tuple[Term, ...], ...]]
+"""Each way is a set of terms that all hold; what matches does so in one way at least. None: any row
+may match. Empty: none can."""
+
+NEVER: Ways = ()
+_INTEGERS = {"tinyint": 8, "smallint": 16, "int": 32, "bigint": 64}
+_FLOATS: Any = {"float": numpy.float32, "double": numpy.float64}
+
+
+@dataclass(frozen=True)
+class Held:
+    """A column of a table, or one that carries an index."""
+
+    column: str
+    cql_type: str
+    """Of one value."""
+    many: bool = False
+    """A list or set of values, which can only be asked for one that it contains."""
+    longest: int = 0
+    """Texts of more bytes may be missing, so that a range of texts is never asked for."""
 
 
 class Need(NamedTuple):
@@ -265,3 +293,111 @@ def _columnOf(ref: FieldRef, table: Table) -> Optional[Held]:
     if column is None or column.kind in ("array", "wire"):
         return None
     return Held(column.name, column.element_type, column.is_list, table.longest_text)
+
+
+def waysOf(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
+    """Say how the server can check that a column compares so with one of some values.
+
+    Args:
+        held: The column.
+        operator: One of = < <= > >= CONTAINS.
+        values: One; for ``=`` and ``CONTAINS`` also several, of which one is to match.
+    """
+    if operator == "=" or (operator == "CONTAINS" and held.many):
+        return _equal(held, "CONTAINS" if held.many else "=", values)
+    if held.many or operator not in ("<", "<=", ">", ">="):
+        return None
+    return _bounded(held, operator, values[0])
+
+
+def spanOf(held: Held, values: Sequence[Comparable]) -> Ways:
+    """Say how the server can check that a number lies between the outermost of some."""
+    numbers = [v for v in values if not isinstance(v, str) and v == v]
+    if held.many or not numbers or len(numbers) < len(values):
+        return None
+    ways = [_bounded(held, ">=", min(numbers)), _bounded(held, "<=", max(numbers))]
+    if NEVER in ways:
+        return NEVER
+    terms = tuple(term for way in ways for term in (way[0] if way else ()))
+    return (terms,) if terms else None
+
+
+def _equal(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
+    ways: dict[tuple[Term, ...], None] = {}
+    for value in values:
+        raws = _exact(held, value)
+        if raws is None:
+            return None
+        if len(raws) == 2 and not held.many:  # both zeros, in one query
+            ways[(held.column, ">=", raws[0]), (held.column, "<=", raws[1])] = None
+        else:
+            ways.update(dict.fromkeys(((held.column, operator, raw),) for raw in raws))
+    return tuple(ways)
+
+
+def _exact(held: Held, value: Comparable) -> Optional[list[bytes]]:
+    """Encode all that equals a value; None where the column may lack what does."""
+    if held.cql_type == "text":
+        return _text(held, value)
+    if isinstance(value, str) or value != value:
+        return []
+    if held.cql_type == "boolean":
+        return [encode_value("boolean", bool(value))] if value in (0, 1) else []
+    if held.cql_type in _FLOATS:
+        below, above = (_float(held.cql_type, value, upwards) for upwards in (True, False))
+        if below == above:
+            return [below]
+        return [below, above] if value == 0 else []
+    low, high = _range(held.cql_type)
+    if not low <= value <= high or value != int(value):
+        return []
+    return [encode_value(held.cql_type, int(value))]
+
+
+def _text(held: Held, value: Comparable) -> Optional[list[bytes]]:
+    if not isinstance(value, str):
+        return []
+    try:
+        raw = encode_value("text", value)
+    except UnicodeEncodeError:
+        return None
+    return [raw] if len(raw) <= held.longest else None
+
+
+def _bounded(held: Held, operator: str, value: Comparable) -> Ways:
+    if isinstance(value, str) or held.cql_type in ("text", "boolean"):
+        return None
+    if value != value:
+        return NEVER
+    upwards = operator in (">", ">=")
+    if held.cql_type in _FLOATS:
+        raw = _float(held.cql_type, value, upwards)
+        return (((held.column, operator[0] + "=", raw),),)
+    low, high = _range(held.cql_type)
+    if (value > high or (value == high and operator == ">")) if upwards else value < low:
+        return NEVER
+    if value <= low if upwards else value >= high:
+        return None
+    bound = math.ceil(value) if upwards else math.floor(value)
+    return (((held.column, operator[0] + "=", encode_value(held.cql_type, bound)),),)
+
+
+def _range(cql_type: str) -> tuple[int, int]:
+    bits = _INTEGERS.get(cql_type)
+    return (0, 2**64 - 1) if bits is None else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+
+
+def _float(cql_type: str, value: Comparable, upwards: bool) -> bytes:
+    """Encode the nearest float that is not above (upwards) or not below a value."""
+    kind = _FLOATS[cql_type]
+    try:
+        wide = float(value)
+    except OverflowError:
+        wide = math.inf if value > 0 else -math.inf  # type: ignore[operator]
+    with numpy.errstate(over="ignore"):
+        near = kind(wide)
+        # As Python numbers, for they compare exactly.
+        if (float(near) > value) if upwards else (float(near) < value):  # type: ignore[operator]
+            near = numpy.nextafter(near, kind(-math.inf if upwards else math.inf))
+    found = float(near)
+    return encode_value(cql_type, found if found else (-0.0 if upwards else 0.0))

@@ -4,24 +4,60 @@
 
 from __future__ import annotations
 
-from typing import Any, Generator, Iterable, Iterator, Optional, Sequence, Tuple, Union
+from typing import Any, Generator, Iterable, Iterator, NamedTuple, Optional, Sequence, Tuple, Union
 
-from cassandra_ros.errors import InvalidQuery
-from cassandra_ros.keys import Position, isBehind
+from cassandra_ros.errors import InvalidKey
+from cassandra_ros.keys import Position, decodeCursor, encodeCursor, isBehind
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.query.aggregates import Totals
-from cassandra_ros.query.bounds import Bounds, boundsOf, warnOfSeconds
-from cassandra_ros.query.builder import StatementError
-from cassandra_ros.query.conditions import boundedRows
-from cassandra_ros.query.cursor import Place, readPlace
-from cassandra_ros.query.plan import TablePlan, uniteColumns
-from cassandra_ros.query.protocols import Row, Source, Table
+from cassandra_ros.query.aggregates import Aggregation
+from cassandra_ros.query.conditions import Bounds, boundedRows, boundsOf, warnOfSeconds
+from cassandra_ros.query.projection import Projections
+from cassandra_ros.query.protocols import Row, Source
 from cassandra_ros.query.pushdown import Pushdown
-from cassandra_ros.query.scope import Findings
 from cassandra_ros.query.syntax import Select
 
 Cursor = Union[str, Position, None]
 _Rows = Generator[Tuple[Any, ...], None, None]
+_MAX_DIGITS = 18
+
+
+class Place(NamedTuple):
+    """Place in a result: behind some row of the message at a position."""
+
+    given: int
+    """Rows given so far, for the statement's LIMIT."""
+    skip: int
+    """Rows of the message at the position that were given; 0 = all."""
+    position: Optional[Position]
+    """None = the beginning."""
+
+    @property
+    def text(self) -> str:
+        """The cursor that ``readPlace`` understands; '' at the beginning."""
+        at = self.position
+        return "" if at is None else f"{self.given}.{self.skip}.{encodeCursor(at)}"
+
+
+START = Place(0, 0, None)
+
+
+def readPlace(cursor: Union[str, Position, Place, None]) -> Place:
+    """Read a cursor; a bare position means behind the message there.
+
+    Raises:
+        InvalidKey: It is none.
+    """
+    if cursor is None or cursor == "":
+        return START
+    if isinstance(cursor, Place):
+        return cursor
+    if isinstance(cursor, Position):
+        return Place(0, 0, cursor)
+    given, _, rest = str(cursor).partition(".")
+    skip, _, position = rest.partition(".")
+    if not all(n.isascii() and n.isdigit() and len(n) <= _MAX_DIGITS for n in (given, skip)):
+        raise InvalidKey(f"{str(cursor)[:80]!r} is not a cursor of this package")
+    return Place(int(given), int(skip), decodeCursor(position))
 
 
 _ENDED = Place(1, 0, Position(0, "", 0, ""))
@@ -49,17 +85,11 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         limit: Optional[int],
         plan: str = "auto",
     ) -> None:
-        findings = Findings(select.text)
         self.select = select
-        self._plans = {
-            t.name: TablePlan(select, t.definition, findings, t.named) for t in source.tables
-        }
-        findings.check()
-        self._names = uniteColumns(select, list(self._plans.values()))
-        self.columns = tuple(name for names in self._names for name in names)
+        self._projections = Projections(select, source.tables)
+        self.columns = tuple(name for names in self._projections.names for name in names)
         self.pushdown = Pushdown(None if bounds.whole else select.condition, plan)
-        self._reading: Any = {"columns": self._columns, "chooser": self.pushdown}
-        self.direct = bounds.whole and not any(p.unnests for p in self._plans.values())
+        self.direct = bounds.whole and not any(p.unnested for p in self._projections)
         self._place = place
         self.read = 0
         self.counted = bool(select.counts and bounds.whole and bounds.name is None)
@@ -98,8 +128,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         if last == given:
             return
         for row in self._stored(source, bounds, place, left):
-            self.read += 1
-            found = self._plan(row.table).rows(row)
+            found = self._projections.of(row.table).rows(row)
             for number in range(place.skip if row.position == place.position else 0, len(found)):
                 given += 1
                 # All rows of the message: go on behind it, without looking at it again.
@@ -114,17 +143,36 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     ) -> Iterator[Row]:
         reverse, at = self.select.descending, place.position
         if at is None or not (place.skip or reverse):
-            limit = left if self.direct else None
-            return boundedRows(source, bounds, at, reverse, limit, **self._reading)
+            return self._read(source, bounds, at, reverse, left if self.direct else None)
         # Begin with the message at the cursor: some of its rows may be still to come, and the
         # store goes on behind a position only upwards.
         narrowed = bounds.within(None, at.t) if reverse else bounds.within(at.t, None)
-        rows = boundedRows(source, narrowed, None, reverse, **self._reading)
         return (
             row
-            for row in rows
+            for row in self._read(source, narrowed, None, reverse)
             if isBehind(row.position, at, reverse) or (place.skip and row.position == at)
         )
+
+    def _read(
+        self,
+        source: Source[Row],
+        bounds: Bounds,
+        after: Optional[Position] = None,
+        reverse: bool = False,
+        limit: Optional[int] = None,
+    ) -> Iterator[Row]:
+        rows = boundedRows(
+            source,
+            bounds,
+            after,
+            reverse,
+            limit,
+            columns=lambda table: self._projections.of(table).columns,
+            chooser=self.pushdown,
+        )
+        for row in rows:
+            self.read += 1
+            yield row
 
     def _aggregated(
         self, source: Source[Row], bounds: Bounds, place: Place, left: Optional[int]
@@ -135,28 +183,16 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         if self.counted and not bounds.empty:
             yield (self._countedByKey(source, bounds),) * len(self.select.aggregates)
             return
-        totals = Totals(self.select)
-        for row in boundedRows(source, bounds, **self._reading):
-            self.read += 1
-            totals.add(self._plan(row.table).rows(row))
+        totals = Aggregation(self.select)
+        for row in self._read(source, bounds):
+            totals.add(self._projections.of(row.table).rows(row))
         yield totals.values()
 
     def _countedByKey(self, source: Source[Row], bounds: Bounds) -> int:
         if any(table.named for table in source.tables):
-            return int(source.countTopicData(nodeID=bounds.node))
-        ends = (Stamp.fromNs(bounds.low), Stamp.fromNs(bounds.high))
-        return int(source.countTopicData(*ends, bounds.node))
-
-    def _columns(self, table: Table) -> Optional[Sequence[str]]:
-        return self._plan(table).columns(table)
-
-    def _plan(self, table: Table) -> TablePlan:
-        if table.name not in self._plans:  # made since the statement was planned
-            select = self.select
-            findings = Findings(select.text)
-            self._plans[table.name] = TablePlan(select, table.definition, findings, table.named)
-            self._plans[table.name].follow(self._names)
-        return self._plans[table.name]
+            return source.countTopicData(nodeID=bounds.node)
+        low, high = Stamp.fromNs(bounds.low), Stamp.fromNs(bounds.high)
+        return source.countTopicData(low, high, bounds.node)
 
 
 def select_rows(
@@ -182,11 +218,8 @@ def select_rows(
         InvalidQuery: The statement names what the topic has not.
         InvalidKey: ``after`` is no cursor.
     """
-    try:
-        named = any(table.named for table in source.tables)
-        bounds = boundsOf(select.condition, nodeID, named)
-    except StatementError as exc:
-        raise InvalidQuery(select.text, exc.position, exc.reason) from None
+    named = any(table.named for table in source.tables)
+    bounds = boundsOf(select, nodeID, named)
     if not named:
         warnOfSeconds(select.condition)
     return QueryResult(select, source, bounds, readPlace(after), limit, plan)

@@ -8,6 +8,15 @@ from dataclasses import dataclass
 from typing import Any, Iterator, Optional, Sequence, Tuple, Union
 
 
+class StatementError(Exception):
+    """Something in a statement is wrong at a position; becomes an InvalidQuery."""
+
+    def __init__(self, position: int, reason: str) -> None:
+        super().__init__(reason)
+        self.position = position
+        self.reason = reason
+
+
 class DecimalText(float):
     """A float that remembers how it was written: a time needs all its digits."""
 
@@ -78,7 +87,7 @@ def path_text(names: Sequence[Tuple[str, Optional[int]]]) -> str:
 
 
 @dataclass(frozen=True)
-class Key:
+class KeyOperand:
     """``KEY``, the time under which a message lies."""
 
     position: int
@@ -86,17 +95,17 @@ class Key:
 
 
 @dataclass(frozen=True)
-class Node:
+class NodeOperand:
     """``NODE``, the entity that produced a message."""
 
     position: int
     text = "NODE"
 
 
-OWN_WORDS = (Key.text, Node.text)
+OWN_WORDS = (KeyOperand.text, NodeOperand.text)
 """What stands for more than a field; a field of such a name is quoted."""
 
-Operand = Union[Path, Key, Node]
+Operand = Union[Path, KeyOperand, NodeOperand]
 
 
 @dataclass(frozen=True)
@@ -116,7 +125,7 @@ class Aggregate:
 
 
 @dataclass(frozen=True)
-class Column:
+class Selected:
     """What a statement selects, and the name that it gives it."""
 
     what: Union[Operand, Aggregate]
@@ -207,7 +216,7 @@ class Select:
     """A SELECT statement with all its values bound."""
 
     text: str
-    columns: Optional[tuple[Column, ...]]
+    columns: Optional[tuple[Selected, ...]]
     """None = ``*``; either all of them are aggregates or none is."""
     topic: str
     topic_position: int

@@ -28,7 +28,7 @@ from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessa
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import toNs
 from cassandra_ros.metadata import MetaView
-from cassandra_ros.query.protocols import Chooser
+from cassandra_ros.query.protocols import TopicChooser
 from cassandra_ros.topics.finding import Filter, Finder, Where
 from cassandra_ros.topics.indexes import Progress, TopicIndexes
 from cassandra_ros.topics.keyspace import Keyspace, Wish
@@ -297,7 +297,7 @@ class CassandraTopic:
         after: Optional[Position] = None,
         reverse: bool = False,
         columns: Optional[Columns] = None,
-        chooser: Optional[Chooser] = None,
+        chooser: Optional[TopicChooser] = None,
     ) -> Iterator[StoredRow]:
         """Walk through messages by their time, as items does, without making objects.
 

@@ -75,7 +75,7 @@ class RowReader:
         reverse: bool = False,
         limit: Optional[int] = None,
         columns: Optional[Columns] = None,
-        chooser: Optional[protocols.Chooser] = None,
+        chooser: Optional[protocols.TopicChooser] = None,
     ) -> Iterator[StoredRow]:
         """Yield rows with a time in a stretch in the order (t, node, seq, table), lazily.
 

@@ -20,10 +20,10 @@ from cassandra_ros.arguments import check_limit, check_nodes
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, TopicNotFound
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.query.bounds import SECONDS_BELOW, meantAsSeconds
-from cassandra_ros.query.conditions import Condition
+from cassandra_ros.query.conditions import SECONDS_BELOW, Condition, meantAsSeconds
 from cassandra_ros.query.explain import Explanation, explain
-from cassandra_ros.query.parse import nearest, parseSelect, parseStatement
+from cassandra_ros.query.names import nearest
+from cassandra_ros.query.parse import parseSelect, parseStatement
 from cassandra_ros.query.run import Cursor, QueryResult, Rows, select_rows
 from cassandra_ros.query.syntax import (
     Change,
@@ -128,10 +128,9 @@ class Statements:
             return self._catalog.get(topic)
 
     def _delete(self, statement: Delete, node: Optional[str]) -> int:
-        text = statement.text
         topic = self._topic(statement)
         named = any(table.named for table in topic.tables)
-        condition = Condition.ofStatement(text, statement.condition, node)
+        condition = Condition.ofStatement(statement, node)
         bounds = condition.bounds(named)
         if not named:
             _refuseSeconds(topic, statement)

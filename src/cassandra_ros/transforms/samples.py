@@ -14,7 +14,7 @@ from typing import Any, Iterator, NamedTuple, Optional, Tuple
 from cassandra_ros.errors import CorruptMessage, TypeMismatch
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.extract import Extractor
-from cassandra_ros.query.fields import FieldRef, allFields
+from cassandra_ros.query.names import FieldRef, allFields
 from cassandra_ros.query.protocols import Row, Source, Table
 
 _log = logging.getLogger(__name__)

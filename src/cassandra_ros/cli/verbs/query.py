@@ -100,8 +100,7 @@ def _parameter(text: str) -> object:
 
 
 def _answer(rosCas: RosCassandra, options: argparse.Namespace, params: Sequence[object]) -> None:
-    from cassandra_ros.arrays.array_types import ArrayType
-    from cassandra_ros.arrays.outputs import columnTypes
+    from cassandra_ros.arrays.array_types import ArrayType, columnTypes
     from cassandra_ros.cli.results import write
     from cassandra_ros.query.parse import parseStatement
     from cassandra_ros.query.syntax import Select

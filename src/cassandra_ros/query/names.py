@@ -1,19 +1,33 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The fields that a statement names, found in a message definition."""
+"""The fields that a statement names, found in a message definition.
+
+A topic may have several definitions. A field that one of them lacks is missing there, and only a
+field that all of them lack is an error; so problems are collected over all tables.
+"""
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import dataclass, replace
-from typing import Iterator, Optional, Sequence
+from typing import Iterator, Optional, Sequence, Tuple
 
+from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import Field
-from cassandra_ros.query.builder import StatementError
-from cassandra_ros.query.parse import meant, nearest
-from cassandra_ros.query.syntax import OWN_WORDS, Part, Path, path_text
+from cassandra_ros.query.syntax import (
+    OWN_WORDS,
+    Compare,
+    IsNull,
+    Leaf,
+    Part,
+    Path,
+    StatementError,
+    path_text,
+)
 
-_TIME_PARTS = {"time": ("uint32", "uint32"), "duration": ("int32", "int32")}
+_TIME_PARTS = {"time": "uint32", "duration": "int32"}
+"""Type of secs and nsecs."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +39,10 @@ class Step:
     """An array of messages."""
     index: Optional[int] = None
     """The one element of the array that was asked for."""
+
+
+Array = Tuple[Step, ...]
+"""The way to an array of messages."""
 
 
 @dataclass(frozen=True)
@@ -50,18 +68,41 @@ class FieldRef:
     @property
     def name(self) -> str:
         """The dotted name as a column of a result."""
-        last = self.steps[-1].name, self.index
-        names = [*((step.name, step.index) for step in self.steps[:-1]), last]
+        names = [(step.name, step.index) for step in self.steps]
+        names[-1] = (names[-1][0], self.index)
         return path_text(names) + (f".{self.part}" if self.part else "")
 
     @property
-    def arrays(self) -> tuple[tuple[Step, ...], ...]:
+    def arrays(self) -> tuple[Array, ...]:
         """The arrays of messages without an index on the way, outermost first."""
         return tuple(
             self.steps[: n + 1]
             for n, step in enumerate(self.steps)
             if step.many and step.index is None
         )
+
+
+class Findings:
+    """What was found wrong in some table, and what was found right in another."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._problems: dict[int, StatementError] = {}
+        self._fine: set[int] = set()
+
+    def fine(self, position: int) -> None:
+        """Note that what stands at a position makes sense in a table."""
+        self._fine.add(position)
+
+    def wrong(self, position: int, problem: StatementError) -> None:
+        """Note that it makes none in a table."""
+        self._problems.setdefault(position, problem)
+
+    def check(self) -> None:
+        """Raise InvalidQuery for the first thing that makes sense in no table."""
+        for position, problem in sorted(self._problems.items()):
+            if position not in self._fine:
+                raise InvalidQuery(self._text, problem.position, problem.reason)
 
 
 def allFields(definition: Definition) -> list[FieldRef]:
@@ -118,6 +159,25 @@ def fieldOf(path: Path, definition: Definition, array: Optional[bool] = False) -
     return found[0]
 
 
+def wantsArray(leaf: Leaf) -> Optional[bool]:
+    """Say whether a comparison's operand is an array as a whole; None = either."""
+    if isinstance(leaf, IsNull):
+        return None
+    return isinstance(leaf, Compare) and leaf.operator == "CONTAINS"
+
+
+def nearest(name: str, known: Sequence[str]) -> str:
+    """Return ' (did you mean …?)' with the names most like one, or '' where none is."""
+    lowered = {other.lower(): other for other in known}
+    close = difflib.get_close_matches(name.lower(), lowered, n=3, cutoff=0.6)
+    longer = [other for other in lowered if len(name) > 1 and other.startswith(name.lower())]
+    return _meant([lowered[other] for other in dict.fromkeys(close + longer)])
+
+
+def _meant(names: Sequence[str]) -> str:
+    return f" (did you mean {' or '.join(names[:3])}?)" if names else ""
+
+
 def _field(definition: Definition, msg_type: str, part: Part, steps: Sequence[Step]) -> Field:
     fields = definition.specs[msg_type].fields
     for field in fields:
@@ -126,18 +186,13 @@ def _field(definition: Definition, msg_type: str, part: Part, steps: Sequence[St
     prefix = "".join(f"{step.name}." for step in steps)
     names = [field.name for field in fields]
     own = [word for word in OWN_WORDS if not steps and word == part.name.upper()]
+    deeper = [ref.name for ref in allFields(definition) if ref.steps[-1].name == part.name]
     hint = "" if own else nearest(part.name, names)
-    hint = hint or meant(own + _elsewhere(definition, part.name))
     raise StatementError(
         part.position,
-        f"{definition.type} has no field {prefix}{part.name}{hint}; "
+        f"{definition.type} has no field {prefix}{part.name}{hint or _meant(own + deeper)}; "
         f"{'its' if not prefix else prefix[:-1]} fields are {', '.join(names[:20]) or 'none'}",
     )
-
-
-def _elsewhere(definition: Definition, name: str) -> list[str]:
-    """List the fields of this name that stand deeper in the message."""
-    return [ref.name for ref in allFields(definition) if ref.steps[-1].name == name]
 
 
 def _check_index(part: Part, field: Field, path: Path) -> None:
@@ -160,8 +215,7 @@ def _primitive(path: Path, number: int, steps: tuple[Step, ...], field: Field) -
         return ref
     if field.base in _TIME_PARTS and not whole and len(rest) == 1 and rest[0].index is None:
         if rest[0].name in ("secs", "nsecs"):
-            which = ("secs", "nsecs").index(rest[0].name)
-            return replace(ref, type=_TIME_PARTS[field.base][which], part=rest[0].name)
+            return replace(ref, type=_TIME_PARTS[field.base], part=rest[0].name)
     name = rest[0].name
     raise StatementError(
         rest[0].position, f"{ref.name} is a {field.full_type}; it has no field {name}"

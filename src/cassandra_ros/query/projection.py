@@ -1,0 +1,384 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a statement makes of the rows of one table."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from typing import Any, Callable, Iterator, NamedTuple, Optional, Sequence, Union
+
+from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.query.evaluate import Check, Values, compileCondition
+from cassandra_ros.query.extract import Extractor, Get
+from cassandra_ros.query.literals import Comparable, fitToField, fitToText, fitToTime
+from cassandra_ros.query.names import (
+    Array,
+    FieldRef,
+    Findings,
+    allFields,
+    fieldOf,
+    fieldsOf,
+    wantsArray,
+)
+from cassandra_ros.query.protocols import Row, Table
+from cassandra_ros.query.syntax import (
+    Aggregate,
+    Compare,
+    KeyOperand,
+    Leaf,
+    Literal,
+    NodeOperand,
+    Path,
+    Select,
+    Selected,
+    StatementError,
+)
+
+_log = logging.getLogger(__name__)
+
+KEY_PLACE, NODE_PLACE = 0, 1
+_BESIDE = -1
+"""From here downwards are the marks of problems that no other table can make good."""
+_NO_NUMBERS = ("string", "time", "duration")
+
+
+class Output(NamedTuple):
+    """One column of a result, in one table."""
+
+    name: str
+    place: int
+    """Where its value stands among the values of a row."""
+    kind: str
+    """ROS type of a value; 'sum' is an integer of any size."""
+    ref: Optional[FieldRef] = None
+    """The field that it shows; None for KEY, NODE and what is computed."""
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Reads, filters and shows the rows of one table; made by ``compile``.
+
+    The values of a row are its KEY, its NODE, and those of the fields that the statement names.
+    """
+
+    groups: tuple[tuple[Output, ...], ...]
+    """What each selected path gives: one column, or those of a whole message."""
+    check: Check
+    """The condition."""
+    columns: Optional[Sequence[str]]
+    """Columns of its table that are read, in their order; None = all."""
+    unnested: tuple[Array, ...]
+    """The arrays of messages each of whose elements is a row, outermost first."""
+    named: bool
+    """KEY is a name."""
+    extractor: Optional[Extractor]
+    width: int
+    """How many values a row has."""
+    shown: tuple[tuple[Optional[int], Optional[Get]], ...] = ()
+    """For each column of the result its place (None: missing here), and how to show a value."""
+
+    @classmethod
+    def compile(cls, select: Select, table: Table, findings: Findings) -> Projection:
+        """Find out what a statement means in a table.
+
+        Args:
+            select: The statement.
+            table: Whose rows.
+            findings: Collects what the statement names in vain.
+        """
+        names = _Names(table, findings)
+        if select.columns is None:
+            key = Output("KEY", KEY_PLACE, "string" if table.named else "time")
+            groups: tuple[tuple[Output, ...], ...] = ((key,), tuple(names.fields(None)))
+        else:
+            groups = tuple(tuple(names.outputs(selected)) for selected in select.columns)
+        check = compileCondition(select.condition, names.locate, names.fit)
+        extractor = None
+        columns: Optional[Sequence[str]] = ()
+        if table.definition is not None and names.refs:
+            extractor = Extractor(table.definition, names.refs, names.unnested)
+            columns = extractor.columns if table.by_field else None
+        made = cls(
+            groups=groups,
+            check=check,
+            columns=columns,
+            unnested=tuple(names.unnested),
+            named=table.named,
+            extractor=extractor,
+            width=2 + len(names.refs),
+        )
+        return made.showing([[output.name for output in group] for group in groups])
+
+    def showing(self, names: Sequence[Sequence[str]]) -> Projection:
+        """Return one that shows these columns of each selected path, None where it lacks one."""
+        shown: list[tuple[Optional[int], Optional[Get]]] = []
+        for group, wanted in zip(self.groups, names):
+            known = {output.name: (output.place, _SHOWS.get(output.kind)) for output in group}
+            shown += [known.get(name, (None, None)) for name in wanted]
+        return replace(self, shown=tuple(shown))
+
+    def values(self, row: Row) -> Sequence[Values]:
+        """Return the values of a stored row: once, or once for each unnested element.
+
+        Where its bytes are no message its fields are missing.
+        """
+        own = (row.name if self.named else row.t, row.node)
+        if self.extractor is None:
+            return [own]
+        try:
+            return [(*own, *found) for found in self.extractor.values(row)]
+        except MessageNotFound:
+            return []  # removed since its columns were read
+        except CorruptMessage as exc:
+            _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
+            return [(*own, *[None] * (self.width - 2))]
+
+    def hits(self, row: Row) -> Iterator[bool]:
+        """Say of each unnested element of a stored row whether it satisfies the condition."""
+        return (self.check(values) is True for values in self.values(row))
+
+    def rows(self, row: Row) -> list[tuple[Any, ...]]:
+        """Return the rows of the result that a stored row gives."""
+        return [self._row(row, v) for v in self.values(row) if self.check(v) is True]
+
+    def _row(self, row: Row, values: Values) -> tuple[Any, ...]:
+        found: list[Any] = []
+        for place, show in self.shown:
+            if place is None:
+                found.append(None)
+            elif place == KEY_PLACE:
+                found.append(row.key)
+            else:
+                found.append(values[place] if show is None else show(values[place]))
+        return tuple(found)
+
+
+class Projections:
+    """The projections of a statement, one for each table of a topic.
+
+    Args:
+        select: The statement.
+        tables: The tables of its topic; others may be made while it runs.
+
+    Attributes:
+        names: The columns of each selected path, over all tables.
+
+    Raises:
+        InvalidQuery: The statement names what no table has.
+    """
+
+    def __init__(self, select: Select, tables: Sequence[Table]) -> None:
+        self._select = select
+        findings = Findings(select.text)
+        made = {table.name: Projection.compile(select, table, findings) for table in tables}
+        findings.check()
+        groups = [projection.groups for projection in made.values()]
+        self.names = [
+            list(dict.fromkeys(output.name for group in same for output in group))
+            for same in zip(*groups)
+        ]
+        if not made:
+            columns = select.columns or (Selected(KeyOperand(0)),)
+            self.names = [[selected.text] for selected in columns]
+        self._made = {name: each.showing(self.names) for name, each in made.items()}
+
+    def __iter__(self) -> Iterator[Projection]:
+        return iter(self._made.values())
+
+    def of(self, table: Table) -> Projection:
+        """Return the projection of a table; ``names`` are its columns, whatever it has."""
+        if table.name not in self._made:  # made since
+            projection = Projection.compile(self._select, table, Findings(self._select.text))
+            self._made[table.name] = projection.showing(self.names)
+        return self._made[table.name]
+
+
+class _Names:
+    """Finds the fields that a statement names in one table, while it is compiled.
+
+    Attributes:
+        refs: The fields that were found so far, in the order of their values.
+        unnested: The arrays of messages whose elements are named, outermost first.
+    """
+
+    def __init__(self, table: Table, findings: Findings) -> None:
+        self._definition = table.definition
+        self._named = table.named
+        self._findings = findings
+        self.refs: list[FieldRef] = []
+        self.unnested: list[Array] = []
+
+    # ---------------------------------------------------------------- columns
+
+    def outputs(self, selected: Selected) -> Sequence[Output]:
+        """Return the columns that one selected path gives."""
+        what = selected.what
+        if isinstance(what, Aggregate):
+            return self._aggregated(what, selected.text)
+        if isinstance(what, Path):
+            found = self.fields(what)
+            if selected.alias is None:
+                return found
+            if len(found) > 1:
+                reason = f"{what.text} has {len(found)} fields; AS gives a name to one"
+                self._refuse(what, reason)
+            return [output._replace(name=selected.alias) for output in found[:1]]
+        place, kind = self._own(what)
+        return [Output(selected.text, place, kind)]
+
+    def fields(self, path: Optional[Path]) -> list[Output]:
+        """Return the columns of the fields that a path (None = ``*``) names."""
+        if path is not None:
+            found = self._resolved(path, lambda definition: fieldsOf(path, definition))
+        else:
+            found = [] if self._definition is None else allFields(self._definition)
+        return [Output(ref.name, self._place(ref), ref.type, ref) for ref in found]
+
+    def _aggregated(self, asked: Aggregate, name: str) -> Sequence[Output]:
+        operand, function = asked.operand, asked.function
+        ref = None
+        if isinstance(operand, Path):
+            ref = self._field(operand)
+            if ref is None:
+                return []
+            place, kind = self._place(ref), ref.type
+        else:
+            place, kind = self._own(operand or KeyOperand(0))
+        if operand is not None and function in ("sum", "avg") and kind in _NO_NUMBERS:
+            problem = StatementError(
+                operand.position,
+                f"{operand.text} is a {kind}, and {function} is for numbers; "
+                "min, max and count take any field",
+            )
+            self._findings.wrong(asked.position, problem)
+            return []
+        self._findings.fine(asked.position)
+        if function in ("min", "max"):
+            return [Output(name, place, kind, ref)]
+        total = "float64" if kind.startswith("float") else "sum"
+        return [Output(name, place, {"count": "int64", "avg": "float64", "sum": total}[function])]
+
+    def _own(self, operand: Union[KeyOperand, NodeOperand]) -> tuple[int, str]:
+        if isinstance(operand, NodeOperand):
+            return NODE_PLACE, "string"
+        return KEY_PLACE, "string" if self._named else "time"
+
+    # ---------------------------------------------------------------- the condition
+
+    def locate(self, leaf: Leaf) -> Optional[int]:
+        """Return the place of a comparison's operand; None where the table lacks it."""
+        if not isinstance(leaf.operand, Path):
+            return self._own(leaf.operand)[0]
+        ref = self._field(leaf.operand, wantsArray(leaf))
+        return None if ref is None else self._place(ref)
+
+    def fit(self, leaf: Leaf, literal: Literal) -> Optional[Comparable]:
+        """Fit a literal to its operand; None where they cannot be compared here."""
+        try:
+            fitted = self._fitted(leaf, literal)
+        except StatementError as exc:
+            self._findings.wrong(literal.position, exc)
+            return None
+        if fitted is not None:
+            self._findings.fine(literal.position)
+        return fitted
+
+    def _fitted(self, leaf: Leaf, literal: Literal) -> Optional[Comparable]:
+        operand, sign = leaf.operand, leaf.operator if isinstance(leaf, Compare) else ""
+        if isinstance(operand, Path):
+            ref = self._field(operand, wantsArray(leaf))
+            if ref is None:
+                return None
+            if sign == "LIKE":
+                _checkText(operand, ref.type)
+            return fitToField(literal, ref)
+        if sign == "CONTAINS":
+            raise StatementError(
+                operand.position, f"{operand.text} is not an array; compare it with ="
+            )
+        if self._named or isinstance(operand, NodeOperand):
+            return fitToText(literal, operand.text)
+        if sign == "LIKE":
+            _checkText(operand, "time")
+        return fitToTime(literal)
+
+    # ---------------------------------------------------------------- fields
+
+    def _field(self, path: Path, array: Optional[bool] = False) -> Optional[FieldRef]:
+        found = self._resolved(path, lambda definition: [fieldOf(path, definition, array)])
+        return found[0] if found else None
+
+    def _resolved(
+        self, path: Path, resolve: Callable[[Definition], list[FieldRef]]
+    ) -> list[FieldRef]:
+        try:
+            if self._definition is None:
+                raise StatementError(path.position, "the messages of this topic have no definition")
+            found = resolve(self._definition)
+        except StatementError as exc:
+            self._findings.wrong(path.position, exc)
+            return []
+        self._findings.fine(path.position)
+        for ref in found:
+            # Those whose elements the path names, not those that it names whole.
+            for array in ref.arrays:
+                if len(array) < len(path.parts) and array not in self.unnested:
+                    self._unnest(path, array)
+        return found
+
+    def _unnest(self, path: Path, array: Array) -> None:
+        inner = self.unnested[-1] if self.unnested else ()
+        if array[: len(inner)] == inner:
+            self.unnested.append(array)
+            return
+        names = [".".join(step.name for step in a) for a in (inner, array)]
+        self._refuse(
+            path,
+            f"the statement names fields inside two arrays of messages, {names[0]} and "
+            f"{names[1]}; ask for them in two statements, or name an element: {names[1]}[0]",
+        )
+
+    def _refuse(self, path: Path, reason: str) -> None:
+        """Note that a path, although there is such a field, cannot stand where it does."""
+        self._findings.wrong(_BESIDE - path.position, StatementError(path.position, reason))
+
+    def _place(self, ref: FieldRef) -> int:
+        if ref not in self.refs:
+            self.refs.append(ref)
+        return 2 + self.refs.index(ref)
+
+
+def _checkText(operand: Union[Path, KeyOperand], kind: str) -> None:
+    if kind != "string":
+        raise StatementError(
+            operand.position,
+            f"{operand.text} is a {kind}, and LIKE is for text; compare it with = < > or BETWEEN",
+        )
+
+
+def _shownAs(make: Get) -> Get:
+    def show(value: Any) -> Any:
+        if isinstance(value, list):
+            return [show(element) for element in value]
+        return None if value is None else make(value)
+
+    return show
+
+
+def _time(ns: int) -> Union[Stamp, int]:
+    try:
+        return Stamp.fromNs(ns)
+    except InvalidKey:
+        return ns  # nsecs beyond a second at the very end of time
+
+
+def _duration(ns: int) -> Any:
+    origin = Stamp.fromNs(0)
+    # genpy's Duration, without importing genpy here.
+    return Stamp.fromNs(ns) - origin if ns >= 0 else origin - Stamp.fromNs(-ns)
+
+
+_SHOWS = {"time": _shownAs(_time), "duration": _shownAs(_duration)}
