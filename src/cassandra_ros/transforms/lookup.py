@@ -4,18 +4,29 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Optional, Sequence
+import difflib
+from typing import Callable, Optional, Sequence, Type
+
+from geometry_msgs.msg import TransformStamped
 
 from cassandra_ros.arguments import check_nodes
-from cassandra_ros.errors import InvalidName, TopicNotFound
-from cassandra_ros.keys import MAX_NS
-from cassandra_ros.messages.stamps import Stamp, toNs
+from cassandra_ros.errors import InvalidName, LookupException, TopicNotFound, TransformException
+from cassandra_ros.keys import MAX_NS, SECOND_NS
+from cassandra_ros.messages.stamps import Stamp, isoTime, toNs
 from cassandra_ros.query.protocols import Row, Source
 from cassandra_ros.transforms.buffer import Buffer
-from cassandra_ros.transforms.failure import Failure
-from cassandra_ros.transforms.paths import Tree
-from cassandra_ros.transforms.samples import Fixed, Nearest, Recorded, named, stripped
-from cassandra_ros.transforms.search import Search
+from cassandra_ros.transforms.samples import (
+    Fixed,
+    FrameTree,
+    Nearest,
+    Recorded,
+    Search,
+    named,
+    stripped,
+)
+
+_SECONDS_BELOW = 10**12
+_SHOWN_FRAMES = 20
 
 
 class TransformFinder:
@@ -23,14 +34,16 @@ class TransformFinder:
 
     Args:
         find: Returns a topic by its name, or raises TopicNotFound.
-        nodeID: Only transforms of this node; None = of all.
+        node: Only transforms of this nodeID; None = of all.
     """
 
-    def __init__(self, find: Callable[[str], Source[Row]], nodeID: Optional[str] = None) -> None:
+    def __init__(self, find: Callable[[str], Source[Row]], node: Optional[str] = None) -> None:
         self._find = find
-        self._node = nodeID
+        self._node = node
 
-    def lookup(self, target: str, source: str, time: Any, tf: str, tf_static: str) -> Any:
+    def lookup(
+        self, target: str, source: str, time: object, tf: str, tf_static: str
+    ) -> TransformStamped:
         """Return the transform that takes points of one frame to another; see RosCassandra."""
         frames = (_frame(target), _frame(source))
         check_nodes(self._node)
@@ -53,7 +66,7 @@ class TransformFinder:
         return Recorded(found, self._node)
 
 
-def _frame(name: Any) -> str:
+def _frame(name: object) -> str:
     """Return a frame's name as tf2 wants it."""
     frame = stripped(name) if isinstance(name, str) else ""
     try:
@@ -77,16 +90,16 @@ class _Lookup:
             fixed.read(self._fixed, 0, MAX_NS, reverse=True)
         self._failure = failure
 
-    def at(self, time: int, centre: Optional[int] = None) -> Any:
+    def at(self, time: int, centre: Optional[int] = None) -> TransformStamped:
         """Return the transform at a time, ns; ``centre`` is a row key near which it lies."""
         search = self._search(time)
         path = search.run(time if centre is None else centre)
         return self._computed(search.tree, path, time)
 
-    def newest(self) -> Any:
+    def newest(self) -> TransformStamped:
         """Return the transform at the newest time that all frames on the path have, as in tf2."""
         search = self._search(None)
-        path = search.run(search.last)
+        path = search.run(0 if self._moving is None else self._moving.ends[1])
         moving = search.tree.moving(path or [])
         if not moving and path == []:
             moving = search.tree.moving([self._failure.frames[0]])
@@ -96,9 +109,11 @@ class _Lookup:
         return self.at(oldest.stamp, oldest.key)
 
     def _search(self, time: Optional[int]) -> Search:
-        return Search(self._moving, Tree(Nearest(time), self._fixed), self._failure.frames)
+        return Search(self._moving, FrameTree(Nearest(time), self._fixed), self._failure.frames)
 
-    def _computed(self, tree: Tree, path: Optional[Sequence[str]], time: Optional[int]) -> Any:
+    def _computed(
+        self, tree: FrameTree, path: Optional[Sequence[str]], time: Optional[int]
+    ) -> TransformStamped:
         fixed = tree.fixed.all()
         moving = [s for s in tree.nearest.all() if s.child not in tree.fixed.before]
         if path:
@@ -112,3 +127,94 @@ class _Lookup:
         found = buffer.lookup(*self._failure.frames, lambda kind: self._failure.text(kind, tree))
         found.header.stamp = Stamp.fromNs(time or 0)
         return found
+
+
+class Failure:
+    """The texts of the errors of one question.
+
+    Args:
+        frames: Target and source.
+        topics: What to call those of the moving and of the fixed transforms.
+        node: The nodeID that was asked for, or None.
+        asked: The time as the user gave it.
+    """
+
+    def __init__(
+        self, frames: tuple[str, str], topics: Sequence[str], node: Optional[str], asked: object
+    ) -> None:
+        self.frames = frames
+        self._topics = topics
+        self._whose = "" if node is None else f" of node {node}"
+        self._asked = asked
+
+    def text(self, kind: Type[TransformException], tree: FrameTree) -> str:
+        """Say what is wrong.
+
+        Args:
+            kind: What tf2 said.
+            tree: All that was found in the topics.
+        """
+        frames, time = tree.frames(), tree.nearest.time
+        absent = [frame for frame in self.frames if frame not in frames]
+        if absent:
+            return self._absent(absent[0], sorted(frames), tree)
+        target, source = self.frames
+        at = "" if time is None else f" at {_shown(time)}"
+        text = f"there is no transform from {source} to {target}{at}: "
+        loop = tree.loop(source) or tree.loop(target)
+        if kind is LookupException and loop:
+            return text + f"the frames {' -> '.join(loop)} form a loop in {self._where()}"
+        text += self._gap(tree) or self._apart(tree)
+        if type(self._asked) is int and 0 < self._asked < _SECONDS_BELOW:
+            text += "; integers are nanoseconds; did you mean seconds (a float)?"
+        return text
+
+    def _absent(self, frame: str, frames: list[str], tree: FrameTree) -> str:
+        near = difflib.get_close_matches(frame, frames, n=3, cutoff=0.5)
+        if near:
+            hint = f"did you mean {' or '.join(near)}?"
+        elif frames:
+            more = ", …" if len(frames) > _SHOWN_FRAMES else ""
+            hint = f"the frames are {', '.join(frames[:_SHOWN_FRAMES])}{more}"
+        else:
+            hint = "there is no transform at all"
+        return f"frame {frame!r} is not in {self._where()}{_ignored(frame, tree)}; {hint}"
+
+    def _gap(self, tree: FrameTree) -> str:
+        """Say for which frame the time lies outside; '' where it does for none."""
+        nearest = tree.nearest
+        if nearest.time is None:
+            return ""
+        for frame in dict.fromkeys(tree.climb(frame)[-1] for frame in self.frames):
+            before, after = nearest.before.get(frame), nearest.after.get(frame)
+            sample = before or after
+            if sample is None or nearest.at(frame):
+                continue
+            away = abs(sample.stamp - nearest.time) / SECOND_NS
+            which = "last" if before else "first"
+            return (
+                f"the {which} transform of frame {frame} on {self._topics[0]}{self._whose} "
+                f"is at {_shown(sample.stamp)}, {away:.9g} s {'before' if before else 'after'}"
+                f"{_ignored(frame, tree)}; ask for a time within what was recorded, or for the "
+                "time 0, which means the newest"
+            )
+        return ""
+
+    def _apart(self, tree: FrameTree) -> str:
+        target, source = (tree.climb(frame) for frame in self.frames)
+        tops = [f"{way[0]} hangs on {way[-1]}" for way in (source, target) if len(way) > 1]
+        how = f": {', '.join(tops)}" if tops else ""
+        left_out = "".join(_ignored(way[-1], tree) for way in (source, target))
+        return f"nothing in {self._where()} connects them{how}{left_out}"
+
+    def _where(self) -> str:
+        return f"{' and '.join(self._topics)}{self._whose}"
+
+
+def _shown(ns: int) -> str:
+    return f"{isoTime(ns)} ({ns} ns)"
+
+
+def _ignored(frame: str, tree: FrameTree) -> str:
+    reason = tree.nearest.ignored.get(frame) or tree.fixed.ignored.get(frame)
+    return f" (some of frame {frame} are left out, as tf2 does: {reason})" if reason else ""

@@ -4,34 +4,39 @@
 
 tf2 interpolates between two transforms of a frame, the nearest before and after a time. To keep
 these two is all that any time needs, so a topic of any length is read in the same memory.
+
+What is asked goes by the stamps in the headers, what is read by the row keys. The two lie
+milliseconds apart, or years: in a bag that was replayed, or where a clock was wrong.
 """
 
 from __future__ import annotations
 
 import logging
-from typing import Any, Iterator, NamedTuple, Optional, Tuple
+from functools import cached_property
+from typing import Any, Iterator, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import CorruptMessage, TypeMismatch
-from cassandra_ros.messages.definition import Definition
+from cassandra_ros.keys import MAX_NS, SECOND_NS, Position
 from cassandra_ros.query.extract import Extractor
-from cassandra_ros.query.names import FieldRef, allFields
+from cassandra_ros.query.names import allFields
 from cassandra_ros.query.protocols import Row, Source, Table
 
 _log = logging.getLogger(__name__)
 
 TRANSFORMS_MD5 = "94810edda583a504dfda3829e70d7eec"
 """Of tf2_msgs/TFMessage, and of tf/tfMessage, its name before tf2."""
-_HEAD = tuple(
-    f"transforms.{name}" for name in ("header.stamp", "header.frame_id", "child_frame_id")
-)
-_REST = tuple(
-    f"transforms.transform.{name}"
-    for name in (*(f"translation.{c}" for c in "xyz"), *(f"rotation.{c}" for c in "xyzw"))
+_HEAD = ("header.stamp", "header.frame_id", "child_frame_id")
+_REST = tuple(f"transform.translation.{c}" for c in "xyz") + tuple(
+    f"transform.rotation.{c}" for c in "xyzw"
 )
 _TOLERANCE = 10e-3
 """How far tf2 lets the square of a rotation's length be from 1."""
 
-Order = Tuple[Any, ...]
+FIRST_REACH_NS = 2 * SECOND_NS
+"""How far from a row key, on both sides, is read at first."""
+
+Order = Tuple[Position, int]
+"""Of the message, and the number of the transform in it."""
 
 
 class Sample(NamedTuple):
@@ -113,34 +118,82 @@ class Fixed(Nearest):
         return known is None or order > known.order
 
 
+class FrameTree:
+    """The frames at a time.
+
+    Args:
+        nearest: The moving transforms next to the time.
+        fixed: Those that hold at every time; a frame among them counts as fixed.
+    """
+
+    def __init__(self, nearest: Nearest, fixed: Fixed) -> None:
+        self.nearest = nearest
+        self.fixed = fixed
+
+    def frames(self) -> set[str]:
+        """List all frames that were found, also at other times."""
+        moving, fixed = self.nearest, self.fixed
+        return {*moving.before, *moving.after, *moving.parents, *fixed.before, *fixed.parents}
+
+    def climb(self, frame: str) -> list[str]:
+        """Return the frames from one upwards, as far as the time has transforms."""
+        way = [frame]
+        while True:
+            sample = self.fixed.at(way[-1]) or self.nearest.at(way[-1])
+            if sample is None or sample.parent in way:
+                return way
+            way.append(sample.parent)
+
+    def path(self, target: str, source: str) -> Optional[list[str]]:
+        """Return the child frames between two frames; None where nothing connects them yet."""
+        down, up = self.climb(target), self.climb(source)
+        meeting = next((frame for frame in up if frame in down), None)
+        if meeting is None:
+            return None
+        return up[: up.index(meeting)] + down[: down.index(meeting)]
+
+    def moving(self, frames: list[str]) -> list[Sample]:
+        """Return the transforms before the time of those frames that move."""
+        before, fixed = self.nearest.before, self.fixed.before
+        return [before[frame] for frame in frames if frame in before and frame not in fixed]
+
+    def loop(self, frame: str) -> Optional[list[str]]:
+        """Return the loop into which the way up from a frame leads, or None."""
+        way = self.climb(frame)
+        sample = self.fixed.at(way[-1]) or self.nearest.at(way[-1])
+        return None if sample is None else [*way[way.index(sample.parent) :], sample.parent]
+
+
 class Recorded:
     """The transforms of one topic.
 
     Args:
         topic: Whose messages.
-        nodeID: Only transforms of this node; None = of all.
+        node: Only transforms of this nodeID; None = of all.
 
     Raises:
         TypeMismatch: The topic holds other messages.
     """
 
-    def __init__(self, topic: Source[Row], nodeID: Optional[str]) -> None:
-        self.name: str = topic.name
+    def __init__(self, topic: Source[Row], node: Optional[str]) -> None:
         self._topic = topic
-        self._node = nodeID
+        self._node = node
         self._extractors: dict[str, tuple[Extractor, Extractor]] = {}
         for table in topic.tables:
             self._extractor(table)
 
-    def ends(self) -> Optional[tuple[int, int]]:
-        """Return the first and the last row key, ns; None where the topic is empty."""
+    @cached_property
+    def ends(self) -> tuple[int, int]:
+        """The first and the last row key, ns; (MAX_NS, 0) where the topic is empty."""
         both = [self._topic.rows(nodeID=self._node, limit=1, reverse=r) for r in (False, True)]
         keys = [row.t for rows in both for row in rows]
-        return (keys[0], keys[-1]) if keys else None
+        return (keys[0], keys[-1]) if keys else (MAX_NS, 0)
 
-    def read(self, nearest: Nearest, low: int, high: int, **options: Any) -> None:
+    def read(self, nearest: Nearest, low: int, high: int, reverse: bool = False) -> None:
         """Add the transforms of a stretch of row keys, ns, both ends included."""
-        for row in self._topic.rows(low, high, nodeID=self._node, **options):
+        if low > high:
+            return
+        for row in self._topic.rows(low, high, nodeID=self._node, reverse=reverse):
             try:
                 self._add(nearest, row)
             except CorruptMessage as exc:
@@ -148,10 +201,10 @@ class Recorded:
 
     def _add(self, nearest: Nearest, row: Row) -> None:
         heads, rests = self._extractor(row.table)
-        rest: list[Any] = []
+        rest: Sequence[Tuple[float, ...]] = ()
         for number, (stamp, *names) in enumerate(_elements(heads, row)):
             parent, child = map(stripped, names)
-            order = (*row.position, number)
+            order = (row.position, number)
             if nearest.wants(child, stamp, order):
                 rest = rest or list(_elements(rests, row))
                 if not nearest.add(Sample(stamp, parent, child, rest[number], row.t, order)):
@@ -160,28 +213,92 @@ class Recorded:
 
     def _extractor(self, table: Table) -> tuple[Extractor, Extractor]:
         if table.name not in self._extractors:
-            definition: Optional[Definition] = table.definition
+            definition = table.definition
             if definition is None or definition.md5sum != TRANSFORMS_MD5:
                 raise TypeMismatch(
-                    f"topic {self.name} holds {table.msg_type}, no transforms: name the "
+                    f"topic {self._topic.name} holds {table.msg_type}, no transforms: name the "
                     "topics of tf2_msgs/TFMessage with tf= and tf_static="
                 )
             refs = {ref.name: ref for ref in allFields(definition)}
-            self._extractors[table.name] = tuple(  # type: ignore[assignment]
-                _extractor(definition, refs, names) for names in (_HEAD, _REST)
+            head, rest = (
+                Extractor(definition, [refs[f"transforms.{name}"] for name in names], ())
+                for names in (_HEAD, _REST)
             )
+            self._extractors[table.name] = head, rest
         return self._extractors[table.name]
-
-
-def _extractor(
-    definition: Definition, refs: dict[str, FieldRef], names: tuple[str, ...]
-) -> Extractor:
-    return Extractor(definition, [refs[name] for name in names], ())
 
 
 def _elements(extractor: Extractor, row: Row) -> Iterator[tuple[Any, ...]]:
     (lists,) = extractor.values(row)
     return zip(*lists)
+
+
+class Search:
+    """Fills a tree with transforms until it has a path between two frames that more cannot change.
+
+    Args:
+        recorded: The moving transforms; None = there are none.
+        tree: Of the time that is asked.
+        frames: Target and source.
+    """
+
+    def __init__(
+        self, recorded: Optional[Recorded], tree: FrameTree, frames: tuple[str, str]
+    ) -> None:
+        self.tree = tree
+        self._recorded = recorded
+        self._frames = frames
+        self._window: Optional[tuple[int, int]] = None
+        """The stretch of row keys that was read."""
+
+    def run(self, centre: int) -> Optional[list[str]]:
+        """Read around a row key, ns, then ever wider, and return the path's child frames.
+
+        Returns:
+            None where nothing connects the frames at the time, and everything was read.
+        """
+        reach = FIRST_REACH_NS
+        while self._recorded is not None and not self._isFinal() and not self._isWhole():
+            self._widen(self._recorded, max(0, centre - reach), min(MAX_NS, centre + reach))
+            reach *= 2
+        return self.tree.path(*self._frames)
+
+    def _isFinal(self) -> bool:
+        """Say whether there is a path that more transforms cannot change."""
+        path = self.tree.path(*self._frames)
+        if path is None:
+            return False
+        if not path and self.tree.nearest.time is None:
+            return self._window is not None  # a frame to itself: its newest time
+        return all(self._isNearest(sample) for sample in self.tree.moving(path))
+
+    def _isNearest(self, before: Sample) -> bool:
+        """Say whether a nearer transform would have been read.
+
+        It would have come between the two that are known, had its delay been between theirs.
+        """
+        nearest = self.tree.nearest
+        if nearest.time in (None, before.stamp):
+            return True
+        after = nearest.after[before.child]
+        delays = before.delay, after.delay
+        low, high = before.stamp + min(delays), after.stamp + max(delays)
+        return self._window is not None and self._window[0] <= low and high <= self._window[1]
+
+    def _isWhole(self) -> bool:
+        if self._recorded is None or self._window is None:
+            return False
+        first, last = self._recorded.ends
+        return self._window[0] <= first and last <= self._window[1]
+
+    def _widen(self, recorded: Recorded, low: int, high: int) -> None:
+        if self._window is None:
+            recorded.read(self.tree.nearest, low, high)
+        else:
+            (start, end), (first, last) = self._window, recorded.ends
+            recorded.read(self.tree.nearest, max(low, first), start - 1)
+            recorded.read(self.tree.nearest, end + 1, min(high, last))
+        self._window = (low, high)
 
 
 def stripped(frame: str) -> str:
@@ -191,7 +308,9 @@ def stripped(frame: str) -> str:
 
 def named(frame: str) -> Sample:
     """Return a transform by which tf2 gets to know a frame, and nothing else."""
-    return Sample(0, frame, f"{frame} of another time", (0, 0, 0, 0, 0, 0, 1), 0, ())
+    return Sample(
+        0, frame, f"{frame} of another time", (0, 0, 0, 0, 0, 0, 1), 0, (Position(0, "", 0, ""), 0)
+    )
 
 
 def _problem(sample: Sample) -> str:
