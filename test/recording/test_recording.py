@@ -122,7 +122,7 @@ def test_any_definition_text(definition):
 
 
 def test_messages_are_stored_as_they_came(rosCas):
-    recorder = Recording(rosCas, format="ros", nodeID="husky")
+    recorder = Recording(rosCas, format="ros", node="husky")
     header = header_of(String)
     before = time.time_ns()
     for n in range(500):

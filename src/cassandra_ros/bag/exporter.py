@@ -96,15 +96,15 @@ def exportBag(
 
 
 def _nothing(
-    rosCas: RosCassandra, path: str, topics: Sequence[str] | None, nodeID: str | None
+    rosCas: RosCassandra, path: str, topics: Sequence[str] | None, node: str | None
 ) -> str:
     """Say why there is nothing to write."""
     text, infos = f"{path} is not written, for there is no such message: ", rosCas.info(topics)
     if not infos:
         return text + f"keyspace {rosCas.keyspace} holds none of these topics"
     nodes = sorted({info.node for info in infos})
-    if nodeID is not None and nodeID not in nodes:
-        return text + f"none is of node {nodeID!r}, but of {', '.join(map(repr, nodes))}"
+    if node is not None and node not in nodes:
+        return text + f"none is of node {node!r}, but of {', '.join(map(repr, nodes))}"
     times = [ns for info in infos for ns in (info.first_ns, info.last_ns) if ns is not None]
     if not times:
         return text + "these topics are empty"

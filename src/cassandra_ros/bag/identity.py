@@ -38,10 +38,10 @@ class BagContent(NamedTuple):
     sizes: dict[int, int]
     """Serialised bytes by number of the connection."""
 
-    def writerId(self, nodeID: str = "") -> int:
+    def writerId(self, node: str = "") -> int:
         """Return the writer id of an import for a node: an int in [1, 2**31 - 1]."""
-        node = nodeID.encode("utf-8", "surrogateescape")
-        return _number(hashlib.sha256(self.digest.encode("ascii") + node))
+        name = node.encode("utf-8", "surrogateescape")
+        return _number(hashlib.sha256(self.digest.encode("ascii") + name))
 
     def isOf(self, run: Run) -> bool:
         """Say whether a run is an import of this content."""
@@ -83,7 +83,7 @@ def isEarlier(run: Run) -> bool:
     return run.kind == "import" and CONTENT not in run.labels
 
 
-def earlierWriterId(reader: BagReader, nodeID: str) -> int:
+def earlierWriterId(reader: BagReader, node: str) -> int:
     """Compute the writer id that an earlier release gave to a bag's import.
 
     Only the first and the last 1,000 messages counted: bags that differ in between share it.
@@ -91,8 +91,8 @@ def earlierWriterId(reader: BagReader, nodeID: str) -> int:
     Raises:
         BagError: A chunk is damaged.
     """
-    node = nodeID.encode("utf-8", "surrogateescape")
-    digest, rank = _begin(b"cassandra_ros bag 1" + _withLength(node), reader)
+    name = node.encode("utf-8", "surrogateescape")
+    digest, rank = _begin(b"cassandra_ros bag 1" + _withLength(name), reader)
     first = takewhile(lambda message: message.position < EARLIER_SAMPLE, reader.messages())
     last = reader.messages(start=max(0, reader.message_count - EARLIER_SAMPLE))
     for message in chain(first, last):

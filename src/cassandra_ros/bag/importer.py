@@ -152,23 +152,23 @@ def _refuseNames(reader: BagReader, numbers: AbstractSet[int], report: ImportRep
     return kept
 
 
-def _writerId(rosCas: RosCassandra, reader: BagReader, nodeID: str, content: BagContent) -> int:
+def _writerId(rosCas: RosCassandra, reader: BagReader, node: str, content: BagContent) -> int:
     """Return the writer id of this bag's import: that of an earlier one where there is one."""
-    runs = {run.writer: run for run in rosCas.runs() if run.node == nodeID}
+    runs = {run.writer: run for run in rosCas.runs() if run.node == node}
     for run in filter(content.isOf, runs.values()):
         return run.writer
     names = {connection.topic for connection in reader.connections.values()}
     earlier = {n for n, run in runs.items() if isEarlier(run) and run.stored.keys() <= names}
-    writer_id = _earlierId(rosCas, reader, nodeID, earlier) if earlier else None
+    writer_id = _earlierId(rosCas, reader, node, earlier) if earlier else None
     if writer_id is None:
-        writer_id = content.writerId(nodeID)
+        writer_id = content.writerId(node)
         while writer_id in runs:  # of another bag: 31 bits may agree by chance
             writer_id = writer_id % MAX_WRITER + 1
     return writer_id
 
 
 def _earlierId(
-    rosCas: RosCassandra, reader: BagReader, nodeID: str, writers: AbstractSet[int]
+    rosCas: RosCassandra, reader: BagReader, node: str, writers: AbstractSet[int]
 ) -> int | None:
     """Return which of these imports, whose content nobody noted, is of this bag, if one is.
 
@@ -176,8 +176,8 @@ def _earlierId(
     it: we would replace the rows of another bag. So the rows themselves are compared.
     """
     try:
-        writer_id = earlierWriterId(reader, nodeID)
-        found = Import(nodeID, writer_id)
+        writer_id = earlierWriterId(reader, node)
+        found = Import(node, writer_id)
         if writer_id in writers and holdsNothingElse(rosCas, reader, found):
             return writer_id
     except BagError as exc:

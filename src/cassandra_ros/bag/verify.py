@@ -192,12 +192,12 @@ def _findImport(
     rosCas: RosCassandra,
     reader: BagReader,
     topics: AbstractSet[str],
-    nodeID: str | None,
+    node: str | None,
     reading: Progress | None,
 ) -> Import | None:
     """Find the rows of an import of this bag, by the writer ids in the directory."""
     parts = rosCas.parts
-    nodes = None if nodeID is None else (nodeID,)
+    nodes = None if node is None else (node,)
     writers = {
         Import(row.node, row.writer)
         for topic in topics
@@ -218,7 +218,7 @@ def _findImport(
         raise InvalidKey(
             f"{reader.path} was imported for the nodes {names}; choose one with --node-id"
         )
-    return next((Import(node, writer) for node, writer in found.items()), None)
+    return next((Import(name, writer) for name, writer in found.items()), None)
 
 
 def _bucketsOf(table: TopicTable, reader: BagReader) -> tuple[int, int]:
@@ -227,10 +227,10 @@ def _bucketsOf(table: TopicTable, reader: BagReader) -> tuple[int, int]:
     return table.bucketOf(reader.start_ns), table.bucketOf(reader.end_ns)
 
 
-def _describe(found: Import | None, nodeID: str | None) -> str:
+def _describe(found: Import | None, node: str | None) -> str:
     if found is not None:
         return "the import of this bag" + (f" for node {found.node}" if found.node else "")
-    whose = "" if nodeID is None else f" of node {nodeID}"
+    whose = "" if node is None else f" of node {node}"
     return f"all stored messages{whose} on its topics"
 
 
@@ -239,13 +239,13 @@ def _byPlace(
     reader: BagReader,
     topics: AbstractSet[str],
     found: Import | None,
-    nodeID: str | None,
+    node: str | None,
     report: VerifyReport,
 ) -> Comparison:
     """Compare the rows of an import, or all rows of the topics, by time and connection."""
     ranks = _Ranks(reader.connections.values(), positions=found is not None)
     if found is None:
-        rows = rosCas.readMessages(topics, nodeID=nodeID, received=True)
+        rows = rosCas.readMessages(topics, nodeID=node, received=True)
         return Comparison(_inOrder(rows, ranks), report, _BY_CONNECTION)
     start_ns, end_ns = reader.start_ns, reader.end_ns
     rows = rosCas.readMessages(topics, start_ns, end_ns, nodeID=found.node, received=True)

@@ -98,7 +98,7 @@ def record(
         rosCas,
         clock=nowNs,
         format=options.format,
-        nodeID=options.node_id,
+        node=options.node_id,
         buffer_bytes=options.buffer_bytes,
         limit=options.limit,
         ttl=options.ttl_sec,

@@ -53,7 +53,7 @@ class Recording:
         rosCas: A RosCassandra connected to a keyspace.
         clock: Returns the time of arrival, ns; raises ClockNotSet while it is unknown.
         format: Format of topics that are not stored yet.
-        nodeID: The robot or entity that is recorded.
+        node: The robot or entity that is recorded.
         buffer_bytes: Bound of all messages that wait; the oldest are dropped. 0 = none.
         limit: Record only so many messages of each topic; 0 = all.
         ttl: Seconds until a message expires; 0 = never.
@@ -66,7 +66,7 @@ class Recording:
         *,
         clock: Callable[[], int] = time.time_ns,
         format: str = DEFAULT_FORMAT,
-        nodeID: str = "",
+        node: str = "",
         buffer_bytes: int = DEFAULT_BUFFER_BYTES,
         limit: int = 0,
         ttl: int = 0,
@@ -74,7 +74,7 @@ class Recording:
     ) -> None:
         self._rosCas = rosCas
         self._clock = clock
-        self._format, self._nodeID, self._ttl, self._name = format, nodeID, ttl, name
+        self._format, self._node, self._ttl, self._name = format, node, ttl, name
         self._limit = limit
         self._lock = threading.Lock()
         self._accepting = True
@@ -227,11 +227,11 @@ class Recording:
 
     def _makeWriter(self) -> MessageWriter:
         number = newWriterId()
-        run = Run(self._nodeID, number, "recording", name=self._name, format=self._format)
+        run = Run(self._node, number, "recording", name=self._name, format=self._format)
         return self._rosCas.messageWriter(
             writer_id=number,
             format=self._format,
-            nodeID=self._nodeID,
+            nodeID=self._node,
             ttl=self._ttl,
             run=run,
             # The buffer is the bound: a Cassandra that restarts costs nothing while it lasts.
