@@ -210,11 +210,7 @@ class Directory:
     # ---------------------------------------------------------------- writing
 
     def addNode(self, table: str, slot: int, node: str, ttl: int = 0) -> None:
-        """Note that a node has buckets in this slot; before the first of them.
-
-        Args:
-            ttl: Seconds until the last row in the slot may have expired; 0 = never.
-        """
+        """Note, before its first, that a node has buckets in a slot; for ttl seconds, 0 = ever."""
         self._run(
             f"INSERT INTO {self._space}.cr_node (tbl, slot, node) VALUES (?, ?, ?) USING TTL ?",
             (table, slot, node, _ttl(ttl)),
@@ -260,7 +256,6 @@ class Directory:
 
         Args:
             row: As it was read before the rows were.
-            totals: What was counted.
 
         Returns:
             Whether it was done.

@@ -99,9 +99,8 @@ class OpenBucket:
         """Add a row to the batch.
 
         Args:
-            row: The message.
             columns: Encoded values; None where a column stays unset.
-            own: None for a plain row, else (nchunks, crc, odd, raw), each a value or None.
+            own: None for a plain row.
         """
         if self._shadows is not None:
             columns, own = _indexed(self._shadows, row.wire, columns, own)

@@ -156,11 +156,7 @@ class RowTable:
     # ---------------------------------------------------------------- statements
 
     def insert(self, shadows: Sequence[str] = (), *, full: bool = True) -> PreparedStatement:
-        """INSERT of a row; not full: of one that needs neither chunks nor ``_raw``, as nearly all.
-
-        Args:
-            shadows: Shadow columns, behind all others.
-        """
+        """INSERT of a row; not full: of one without chunks and ``_raw``, as nearly all are."""
         own = _OWN if full else _OWN[:4]
         names = ["_node", self.partition, *own, *self.columns, *self._received, *shadows]
         marks = ", ".join("?" * len(names))

@@ -69,11 +69,7 @@ class Schema:
         return f"{quoteName(self.keyspace)}.{quoteName(table)}"
 
     def tables(self, *, fresh: bool = False) -> Mapping[str, TopicMetadata]:
-        """List the topic tables: name → metadata, from the comments.
-
-        Args:
-            fresh: Ask the server even where the answer was read within the last 2 s.
-        """
+        """List the topic tables: name → metadata, from comments up to 2 s old, or fresh ones."""
         self._cassandra.require_open()
         with self._mutex:
             now = time.monotonic()
@@ -264,7 +260,6 @@ class Schema:
         """Change what the comments of a topic's tables say, under the lock.
 
         Args:
-            topic: Its name.
             change: Makes the new metadata of a table from those it has now.
             check: Looks at all tables first, under the lock, and may raise.
 
@@ -286,12 +281,7 @@ class Schema:
         )
 
     def dropTopic(self, topic: str, *, renew: bool = False) -> list[str]:
-        """Drop all tables of a topic and what belongs to them; return their names.
-
-        Args:
-            topic: Its name.
-            renew: Make empty tables in their place first.
-        """
+        """Drop all tables of a topic, or renew them: make empty ones first; return their names."""
         with self.lock() as lock:
             tables = {name: m for name, m in self._read().items() if m.topic == topic}
             if renew:
@@ -320,13 +310,7 @@ class Schema:
 
 
 def _storage(ttl: int, margin: int = 0, *, merged: bool = True) -> str:
-    """Return the options of a table for CQL.
-
-    Args:
-        ttl: Seconds until a message expires; 0 = never.
-        margin: How much longer the rows of this table stay, seconds.
-        merged: Whether its files are merged.
-    """
+    """Return the options of a table for CQL; its rows stay ttl + margin seconds, 0 = for ever."""
     enabled = "" if merged else ", 'enabled': 'false'"
     if not ttl:
         return (

@@ -64,9 +64,6 @@ _COMMENT = "cassandra_ros side table, schema version 1"
 class SchemaLock:
     """Context manager that holds the schema lock of a keyspace.
 
-    Args:
-        keyspace: Whose tables are to be changed.
-
     Raises:
         SchemaConflict: Somebody else holds the lock for longer than 150 s.
     """
@@ -149,12 +146,9 @@ class SchemaLock:
 
 
 class SideTables:
-    """The side tables of one keyspace, and the keyspace itself.
+    """The side tables of one keyspace, and the keyspace itself, which need not exist.
 
     Who writes makes them before; to who only reads a missing table is an empty one. Thread-safe.
-
-    Args:
-        keyspace: Its name; it need not exist.
 
     Raises:
         InvalidName: The name is not 1 to 48 letters, digits and underscores.

@@ -49,23 +49,14 @@ class Update(NamedTuple):
 
 
 class Backfill:
-    """Reads the rows of one table and writes their values of one index.
-
-    Args:
-        table: One whose rows lie by time.
-        shadow: The column that carries the index.
-    """
+    """Reads the rows of a table, which lie by time, and writes the values of one shadow column."""
 
     def __init__(self, table: RowTable, shadow: str) -> None:
         self._table = table
         self._set_value, self._set_odd = table.update(shadow), table.update("_odd")
 
     def pages(self, node: str, bucket: int, largest: int) -> Iterator[list[Written]]:
-        """Read the rows of a bucket.
-
-        Args:
-            largest: Bytes of the largest message that lies in its row.
-        """
+        """Read the rows of a bucket, whose largest message in a row has so many bytes."""
         size = max(1, min(PAGE_ROWS, PAGE_BYTES // (largest + 64)))
         table, place = self._table, (node.encode("utf-8"), encodeLong(bucket))
         asked = table.stretch(table.selectAges(), place, ALL, page_rows=size)
