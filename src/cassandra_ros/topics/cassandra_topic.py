@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import islice
 from typing import Any, Iterator, Optional, Sequence, Union
 
 from cassandra_ros.arguments import (
@@ -18,12 +19,7 @@ from cassandra_ros.arguments import (
 )
 from cassandra_ros.arrays.frames import readFrame
 from cassandra_ros.arrays.gather import readArrays
-from cassandra_ros.errors import (
-    InvalidKey,
-    MessageNotFound,
-    TopicNotFound,
-    TypeMismatch,
-)
+from cassandra_ros.errors import InvalidKey, MessageNotFound, TopicNotFound, TypeMismatch
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import toNs
@@ -249,10 +245,8 @@ class CassandraTopic:
             key: Lower end, included; None = the first message. Where keys are names or values:
                 all messages of this one.
             to_key: Upper end, included; None = the last message.
-            nodeID: Only messages of this node; None = of all.
-            limit: At most so many.
             reverse: Newest first.
-            where: Only messages that satisfy this condition, as getData takes it.
+            nodeID, limit, where: As getData takes them.
 
         Raises:
             InvalidKey, InvalidQuery.
@@ -272,6 +266,7 @@ class CassandraTopic:
         return self._finder(nodeID, where).find(key, nearest)
 
     def _finder(self, nodeID: Optional[str], where: Optional[Where] = None) -> Finder:
+        check_nodes(nodeID)
         tables = self._stored()
         passing = None if where is None else Filter(self, where, nodeID)
         return Finder(self._keyspace, self.name, self._keys(tables), tables, nodeID, passing)
@@ -311,16 +306,16 @@ class CassandraTopic:
         """
         if not isinstance(after, (Position, type(None))):
             raise InvalidKey(f"after={after!r:.80} is no place: give the position of a row")
-        return self._keyspace.rows.read(
+        rows = self._keyspace.rows.read(
             self._stored(),
             stretchOf(key, to_key),
             nodes=check_nodes(nodeID),
             after=after,
             reverse=reverse,
-            limit=check_limit(limit),
             columns=columns,
             chooser=chooser,
         )
+        return islice(rows, check_limit(limit))
 
     def _stored(self) -> list[TopicTable]:
         tables, wish = self.tables, self._wish
@@ -411,9 +406,7 @@ class CassandraTopic:
 
         Args:
             fields: Names of fields; None = all, and KEY.
-            key, to_key: Which messages, as items takes them.
-            where: A condition, or a condition and a list of values for its ``?``.
-            nodeID: Only messages of this node; None = of all.
+            key, to_key, where, nodeID: Which messages, as items takes them.
 
         Raises:
             InvalidQuery: A field or the condition is not one of this topic; shows the spot.

@@ -78,10 +78,8 @@ class Catalog:
         if msg_type is not None:
             return installedDefinition(msg_type)
         found = None if known else topicType(topic)
-        if found is None:
-            return None
         try:
-            return installedDefinition(found)
+            return None if found is None else installedDefinition(found)
         except DefinitionError as exc:
             _log.info("the type of topic %s is fixed by its first message: %s", topic, exc)
             return None
@@ -163,8 +161,7 @@ class Catalog:
             )
 
         def check(tables: Mapping[str, TopicMetadata]) -> None:
-            taken = new_name in self._pending or any(m.topic == new_name for m in tables.values())
-            if taken:
+            if new_name in self._pending or any(m.topic == new_name for m in tables.values()):
                 raise TopicExists(
                     f"topic {name} cannot be renamed: {new_name} is stored already; remove or "
                     "rename that first"
@@ -173,11 +170,7 @@ class Catalog:
         with self._mutex:
             wish = self._pending.get(name)
         if wish is None or self._keyspace.tables.ofTopic(name):
-
-            def change(metadata: TopicMetadata) -> TopicMetadata:
-                return metadata.with_(topic=new_name)
-
-            self._keyspace.schema.changeTopic(name, change, check)
+            self._keyspace.schema.changeTopic(name, lambda m: m.with_(topic=new_name), check)
         else:
             check(self._keyspace.schema.tables(fresh=True))
         self._adder.close()
@@ -197,19 +190,7 @@ class Catalog:
         tables = [m for _, m in sorted(self._keyspace.schema.tables().items()) if m.topic == name]
         if wish is None and not tables:
             raise TopicNotFound(f"topic {name} was removed from keyspace {self._keyspace.name}")
-        if wish is None:
-            stored = tables[0]
-            wish = Wish(
-                format=stored.format,
-                nodeID=stored.nodeID,
-                ttl=stored.ttl,
-                comment=stored.comment,
-                key_format=stored.key_format,
-                key_part=stored.key_part,
-                user=stored.user,
-                asked=False,
-            )
-        wish = replace(wish, pending=not tables)
+        wish = replace(wish or Wish.stored(tables[0]), pending=not tables)
         return CassandraTopic(self._keyspace, self._adder, name, wish)
 
 

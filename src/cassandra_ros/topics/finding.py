@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import islice
 from typing import Any, Callable, Iterator, Optional, Sequence, Tuple, Union
 
@@ -31,34 +32,23 @@ _NEAR_NS = 256
 """Nanoseconds that a time of today may lose on its way through a float."""
 
 
+@dataclass(frozen=True)
 class Finder:
-    """Finds the rows of one topic that keys mean.
+    """Finds the rows of one topic that keys mean."""
 
-    Args:
-        keyspace: Where.
-        topic: The topic's name.
-        keys: Says what its keys mean.
-        tables: Its tables.
-        node: Only messages of this node; None = of all.
-        where: Only messages that pass it; None = all.
-    """
+    keyspace: Keyspace
+    topic: str
+    """Its name."""
+    keys: TopicKeys
+    tables: Sequence[TopicTable]
+    node: Optional[str]
+    """Only messages of this node; None = of all."""
+    where: Optional[Filter] = None
+    """Only messages that pass it; None = all."""
 
-    def __init__(
-        self,
-        keyspace: Keyspace,
-        topic: str,
-        keys: TopicKeys,
-        tables: Sequence[TopicTable],
-        node: Optional[str],
-        where: Optional[Filter] = None,
-    ) -> None:
-        self._keyspace = keyspace
-        self._topic = topic
-        self._keys = keys
-        self._tables = tables
-        self._node = node
-        self._where = where
-        self._nodes = check_nodes(node)
+    @property
+    def _nodes(self) -> Optional[Sequence[str]]:
+        return check_nodes(self.node)
 
     def many(
         self,
@@ -69,7 +59,7 @@ class Finder:
         reverse: bool = False,
     ) -> Iterator[StoredRow]:
         """Walk through the rows that key and to_key mean, as the ends of a stretch or alone."""
-        return self._select(self._keys.several(key, to_key), limit=limit, reverse=reverse)
+        return self._select(self.keys.several(key, to_key), limit=limit, reverse=reverse)
 
     def _select(
         self,
@@ -80,29 +70,25 @@ class Finder:
         bare: bool = False,
     ) -> Iterator[StoredRow]:
         check_limit(limit)
-        if self._where is None:
-            return self._keyspace.rows.select(
-                self._tables, wanted, nodes=self._nodes, limit=limit, reverse=reverse
-            )
-        if isinstance(wanted, Stretch):
-            return islice(self._where.rows(wanted, reverse=reverse, bare=bare), limit)
-        rows = self._keyspace.rows.select(self._tables, wanted, nodes=self._nodes, reverse=reverse)
-        return islice(filter(self._where.test, rows), limit)
+        if self.where is not None and isinstance(wanted, Stretch):
+            return islice(self.where.rows(wanted, reverse=reverse, bare=bare), limit)
+        rows = self.keyspace.rows.select(self.tables, wanted, nodes=self._nodes, reverse=reverse)
+        return islice(rows if self.where is None else filter(self.where.test, rows), limit)
 
     def columns(
         self, key: AnyKey, to_key: AnyKey, columns: Callable[[Table], Sequence[str]]
     ) -> Iterator[StoredRow]:
         """Walk through the rows of ``many``; of a stretch of time only these columns are read."""
-        wanted = self._keys.several(key, to_key)
-        if self._where is not None or not isinstance(wanted, Stretch):
+        wanted = self.keys.several(key, to_key)
+        if self.where is not None or not isinstance(wanted, Stretch):
             return self._select(wanted)
-        return self._keyspace.rows.read(self._tables, wanted, nodes=self._nodes, columns=columns)
+        return self.keyspace.rows.read(self.tables, wanted, nodes=self._nodes, columns=columns)
 
     def count(self, key: AnyKey, to_key: AnyKey) -> int:
         """Count the rows of ``many``, of a whole stretch of time without reading them."""
-        wanted = self._keys.several(key, to_key)
-        if isinstance(wanted, Stretch) and self._where is None:
-            return self._keyspace.totals.count(self._tables, *wanted, self._nodes)
+        wanted = self.keys.several(key, to_key)
+        if isinstance(wanted, Stretch) and self.where is None:
+            return self.keyspace.totals.count(self.tables, *wanted, self._nodes)
         return sum(1 for _ in self._select(wanted, bare=True))
 
     def remove(self, key: AnyKey, to_key: AnyKey) -> int:
@@ -115,26 +101,26 @@ class Finder:
             MessageNotFound: There is none at key (without to_key).
             InvalidKey: Nothing says which.
         """
-        if key is None and to_key is None and self._where is None:
+        if key is None and to_key is None and self.where is None:
             raise InvalidKey(
                 "removeData needs a key (and to_key for a stretch of time), or where=; "
-                f"truncateTopic removes all messages of topic {self._topic}"
+                f"truncateTopic removes all messages of topic {self.topic}"
             )
         if key is None or to_key is not None:
-            return self._remove(self._keys.several(key, to_key))
+            return self._remove(self.keys.several(key, to_key))
         if self._isExact(key):
             row = self._exact(key)  # and no other of the same time
-            count = 0 if row is None else self._keyspace.removal.deleteRows([row])
+            count = 0 if row is None else self.keyspace.removal.deleteRows([row])
         else:
-            count = self._remove(self._keys.one(key))
+            count = self._remove(self.keys.one(key))
         if not count:
             raise MessageNotFound(self.absent(key, None))
         return count
 
     def _remove(self, wanted: Selection) -> int:
-        removal = self._keyspace.removal
-        if isinstance(wanted, Stretch) and self._where is None:
-            return removal.delete(self._tables, *wanted, self._nodes)
+        removal = self.keyspace.removal
+        if isinstance(wanted, Stretch) and self.where is None:
+            return removal.delete(self.tables, *wanted, self._nodes)
         return removal.deleteRows(self._select(wanted, bare=True))
 
     def find(self, key: AnyKey, nearest: Optional[str]) -> Optional[StoredRow]:
@@ -143,7 +129,7 @@ class Finder:
             return self._near(key, nearest)
         if self._isExact(key) and self._tableOf(key) is not None:
             return self._exact(key)
-        wanted = self._keys.one(key)
+        wanted = self.keys.one(key)
         if isinstance(wanted, Stretch):
             return self._at(wanted.low)
         newest = isinstance(wanted, Named)  # of several versions; of equal values the first
@@ -151,34 +137,34 @@ class Finder:
 
     def _at(self, t: int) -> Optional[StoredRow]:
         """Find the row at a time, ns: of several the first in the order of all reads."""
-        if self._where is None:
-            return self._keyspace.rows.at(self._tables, t, self._nodes)
+        if self.where is None:
+            return self.keyspace.rows.at(self.tables, t, self._nodes)
         return next(self._select(Stretch(t, t), limit=1), None)
 
     def _tableOf(self, key: AnyKey) -> Optional[TopicTable]:
         """Return the table in which a key of ours lies; None where it is gone."""
-        table = self._keyspace.tables.byName(key.table)
-        return table if table is not None and table.metadata.topic == self._topic else None
+        table = self.keyspace.tables.byName(key.table)
+        return table if table is not None and table.metadata.topic == self.topic else None
 
     def _exact(self, key: AnyKey) -> Optional[StoredRow]:
         table = self._tableOf(key)
-        row = None if table is None else self._keyspace.rows.exact(table, key)
-        passes = row is None or self._where is None or self._where.test(row)
+        row = None if table is None else self.keyspace.rows.exact(table, key)
+        passes = row is None or self.where is None or self.where.test(row)
         return row if passes else None
 
     def _isExact(self, key: AnyKey) -> bool:
         """Say whether a key is one that the store gave: it knows its row."""
         known = isinstance(key, (RowName, Stamp)) and bool(key.table)
-        return known and self._node in (None, key.node)
+        return known and self.node in (None, key.node)
 
     def _near(self, key: AnyKey, nearest: str) -> Optional[StoredRow]:
         if nearest not in NEAREST:
             raise InvalidKey(f"nearest={nearest!r} is none of {', '.join(NEAREST)}")
-        wanted = self._keys.one(key)
+        wanted = self.keys.one(key)
         if not isinstance(wanted, Stretch):
             kind = "names" if isinstance(wanted, Named) else "values of a field"
             raise InvalidKey(
-                f"the keys of topic {self._topic} are {kind}, which have no order: none is "
+                f"the keys of topic {self.topic} are {kind}, which have no order: none is "
                 "nearest; leave nearest out"
             )
         return self._nearest(wanted.low, nearest)
@@ -200,12 +186,12 @@ class Finder:
 
         Tells what lies near, and what was probably meant.
         """
-        wanted = self._keys.one(key)
-        none = f"topic {self._topic} has no message"
-        if self._node is not None:
-            none += f" of node {self._node}"
-        if self._where is not None:
-            none += f" that satisfies {self._where.text!r:.200}"
+        wanted = self.keys.one(key)
+        none = f"topic {self.topic} has no message"
+        if self.node is not None:
+            none += f" of node {self.node}"
+        if self.where is not None:
+            none += f" that satisfies {self.where.text!r:.200}"
         if isinstance(wanted, Named):
             name = str(key)[:80]
             return f"{none} under the name {name!r}; items() lists the names that there are"
@@ -216,7 +202,7 @@ class Finder:
         if isinstance(key, int) and 0 < t < _SECONDS_BELOW:
             return none + "; integers are nanoseconds; did you mean seconds (a float)?"
         # The nearest that satisfies a condition may be far, and long to look for.
-        look = nearest is None and self._where is None
+        look = nearest is None and self.where is None
         near = self._nearest(t, "either") if look else None
         if near is None:
             return none

@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import logging
-from typing import Callable, Dict, Iterable, Iterator, List, Optional, Tuple
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import (
     CorruptMessage,
@@ -24,32 +26,38 @@ from cassandra_ros.topics.message_writer import Adder
 from cassandra_ros.topics.stored_row import readWire
 from cassandra_ros.topics.topic_table import TopicTable, definitionIn
 
+_log = logging.getLogger(__name__)
 
+Progress = Callable[[int, int], None]
+"""Called with rows that are done and rows in all."""
+MAX_ROUNDS = 8
+MAX_TRIES = 3
+"""Of a transaction that gets no answer."""
+UNKNOWN_ROW_BYTES = 32 * 1024
+"""Assumed of the rows of writers that have a bucket open."""
+
+
+@dataclass(frozen=True)
 class TopicIndexes:
-    """Makes and removes the indexes of one topic; see CassandraTopic.createIndex.
+    """Makes and removes the indexes of one topic; see CassandraTopic.createIndex."""
 
-    Args:
-        keyspace: Where the topic is.
-        adder: Writes what addData is given.
-        topic: The topic's name.
-    """
-
-    def __init__(self, keyspace: Keyspace, adder: Adder, topic: str) -> None:
-        self._keyspace = keyspace
-        self._adder = adder
-        self.name = topic
+    keyspace: Keyspace
+    adder: Adder
+    """Writes what addData is given."""
+    topic: str
+    """The topic's name."""
 
     @property
     def _tables(self) -> list[TopicTable]:
-        return self._keyspace.tables.ofTopic(self.name)
+        return self.keyspace.tables.ofTopic(self.topic)
 
     def create(self, field: str, progress: Optional[Progress] = None) -> int:
         """Make an index, or complete it; return how many stored messages were indexed."""
-        space = self._keyspace
+        space = self.keyspace
         space.schema.tables(fresh=True)
-        checkIndexable(self.name, self._tables, field)
-        space.indexes.add(self.name, field, lambda metadata: _typeOf(metadata, field))
-        self._adder.close()  # what it holds open could not be filled
+        checkIndexable(self.topic, self._tables, field)
+        space.indexes.add(self.topic, field, lambda metadata: _typeOf(metadata, field))
+        self.adder.close()  # what it holds open could not be filled
         filling = IndexFilling(space.directory, field, progress)
         return filling.fill(self._tables)
 
@@ -60,23 +68,23 @@ class TopicIndexes:
 
     def remove(self, field: str) -> None:
         """Remove an index."""
-        space = self._keyspace
+        space = self.keyspace
         space.schema.tables(fresh=True)
         tables = self._tables
         if any(
             table.value_part is not None and table.value_part.field == field for table in tables
         ):
             raise InvalidOption(
-                f"the index on {field} cannot be removed: it is the key_part of topic {self.name}, "
-                "and getData finds messages by it"
+                f"the index on {field} cannot be removed: it is the key_part of topic "
+                f"{self.topic}, and getData finds messages by it"
             )
         listed = any(field in table.metadata.indexes for table in tables)
         if not listed and tables:
-            checkIndexable(self.name, tables, field)
-        if not space.indexes.drop(self.name, field):
+            checkIndexable(self.topic, tables, field)
+        if not space.indexes.drop(self.topic, field):
             known = sorted({name for table in tables for name in table.metadata.indexes})
             hint = nearestFields(field, known) if known else "it has none"
-            raise InvalidName(f"topic {self.name} has no index on {field!r}; {hint}")
+            raise InvalidName(f"topic {self.topic} has no index on {field!r}; {hint}")
 
 
 def checkIndexable(topic: str, tables: list[TopicTable], field: str) -> None:
@@ -117,53 +125,26 @@ def checkUnnamed(topic: str, key_format: str) -> None:
 
 def _typeOf(metadata: TopicMetadata, field: str) -> Optional[str]:
     definition = definitionIn(metadata)
-    if definition is None:
-        return None
-    try:
-        return IndexField(definition, field, "").cql_type
-    except InvalidName:
-        return None
-
-
-_log = logging.getLogger(__name__)
-
-Progress = Callable[[int, int], None]
-"""Called with rows that are done and rows in all."""
-MAX_ROUNDS = 8
-MAX_TRIES = 3
-"""Of a transaction that gets no answer."""
-UNKNOWN_ROW_BYTES = 32 * 1024
-"""Assumed of the rows of writers that have a bucket open."""
-
-_Bucket = Tuple[TopicTable, IndexField, List[BucketRow]]
+    with suppress(InvalidName):
+        return None if definition is None else IndexField(definition, field, "").cql_type
+    return None
 
 
 class IndexFilling:
-    """Fills one index of a topic.
+    """Fills the index of a field in the tables of a topic."""
 
-    Args:
-        directory: Tells which buckets lack the index.
-        field: The indexed field.
-        progress: Called now and then.
-    """
-
-    def __init__(
-        self,
-        directory: Directory,
-        field: str,
-        progress: Optional[Progress],
-    ) -> None:
+    def __init__(self, directory: Directory, field: str, progress: Optional[Progress]) -> None:
         self._directory = directory
         self._field = field
         self._progress = progress or (lambda done, total: None)
         self._done = self._total = 0
 
-    def fill(self, tables: Iterable[TopicTable]) -> int:
+    def fill(self, tables: Sequence[TopicTable]) -> int:
         """Fill what lacks the index in the tables; return the number of rows that did."""
-        filled, every = 0, list(tables)
+        filled = 0
         for _ in range(MAX_ROUNDS):
             # Buckets that were closed meanwhile are found in another round.
-            buckets = list(self._lacking(every))
+            buckets = list(self._lacking(tables))
             self._total = self._done + sum(row.rows for _, _, rows in buckets for row in rows)
             marked = [self._fillBucket(*bucket) for bucket in buckets]
             filled += sum(rows for rows, _ in marked)
@@ -172,7 +153,9 @@ class IndexFilling:
         self._progress(self._done, self._done)
         return filled
 
-    def _lacking(self, tables: Iterable[TopicTable]) -> Iterator[_Bucket]:
+    def _lacking(
+        self, tables: Sequence[TopicTable]
+    ) -> Iterator[Tuple[TopicTable, IndexField, List[BucketRow]]]:
         for table in tables:
             index = table.index_fields.get(self._field)
             if index is None:

@@ -174,8 +174,13 @@ def _indexed(
 ) -> tuple[TopicMetadata, dict[str, str]]:
     """Return the metadata with the indexes of the table, and the columns that carry them."""
     wished = list(metadata.indexes)
-    metadata = metadata.with_(own_time=metadata.key_format == "hash", indexes={}, index_count=0)
-    metadata, shadows = _keyIndexed(metadata, definition, new)
+    part = _keyPart(metadata, definition, new)
+    own_time = metadata.key_format == "hash" or (part is not None and part.is_time)
+    metadata = metadata.with_(own_time=own_time, indexes={}, index_count=0)
+    shadows = {}
+    if part is not None and not part.is_time:
+        metadata = metadata.withIndex(part.field, 0)
+        shadows[shadowColumn(0)] = part.cql_type
     for path in wished:
         if definition is None or metadata.named or path in metadata.indexes:
             continue
@@ -189,24 +194,21 @@ def _indexed(
     return metadata, shadows
 
 
-def _keyIndexed(
+def _keyPart(
     metadata: TopicMetadata, definition: Optional[Definition], new: bool
-) -> tuple[TopicMetadata, dict[str, str]]:
-    """Return the metadata with the index that key_part needs, and the column that carries it."""
+) -> Optional[KeyPart]:
+    """Return the key field of a table that is made, None where its type has none."""
     if metadata.key_format != "msg_part":
-        return metadata, {}
+        return None
     try:
         if definition is None:
             raise InvalidKey(f"{metadata.msg_type} has no usable definition to find a key field in")
-        part = KeyPart(definition, metadata.key_part)
+        return KeyPart(definition, metadata.key_part)
     except InvalidKey as exc:
         if new:
             raise
         _log.warning("messages of topic %s: %s; these are found by time", metadata.topic, exc)
-        return metadata, {}
-    if part.is_time:
-        return metadata.with_(own_time=True), {}
-    return metadata.withIndex(part.field, 0), {shadowColumn(0): part.cql_type}
+        return None
 
 
 def defaultBucket(definition: Optional[Definition]) -> int:
@@ -235,6 +237,20 @@ class Wish:
     """addTopic named the format; else it is the one that is stored."""
     pending: bool = True
     """Added in this process, perhaps without a table yet."""
+
+    @classmethod
+    def stored(cls, metadata: TopicMetadata) -> Wish:
+        """Return the wish for a topic as it is stored."""
+        return cls(
+            format=metadata.format,
+            nodeID=metadata.nodeID,
+            ttl=metadata.ttl,
+            comment=metadata.comment,
+            key_format=metadata.key_format,
+            key_part=metadata.key_part,
+            user=metadata.user,
+            asked=False,
+        )
 
     def check(self, metadata: TopicMetadata, definition: Optional[Definition]) -> None:
         """Compare with what is stored.

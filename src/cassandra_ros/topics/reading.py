@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import heapq
-from itertools import islice
 from typing import Callable, Iterable, Iterator, Optional, Sequence, Union, cast
 
 from cassandra_ros.errors import InvalidKey
@@ -54,16 +53,15 @@ class RowReader:
         *,
         nodes: Nodes = None,
         reverse: bool = False,
-        limit: Optional[int] = None,
     ) -> Iterator[StoredRow]:
         """Yield the rows that a selection means, in the order of time or newest first."""
         if isinstance(wanted, Stretch):
-            return self.read(tables, wanted, nodes=nodes, reverse=reverse, limit=limit)
+            return self.read(tables, wanted, nodes=nodes, reverse=reverse)
         if isinstance(wanted, Named):
             rows = self._versions(tables, wanted.name, nodes, reverse)
         else:
             rows = self._valued(tables, wanted, nodes, reverse)
-        return islice(self._stored(rows, tables), limit)
+        return self._stored(rows, tables)
 
     def read(
         self,
@@ -73,7 +71,6 @@ class RowReader:
         nodes: Nodes = None,
         after: Optional[Position] = None,
         reverse: bool = False,
-        limit: Optional[int] = None,
         columns: Optional[Columns] = None,
         chooser: Optional[protocols.TopicChooser] = None,
     ) -> Iterator[StoredRow]:
@@ -100,7 +97,7 @@ class RowReader:
         if len(timed) < len(tables):
             named = self._named([t for t in tables if t.named], scan)
             rows = heapq.merge(rows, named, key=lambda row: row.position, reverse=reverse)
-        yield from self._stored(islice(rows, limit), tables)
+        yield from self._stored(rows, tables)
 
     def _stored(
         self, rows: Iterable[TableRow], tables: Sequence[TopicTable]

@@ -53,7 +53,6 @@ class Statements:
     def __init__(self, keyspace: Keyspace, catalog: Catalog) -> None:
         self._keyspace = keyspace
         self._catalog = catalog
-        self._names = IndexNames(keyspace.schema)
 
     def run(
         self,
@@ -157,7 +156,7 @@ class Statements:
             checkIndexable(topic.name, topic.tables, field)
         if name is not None:
             with _at(text, name.position):
-                self._names.give(topic.name, field, name.text)
+                _giveName(self._keyspace.schema, topic.name, field, name.text)
         topic.createIndex(field)
 
     def _drop_index(self, statement: DropIndex) -> None:
@@ -174,7 +173,7 @@ class Statements:
     def _index_named(
         self, statement: DropIndex, name: IndexName
     ) -> Optional[tuple[CassandraTopic, str]]:
-        known = self._names.known()
+        known = namesOfIndexes(self._keyspace.schema)
         found = known.get(name.text, [])
         if len(found) == 1:
             return self._catalog.get(found[0][0]), found[0][1]
@@ -236,42 +235,36 @@ def _refuseSeconds(topic: CassandraTopic, statement: Delete) -> None:
             )
 
 
-class IndexNames:
-    """The names of the indexes of a keyspace."""
-
-    def __init__(self, schema: Schema) -> None:
-        self._schema = schema
-
-    def known(self) -> dict[str, list[tuple[str, str]]]:
-        """Return name -> (topic, field) of each index that bears it, mostly one."""
-        return _known(self._schema.tables(fresh=True))
-
-    def give(self, topic: str, field: str, name: str) -> None:
-        """Call the index of a field so; it need not be there yet.
-
-        Raises:
-            InvalidName: Another index is called so.
-            TopicNotFound: The topic is gone.
-        """
-
-        def check(tables: Mapping[str, TopicMetadata]) -> None:
-            for other in _known(tables).get(name, []):
-                if other != (topic, field):
-                    raise InvalidName(
-                        f"the index on {other[0]} ({other[1]}) is called {name} already; choose "
-                        "another name"
-                    )
-
-        def change(metadata: TopicMetadata) -> TopicMetadata:
-            return metadata.with_(index_names={**metadata.index_names, name: field})
-
-        self._schema.changeTopic(topic, change, check)
+def namesOfIndexes(schema: Schema) -> dict[str, list[tuple[str, str]]]:
+    """Return name -> (topic, field) of each index of a keyspace that bears it, mostly one."""
+    return _named(schema.tables(fresh=True))
 
 
-def _known(tables: Mapping[str, TopicMetadata]) -> dict[str, list[tuple[str, str]]]:
+def _named(tables: Mapping[str, TopicMetadata]) -> dict[str, list[tuple[str, str]]]:
     found: dict[str, set[tuple[str, str]]] = {}
     for metadata in tables.values():
         for name, field in metadata.index_names.items():
             if field in metadata.indexes:
                 found.setdefault(name, set()).add((metadata.topic, field))
     return {name: sorted(indexed) for name, indexed in found.items()}
+
+
+def _giveName(schema: Schema, topic: str, field: str, name: str) -> None:
+    """Call the index of a field so; it need not be there yet.
+
+    Raises:
+        InvalidName: Another index is called so.
+        TopicNotFound: The topic is gone.
+    """
+
+    def check(tables: Mapping[str, TopicMetadata]) -> None:
+        for other, of in _named(tables).get(name, []):
+            if (other, of) != (topic, field):
+                raise InvalidName(
+                    f"the index on {other} ({of}) is called {name} already; choose another name"
+                )
+
+    def change(metadata: TopicMetadata) -> TopicMetadata:
+        return metadata.with_(index_names={**metadata.index_names, name: field})
+
+    schema.changeTopic(topic, change, check)
