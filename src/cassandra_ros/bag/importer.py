@@ -60,11 +60,6 @@ class ImportReport:
         """Messages of all topics."""
         return sum(topic.messages for topic in self.topics.values())
 
-    @property
-    def bytes(self) -> int:
-        """Serialised bytes of all topics."""
-        return sum(topic.bytes for topic in self.topics.values())
-
 
 def importBag(
     rosCas: RosCassandra,

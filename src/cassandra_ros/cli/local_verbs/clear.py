@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from cassandra_ros.cli.local_verbs.options import add_directory, open_cluster, say
+from cassandra_ros.cli.local_verbs import add_directory, open_cluster, say
 from cassandra_ros.cli.local_verbs.status import disk_bytes
 from cassandra_ros.errors import ServerError
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 
-from cassandra_ros.cli.local_verbs.options import say
+from cassandra_ros.cli.local_verbs import say
 from cassandra_ros.local_server import install_jars
 from cassandra_ros.local_server.paths import cassandra_version, jars_directory
 

@@ -15,7 +15,7 @@ import time
 from types import FrameType
 from typing import Callable
 
-from cassandra_ros.cli.local_verbs.options import (
+from cassandra_ros.cli.local_verbs import (
     add_server_options,
     clear_progress,
     open_cluster,

@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import time
 
-from cassandra_ros.cli.local_verbs.options import (
+from cassandra_ros.cli.local_verbs import (
     add_server_options,
     clear_progress,
     open_cluster,

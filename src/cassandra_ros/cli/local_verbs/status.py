@@ -11,7 +11,7 @@ import argparse
 import time
 from pathlib import Path
 
-from cassandra_ros.cli.local_verbs.options import add_directory, open_cluster, say
+from cassandra_ros.cli.local_verbs import add_directory, open_cluster, say
 from cassandra_ros.local_server import LocalCluster, NodeStatus
 
 EXIT_NOT_RUNNING = 3

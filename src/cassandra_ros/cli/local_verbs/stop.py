@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 import time
 
-from cassandra_ros.cli.local_verbs.options import (
+from cassandra_ros.cli.local_verbs import (
     add_directory,
     clear_progress,
     open_cluster,
