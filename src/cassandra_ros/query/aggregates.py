@@ -18,6 +18,7 @@ from fractions import Fraction
 from typing import Any, Callable, Dict, Protocol, Sequence, Union
 
 from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.query.projection import ResultRow
 from cassandra_ros.query.syntax import Select
 
 
@@ -32,7 +33,7 @@ class Aggregation:
         self._select = select
         self._totals = [_TOTALS[asked.function]() for asked in select.aggregates]
 
-    def add(self, rows: Sequence[tuple[Any, ...]]) -> None:
+    def add(self, rows: Sequence[ResultRow]) -> None:
         """Take rows in; each has a value for every aggregate.
 
         Raises:
@@ -50,14 +51,14 @@ class Aggregation:
                     )
                     raise InvalidQuery(self._select.text, asked.position, reason) from None
 
-    def values(self) -> tuple[Any, ...]:
+    def values(self) -> ResultRow:
         """Return the aggregates of the rows so far."""
         return tuple(total.value() for total in self._totals)
 
 
 class _Total(Protocol):
     def add(self, value: Any) -> None: ...
-    def value(self) -> Any: ...
+    def value(self) -> object: ...
 
 
 class _Count:
@@ -81,7 +82,7 @@ class _Extreme:
         if value == value and (self._best is None or self._better(value, self._best)):
             self._best = value
 
-    def value(self) -> Any:
+    def value(self) -> object:
         return self._best
 
 

@@ -43,7 +43,7 @@ Locate = Callable[[Leaf], Optional[int]]
 Fit = Callable[[Leaf, Literal], Optional[Comparable]]
 """Fits a literal to its operand; None where it can never be compared."""
 
-_OPERATORS: dict[str, Callable[[Any, Any], bool]] = {
+_OPERATORS = {
     "=": operator.eq,
     "!=": operator.ne,
     "<": operator.lt,

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Iterator, Optional
+from typing import Iterator, Optional
 
 from cassandra_ros.query.protocols import Row, Source
 from cassandra_ros.query.run import QueryResult
@@ -133,7 +133,7 @@ def _leaf(leaf: Leaf) -> str:
     return f"{leaf.operand.text} IN ({', '.join(values[:5])}{more})"
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return f"'{value[:40]}'" if isinstance(value, str) else str(value)[:40]

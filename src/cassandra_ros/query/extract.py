@@ -8,7 +8,7 @@ values per element. Other arrays of messages on the way to a field give a list o
 
 from __future__ import annotations
 
-from typing import Any, Callable, Container, Iterator, Optional, Sequence
+from typing import Any, Callable, Container, Iterator, List, Optional, Sequence
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
@@ -17,6 +17,8 @@ from cassandra_ros.query.names import Array, FieldRef
 from cassandra_ros.query.protocols import Row
 
 Get = Callable[[Any], Any]
+Read = List[Any]
+"""The values of some fields."""
 
 
 class Extractor:
@@ -41,10 +43,23 @@ class Extractor:
         held = [_heldSteps(ref, known) for ref in refs]
         names = [".".join(s.name for s in ref.steps[:n]) for ref, n in zip(refs, held) if n]
         self._given = [n > 0 for n in held]
-        self._gets = [
+        gets = [
             _gets(ref, n, unnested) if n else _emptyGets(definition, ref, unnested)
             for ref, n in zip(refs, held)
         ]
+        self._steps = [
+            [
+                (n, g[level])
+                for n, g in enumerate(gets)
+                if g[level : level + 1] not in ([], [_itself])
+            ]
+            for level in range(self._depth + 1)
+        ]
+        """For each level of unnesting which values are to be changed, and how."""
+        self._inner = [
+            [n for n, g in enumerate(gets) if len(g) > level + 1] for level in range(self._depth)
+        ]
+        """For each level which values are lists over the elements of its array."""
         self._read = self._plan.reader(names)
         numbers = {column.name: n for n, column in enumerate(self._plan.columns)}
         self._stored = [numbers[name] for name in names if name in numbers]
@@ -54,7 +69,7 @@ class Extractor:
         if len(self._stored) == len(names):
             self.columns = [self._plan.columns[n].name for n in asked]
 
-    def values(self, row: Row) -> Iterator[list[Any]]:
+    def values(self, row: Row) -> Iterator[Read]:
         """Yield the values of a stored row: once, or once per element of the unnested array.
 
         Raises:
@@ -63,7 +78,7 @@ class Extractor:
         found = iter(self._columns(row))
         return self._unnest(0, [next(found) if given else [] for given in self._given])
 
-    def _columns(self, row: Row) -> Sequence[Any]:
+    def _columns(self, row: Row) -> Read:
         """Values of the named columns, from the row's own where it has them."""
         if self.columns is not None and row.table.by_field:
             # A column that cannot give its field back is unset, also in an odd row.
@@ -74,21 +89,21 @@ class Extractor:
                 return [self._plan.value(n, r) for n, r in zip(self._stored, raw) if r is not None]
         return self._read(row.wire)
 
-    def _unnest(self, level: int, values: Sequence[Any]) -> Iterator[list[Any]]:
-        gets = self._gets
-        current = [g[level](value) if len(g) > level else value for g, value in zip(gets, values)]
+    def _unnest(self, level: int, values: Read) -> Iterator[Read]:
+        for n, get in self._steps[level]:
+            values[n] = get(values[n])
         if level == self._depth:
-            yield current
+            yield values
             return
-        inner = [n for n, g in enumerate(gets) if len(g) > level + 1]
-        for element in range(min((_count(current[n]) for n in inner), default=0)):
-            one = list(current)
+        inner = self._inner[level]
+        for element in range(min([_count(values[n]) for n in inner], default=0)):
+            one = list(values)
             for n in inner:
-                one[n] = current[n][element]
+                one[n] = values[n][element]
             yield from self._unnest(level + 1, one)
 
 
-def _count(values: Any) -> int:
+def _count(values: object) -> int:
     return len(values) if isinstance(values, (list, bytes)) else 0
 
 
@@ -136,7 +151,7 @@ def _gets(ref: FieldRef, held: int, unnested: Sequence[Array]) -> list[Get]:
     return [get, *reversed(gets)]
 
 
-def _itself(value: Any) -> Any:
+def _itself(value: object) -> object:
     return value
 
 
@@ -145,7 +160,7 @@ def _inside(name: str, then: Get) -> Get:
 
 
 def _each(then: Get) -> Get:
-    def get(value: Any) -> Any:
+    def get(value: Any) -> object:
         if isinstance(value, int):
             return []  # messages without bytes: their number is all that there is of them
         return None if value is None else [then(element) for element in value]
@@ -154,7 +169,7 @@ def _each(then: Get) -> Get:
 
 
 def _at(index: int, then: Get) -> Get:
-    def get(value: Any) -> Any:
+    def get(value: Any) -> object:
         if value is None or isinstance(value, int) or index >= len(value):
             return None
         return then(value[index])

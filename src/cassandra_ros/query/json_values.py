@@ -13,7 +13,7 @@ from cassandra_ros.errors import InvalidExpression
 from cassandra_ros.query.syntax import DecimalText
 
 
-def toJson(value: Any) -> str:
+def toJson(value: object) -> str:
     """Write one value of a result.
 
     Times and durations are integer nanoseconds, uint8[] base64 text as in rosbridge, missing
@@ -22,7 +22,7 @@ def toJson(value: Any) -> str:
     return json.dumps(value, default=_simple)
 
 
-def jsonValue(value: Any) -> Any:
+def jsonValue(value: object) -> object:
     """Return a value of a result as other programs can read it in JSON.
 
     As toJson; but NaN, Infinity and -Infinity, which JSON lacks, are None, as in rosbridge.
@@ -55,7 +55,7 @@ def fromJson(text: str, name: str = "the value") -> Any:
     return value
 
 
-def _simple(value: Any) -> Any:
+def _simple(value: object) -> object:
     if isinstance(value, (bytes, bytearray)):
         return base64.b64encode(value).decode("ascii")
     if hasattr(value, "to_nsec"):

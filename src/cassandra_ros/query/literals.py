@@ -75,7 +75,7 @@ def fitToText(literal: Literal, name: str) -> str:
     )
 
 
-def _number(value: Any) -> Optional[Comparable]:
+def _number(value: object) -> Optional[Comparable]:
     if isinstance(value, bool):
         return None
     if isinstance(value, Integral):
@@ -83,15 +83,15 @@ def _number(value: Any) -> Optional[Comparable]:
     return float(value) if isinstance(value, Real) else None
 
 
-def _bool(value: Any) -> Optional[Comparable]:
+def _bool(value: object) -> Optional[Comparable]:
     return value if isinstance(value, bool) else _number(value)
 
 
-def _text(value: Any) -> Optional[Comparable]:
+def _text(value: object) -> Optional[Comparable]:
     return value if isinstance(value, str) else None
 
 
-def _numberToNs(value: Any) -> Optional[int]:
+def _numberToNs(value: object) -> Optional[int]:
     """Nanoseconds of an int (nanoseconds) or another number (seconds), or None."""
     if isinstance(value, bool) or not isinstance(value, (Real, Decimal)):
         return None
@@ -123,7 +123,7 @@ _WANTED = {
 }
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

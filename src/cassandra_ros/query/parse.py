@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import lru_cache
 from numbers import Integral
@@ -64,8 +65,6 @@ _WORDS = {
     "NAME": "a field",
     "TOPIC": "a topic",
     "STAR": "*",
-    "KEY": "KEY",
-    "NODE": "NODE",
     "OPERATOR": "one of = != < <= > >=",
     "NUMBER": "a number",
     "INTEGER": "a whole number",
@@ -457,7 +456,7 @@ def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
             position = error.token.start_pos or 0
     last = (getattr(error, "token_history", None) or [None])[-1]
     previous = "" if last is None else last.type
-    found = _word_at(text, position)
+    found = _word(text[position:])
     if found[:1] in "'\"" and found and text.count(found[0], position) == 1:
         return position, f"the quote {found[0]} is not closed"
     if text.startswith("/*", position):
@@ -477,11 +476,7 @@ def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
 def _hint(before: str, found: str, expected: set[str], previous: str) -> str:
     """Return ' (…)' about a mistake that is known, or ''.
 
-    Args:
-        before: The statement as far as it is right.
-        found: The word that is wrong.
-        expected: The tokens that could stand there.
-        previous: The token before it; '' where that is not known.
+    ``found`` stands behind ``before`` and the token ``previous`` ('' = unknown), not ``expected``.
     """
     words = f"{before} {found}".upper().split()
     instead = _INSTEAD.get(" ".join(words)) if expected & {"_SELECT", "_INDEX"} else None
@@ -498,8 +493,7 @@ def _hint(before: str, found: str, expected: set[str], previous: str) -> str:
     return ""
 
 
-def _word_at(text: str, position: int) -> str:
-    end = position
-    while end < len(text) and (text[end].isalnum() or text[end] in "_/"):
-        end += 1
-    return text[position : max(end, position + 1)][:40]
+def _word(text: str) -> str:
+    """The first word of a text, or its first sign; at most 40 characters."""
+    found = re.match(r"[\w/]{1,40}", text)
+    return found.group() if found else text[:1]

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
-from typing import Any, Callable, Iterator, NamedTuple, Optional, Sequence, Union
+from typing import Any, Callable, Iterator, NamedTuple, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
 from cassandra_ros.messages.definition import Definition
@@ -43,6 +43,9 @@ KEY_PLACE, NODE_PLACE = 0, 1
 _BESIDE = -1
 """From here downwards are the marks of problems that no other table can make good."""
 _NO_NUMBERS = ("string", "time", "duration")
+
+ResultRow = Tuple[Any, ...]
+"""A value for each column of the result."""
 
 
 class Output(NamedTuple):
@@ -140,12 +143,12 @@ class Projection:
         """Say of each unnested element of a stored row whether it satisfies the condition."""
         return (self.check(values) is True for values in self.values(row))
 
-    def rows(self, row: Row) -> list[tuple[Any, ...]]:
+    def rows(self, row: Row) -> list[ResultRow]:
         """Return the rows of the result that a stored row gives."""
         return [self._row(row, v) for v in self.values(row) if self.check(v) is True]
 
-    def _row(self, row: Row, values: Values) -> tuple[Any, ...]:
-        found: list[Any] = []
+    def _row(self, row: Row, values: Values) -> ResultRow:
+        found: list[object] = []
         for place, show in self.shown:
             if place is None:
                 found.append(None)
@@ -360,7 +363,7 @@ def _checkText(operand: Union[Path, KeyOperand], kind: str) -> None:
 
 
 def _shownAs(make: Get) -> Get:
-    def show(value: Any) -> Any:
+    def show(value: object) -> object:
         if isinstance(value, list):
             return [show(element) for element in value]
         return None if value is None else make(value)
@@ -375,7 +378,7 @@ def _time(ns: int) -> Union[Stamp, int]:
         return ns  # nsecs beyond a second at the very end of time
 
 
-def _duration(ns: int) -> Any:
+def _duration(ns: int) -> object:
     origin = Stamp.fromNs(0)
     # genpy's Duration, without importing genpy here.
     return Stamp.fromNs(ns) - origin if ns >= 0 else origin - Stamp.fromNs(-ns)

@@ -208,7 +208,7 @@ def _isRange(need: Need) -> bool:
 def _compatible(terms: Sequence[Term]) -> tuple[Term, ...]:
     """Leave out what the server refuses beside others: a second bound, or one beside =."""
     equal = {column for column, operator, _ in terms if operator == "="}
-    kept: dict[tuple[Any, ...], Term] = {}
+    kept: dict[Tuple[object, ...], Term] = {}
     for term in terms:
         column, operator, value = term
         if operator == "CONTAINS":

@@ -4,20 +4,20 @@
 
 from __future__ import annotations
 
-from typing import Any, Generator, Iterable, Iterator, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Generator, Iterable, Iterator, NamedTuple, Optional, Sequence, Union
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import Position, decodeCursor, encodeCursor, isBehind
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.aggregates import Aggregation
 from cassandra_ros.query.conditions import Bounds, boundedRows, boundsOf, warnOfSeconds
-from cassandra_ros.query.projection import Projections
+from cassandra_ros.query.projection import Projections, ResultRow
 from cassandra_ros.query.protocols import Row, Source
 from cassandra_ros.query.pushdown import Pushdown
 from cassandra_ros.query.syntax import Select
 
 Cursor = Union[str, Position, None]
-_Rows = Generator[Tuple[Any, ...], None, None]
+_Rows = Generator[ResultRow, None, None]
 _MAX_DIGITS = 18
 
 
@@ -102,7 +102,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     def __iter__(self) -> QueryResult:
         return self
 
-    def __next__(self) -> tuple[Any, ...]:
+    def __next__(self) -> ResultRow:
         return next(self._rows)
 
     @property
@@ -228,6 +228,6 @@ def select_rows(
 class Rows(list):  # type: ignore[type-arg]
     """All rows of a result: a list of tuples that knows its columns."""
 
-    def __init__(self, rows: Iterable[tuple[Any, ...]], columns: Sequence[str]) -> None:
+    def __init__(self, rows: Iterable[ResultRow], columns: Sequence[str]) -> None:
         super().__init__(rows)
         self.columns = tuple(columns)
