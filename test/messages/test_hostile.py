@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from messages.random_wire import SEPARATOR
 
 from cassandra_ros.errors import DefinitionError
-from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.formats.table import FALLBACK_FORMAT, FORMATS
 from cassandra_ros.messages.classes import deserialize, messageClass, serialize
 from cassandra_ros.messages.connection import liveConnection
 from cassandra_ros.messages.definition import definitionOf, parseDefinition, renderSpec
-from cassandra_ros.topics.message_writer import FALLBACK_FORMAT, usableDefinition
+from cassandra_ros.topics.message_writer import usableDefinition
 
 EVIL = "open('ran','w')"
 

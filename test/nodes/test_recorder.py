@@ -406,7 +406,7 @@ def test_quiet(roscore, recorder):
         (("-a", "-x", "["), "not a regular expression"),
         (("/x", "--duration", "soon"), "not a duration"),
         (("/x", "-b", "-5"), "whole number"),
-        (("/x", "--format", "xml"), "invalid choice"),
+        (("/x", "--format", "xml"), "no format 'xml'"),
     ],
 )
 def test_wrong_usage(roscore, arguments, word):

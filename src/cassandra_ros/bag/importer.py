@@ -14,12 +14,11 @@ from cassandra_ros.bag.identity import CONTENT, BagContent, earlierWriterId, isE
 from cassandra_ros.bag.reader import BagReader, Progress, chosenConnections
 from cassandra_ros.bag.verify import Import, holdsNothingElse
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
-from cassandra_ros.formats.table import DEFAULT_FORMAT
+from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_WRITER, SECOND_NS
 from cassandra_ros.store.directory import bucketFor
 from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.message_writer import (
-    FALLBACK_FORMAT,
     Handle,
     MessageWriter,
     usableDefinition,
@@ -64,7 +63,7 @@ class ImportReport:
 def importBag(
     rosCas: RosCassandra,
     path: str | os.PathLike[str],
-    format: str = DEFAULT_FORMAT,
+    format: str | None = None,
     topics: Iterable[str] | None = None,
     nodeID: str = "",
     progress: Progress | None = None,
@@ -79,7 +78,7 @@ def importBag(
     Args:
         rosCas: Connected to a keyspace.
         path: The bag.
-        format: Format of topics that are not stored yet.
+        format: As addTopic takes it, for all topics.
         topics: Only these, with or without leading slash; None = all.
         nodeID: The robot that recorded the bag; '' = nobody says.
         progress: Told how far the storing is.
@@ -109,7 +108,7 @@ def importBag(
             kind="import",
             name=os.path.basename(reader.path),
             source=os.path.abspath(reader.path),
-            format=format,
+            format=format or "",
             labels={CONTENT: content.digest},
         )
         _refuseSecondCopy(rosCas, reader, numbers, run)
@@ -185,10 +184,11 @@ def _refuseSecondCopy(rosCas: RosCassandra, reader: BagReader, numbers: set[int]
     parts = rosCas.parts
     for number in sorted(numbers):
         connection = reader.connections[number]
+        wanted = parts.format_for(connection.topic, connection.md5sum, run.format)
+        usable, _ = usableDefinition(connection, wanted)
+        wanted = wanted if usable is not None else FALLBACK_FORMAT
         for table in parts.tables.ofTopic(connection.topic):
             metadata = table.metadata
-            usable, _ = usableDefinition(connection, run.format)
-            wanted = run.format if usable is not None else FALLBACK_FORMAT
             if metadata.format == wanted or metadata.md5sum != connection.md5sum:
                 continue
             first, last = table.bucketOf(reader.start_ns), table.bucketOf(reader.end_ns)
@@ -196,7 +196,7 @@ def _refuseSecondCopy(rosCas: RosCassandra, reader: BagReader, numbers: set[int]
             if any(row.writer == run.writer for row in rows):
                 raise TopicExists(
                     f"{reader.path} is stored in keyspace {rosCas.keyspace} already, topic "
-                    f"{connection.topic} in format {metadata.format}; in format {run.format} "
+                    f"{connection.topic} in format {metadata.format}; in format {wanted} "
                     "every message would be there twice: remove the topics first, or import it "
                     "into another keyspace"
                 )

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Mapping, Sequence
 
 from cassandra_ros.errors import InvalidKey, InvalidOption
+from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
 from cassandra_ros.store.address import (
     DEFAULT_HOST,
     DEFAULT_KEYSPACE,
@@ -24,6 +25,17 @@ if TYPE_CHECKING:
     from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _REMAPPING = re.compile(r"[A-Za-z0-9_~/]*:=")
+
+
+def add_format_option(parser: argparse.ArgumentParser) -> None:
+    """Add --format; None where it is not given, or empty as a launch file may give it."""
+    parser.add_argument(
+        "--format",
+        metavar="F",
+        type=lambda text: text or None,
+        help=f"how topics are kept: {', '.join(FORMATS)} (default: as they are stored, new ones "
+        f"as {DEFAULT_FORMAT}); another one than a topic is stored in gives it a second table",
+    )
 
 
 def program_parser(program: str, text: str | None) -> argparse.ArgumentParser:

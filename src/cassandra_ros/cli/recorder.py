@@ -14,13 +14,15 @@ import sys
 from typing import TYPE_CHECKING, Sequence
 
 from cassandra_ros.cli.options import (
+    add_format_option,
     add_store_options,
     open_store,
     program_parser,
     strip_remappings,
 )
 from cassandra_ros.cli.text import format_bytes, format_table, shown
-from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
+from cassandra_ros.errors import UnknownFormat
+from cassandra_ros.formats.table import formatClass
 
 if TYPE_CHECKING:
     from cassandra_ros.nodes.recorder_node import RecorderOptions
@@ -55,12 +57,7 @@ def _add_choice(parser: argparse.ArgumentParser) -> None:
         default="",
         help="exclude topics matching the follow regular expression",
     )
-    parser.add_argument(
-        "--format",
-        choices=sorted(FORMATS),
-        default=DEFAULT_FORMAT,
-        help="how topics are kept that are not stored yet (default: %(default)s)",
-    )
+    add_format_option(parser)
     parser.add_argument(
         "--node-id",
         metavar="N",
@@ -137,6 +134,11 @@ def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -
 
     if bool(options.topics) == options.all:
         parser.error("give topics to record, or -a for all" + (", not both" * options.all))
+    if options.format:
+        try:
+            formatClass(options.format)
+        except UnknownFormat as exc:
+            parser.error(str(exc))
     if options.regex:
         for text in options.topics:
             try:

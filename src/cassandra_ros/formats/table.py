@@ -14,6 +14,8 @@ from cassandra_ros.formats.ros import CassandraTopic_ros
 from cassandra_ros.formats.string import CassandraTopic_string
 from cassandra_ros.formats.yaml import CassandraTopic_yaml
 
+FALLBACK_FORMAT = "binary"
+"""Format of topics whose definition cannot be trusted: it needs none."""
 DEFAULT_FORMAT = "ros"
 
 FORMATS: Mapping[str, type[CassandraTopic_]] = {

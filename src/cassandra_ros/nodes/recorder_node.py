@@ -15,7 +15,6 @@ from typing import Callable, Optional, Sequence
 
 import rospy
 
-from cassandra_ros.formats.table import DEFAULT_FORMAT
 from cassandra_ros.nodes.node import (
     MASTER_ERRORS,
     followClock,
@@ -54,7 +53,7 @@ class RecorderOptions:
     regex: bool = False
     exclude: str = ""
     """Regular expression of topics that are left out."""
-    format: str = DEFAULT_FORMAT
+    format: Optional[str] = None
     node_id: str = ""
     duration_sec: float = 0.0
     """0 = until it is stopped."""

@@ -20,7 +20,6 @@ from functools import partial
 from typing import Callable, Iterator, Mapping, Optional
 
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, SchemaConflict, StoreUnavailable
-from cassandra_ros.formats.table import DEFAULT_FORMAT
 from cassandra_ros.keys import COUNTER_BITS, newWriterId
 from cassandra_ros.messages.connection import liveConnection
 from cassandra_ros.recording.buffer import Buffer, Feed, Item, Source
@@ -52,7 +51,7 @@ class Recording:
     Args:
         rosCas: A RosCassandra connected to a keyspace.
         clock: Returns the time of arrival, ns; raises ClockNotSet while it is unknown.
-        format: Format of topics that are not stored yet.
+        format: As addTopic takes it, for all topics.
         node: The robot or entity that is recorded.
         buffer_bytes: Bound of all messages that wait; the oldest are dropped. 0 = none.
         limit: Record only so many messages of each topic; 0 = all.
@@ -65,7 +64,7 @@ class Recording:
         rosCas: RosCassandra,
         *,
         clock: Callable[[], int] = time.time_ns,
-        format: str = DEFAULT_FORMAT,
+        format: Optional[str] = None,
         node: str = "",
         buffer_bytes: int = DEFAULT_BUFFER_BYTES,
         limit: int = 0,
@@ -227,7 +226,7 @@ class Recording:
 
     def _makeWriter(self) -> MessageWriter:
         number = newWriterId()
-        run = Run(self._node, number, "recording", name=self._name, format=self._format)
+        run = Run(self._node, number, "recording", name=self._name, format=self._format or "")
         return self._rosCas.messageWriter(
             writer_id=number,
             format=self._format,

@@ -19,7 +19,6 @@ from cassandra_ros.errors import (
     TopicExists,
     TopicNotFound,
 )
-from cassandra_ros.formats.table import formatClass
 from cassandra_ros.messages.classes import installedDefinition
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.graph import topicType
@@ -47,10 +46,11 @@ class Catalog:
 
     def add(self, topic: str, wish: Wish, msg_type: Optional[str]) -> CassandraTopic:
         """Make a topic, or find it; see RosCassandra.addTopic."""
-        formatClass(wish.format)
         if wish.index:
             checkUnnamed(topic, wish.key_format)
         self._keyspace.schema.tables(fresh=True)
+        format_name = self._keyspace.format_for(topic, asked=wish.format)
+        wish = replace(wish, format=format_name, asked=bool(wish.format))
         stored = self._keyspace.tables.ofTopic(topic)
         definition = self._definitionFor(topic, msg_type, known=bool(stored))
         for table in stored:
@@ -190,7 +190,9 @@ class Catalog:
         tables = [m for _, m in sorted(self._keyspace.schema.tables().items()) if m.topic == name]
         if wish is None and not tables:
             raise TopicNotFound(f"topic {name} was removed from keyspace {self._keyspace.name}")
-        wish = replace(wish or Wish.stored(tables[0]), pending=not tables)
+        if wish is None:
+            wish = Wish.stored(tables[0], self._keyspace.format_for(name))
+        wish = replace(wish, pending=not tables)
         return CassandraTopic(self._keyspace, self._adder, name, wish)
 
 

@@ -10,7 +10,7 @@ from datetime import datetime, timezone
 from typing import Any, Mapping, Optional, Sequence
 
 from cassandra_ros.errors import InvalidKey, InvalidName, TopicExists, TypeMismatch, WriteFailed
-from cassandra_ros.formats.table import formatClass
+from cassandra_ros.formats.table import DEFAULT_FORMAT, FALLBACK_FORMAT, formatClass
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition, definitionOf
 from cassandra_ros.messages.index_field import IndexField
@@ -25,7 +25,7 @@ from cassandra_ros.store.side_tables import SideTables
 from cassandra_ros.topics.connections import ConnectionCache
 from cassandra_ros.topics.reading import RowReader
 from cassandra_ros.topics.removal import Removal
-from cassandra_ros.topics.topic_table import TopicTable, TopicTables
+from cassandra_ros.topics.topic_table import TopicTable, TopicTables, definitionIn
 from cassandra_ros.topics.totals import TopicTotals
 
 _log = logging.getLogger(__name__)
@@ -65,6 +65,30 @@ class Keyspace:
         self.rows = RowReader(cassandra, self.directory, self.connections)
         self.totals = TopicTotals(self.directory)
         self.removal = Removal(cassandra, self.directory)
+
+    def format_for(self, topic: str, md5sum: str = "", asked: Optional[str] = None) -> str:
+        """Decide in which format new messages of a topic are kept.
+
+        Args:
+            topic: Its name.
+            md5sum: Of the messages, where that is known.
+            asked: The format that somebody named; it goes before all others.
+
+        Returns:
+            Unasked the format of the table that was made last, of this md5 where there is one: a
+            stored topic stays in its format. Of a topic that is not stored yet DEFAULT_FORMAT.
+
+        Raises:
+            UnknownFormat: There is no format of the name that was asked for.
+        """
+        if asked:
+            formatClass(asked)
+            return asked
+        tables = [m for m in self.schema.tables().values() if m.topic == topic]
+        # One publisher without a usable definition must not decide for all others.
+        chosen = [m for m in tables if m.format != FALLBACK_FORMAT or definitionIn(m)] or tables
+        newest = max(chosen, key=lambda m: (m.md5sum == md5sum, m.date, m.format), default=None)
+        return DEFAULT_FORMAT if newest is None else newest.format
 
     def makeTable(self, metadata: TopicMetadata, definition: Optional[Definition]) -> TopicTable:
         """Find the table for a topic, md5 and format, or make it.
@@ -108,8 +132,7 @@ class Keyspace:
         for path in wish.index:
             IndexField(definition, path, "")  # raises InvalidName where there is none
         table = self.makeTable(wish.metadata(topic, definition), definition)
-        if wish.asked:
-            wish.check(table.metadata, None)  # another client may have been quicker
+        wish.check(table.metadata, None)  # another client may have been quicker
         return table
 
     def table_for(self, topic: str, wish: Wish, msg: Any) -> TopicTable:
@@ -157,6 +180,14 @@ def _beside(metadata: TopicMetadata, others: Sequence[TopicMetadata]) -> TopicMe
             first.md5sum,
             metadata.msg_type,
             metadata.md5sum,
+        )
+    elif metadata.format not in (formats := {other.format for other in others}):
+        _log.warning(
+            "topic %s is stored in format %s and goes on in format %s in a table of its own; "
+            "reading merges both",
+            metadata.topic,
+            ", ".join(sorted(formats)),
+            metadata.format,
         )
     return metadata.with_(
         key_format=first.key_format,
@@ -224,6 +255,7 @@ class Wish:
     """What addTopic asked for; kept until the first message tells the type."""
 
     format: str
+    """'' = as it is stored; the catalog fills it in."""
     nodeID: str = ""
     ttl: int = 0
     comment: str = ""
@@ -239,10 +271,10 @@ class Wish:
     """Added in this process, perhaps without a table yet."""
 
     @classmethod
-    def stored(cls, metadata: TopicMetadata) -> Wish:
-        """Return the wish for a topic as it is stored."""
+    def stored(cls, metadata: TopicMetadata, format: str) -> Wish:
+        """Return the wish for a topic as it is stored, and goes on in a format."""
         return cls(
-            format=metadata.format,
+            format=format,
             nodeID=metadata.nodeID,
             ttl=metadata.ttl,
             comment=metadata.comment,

@@ -24,7 +24,7 @@ from cassandra_ros.errors import (
     TopicNotFound,
     WriteFailed,
 )
-from cassandra_ros.formats.table import DEFAULT_FORMAT, formatClass
+from cassandra_ros.formats.table import FALLBACK_FORMAT, formatClass
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, Position, RowName, joinSeq, newWriterId
 from cassandra_ros.messages.classes import installedDefinition, serialize
 from cassandra_ros.messages.connection import Connection, apiConnection
@@ -55,8 +55,8 @@ class Handle:
     table: TopicTable
     conn: int
     node: str
-    asked: str
-    """Name of the format that was asked for."""
+    asked: Optional[str]
+    """Name of the format that was asked for, if any was."""
     warning: Optional[str] = None
     """Why the topic is kept in another way than asked for."""
 
@@ -90,13 +90,14 @@ class MessageWriter:
         *,
         linger_sec: float = 0.2,
         give_up_after_sec: float = 60.0,
-        format: str = DEFAULT_FORMAT,
+        format: Optional[str] = None,
         node: str = "",
         ttl: Optional[int] = 0,
         run: Optional[Run] = None,
         on_loss: Optional[LossCallback] = None,
     ) -> None:
-        formatClass(format)
+        if format is not None:
+            formatClass(format)
         keyspace.side_tables.make()
         self.writer_id = writer_id
         self._keyspace = keyspace
@@ -104,7 +105,7 @@ class MessageWriter:
         self._node = node
         self._ttl = ttl
         self._on_loss = on_loss
-        self._handles: dict[tuple[Connection, str, str], Handle] = {}
+        self._handles: dict[tuple[Connection, Optional[str], str], Handle] = {}
         self._topics: dict[str, str] = {}
         self._refused: dict[str, WriteStats] = {}
         self._mutex = threading.Lock()
@@ -160,13 +161,15 @@ class MessageWriter:
             # The topic was renamed or removed by another client.
             like = like or (known.table.metadata if stored is None else None)
         check_new_topic(connection.topic)
-        definition, warning = usableDefinition(connection, key[1])
+        asked = key[1] or (like.format if like is not None else None)
+        wanted = self._keyspace.format_for(connection.topic, connection.md5sum, asked)
+        definition, warning = usableDefinition(connection, wanted)
         metadata = replace(
             like or TopicMetadata("", "", "", "", 0, ttl=self._ttl or 0),
             topic=connection.topic,
             msg_type=connection.type,
             md5sum=connection.md5sum,
-            format=key[1] if definition is not None else FALLBACK_FORMAT,
+            format=wanted if definition is not None else FALLBACK_FORMAT,
             bucket_ns=bucket_ns or defaultBucket(definition),
             definition=definition.text if definition else connection.definition_text,
         )
@@ -185,7 +188,7 @@ class MessageWriter:
             f"holds for what is stored now, not {self._ttl} s (0 = never)"
         )
 
-    def _keep(self, key: tuple[Connection, str, str], handle: Handle) -> Handle:
+    def _keep(self, key: tuple[Connection, Optional[str], str], handle: Handle) -> Handle:
         with self._mutex:
             self._topics[handle.table.name] = handle.topic
             while len(self._handles) >= MAX_HANDLES:
@@ -315,10 +318,6 @@ class MessageWriter:
 
     def __exit__(self, *exc_info: object) -> None:
         self.close()
-
-
-FALLBACK_FORMAT = "binary"
-"""Format of topics whose definition cannot be trusted: it needs none."""
 
 
 def usableDefinition(

@@ -21,7 +21,6 @@ from cassandra_ros.arguments import (
     check_writer_id,
 )
 from cassandra_ros.errors import InvalidKey, InvalidName, InvalidOption, KeyspaceNotFound
-from cassandra_ros.formats.table import DEFAULT_FORMAT
 from cassandra_ros.keys import Position, newWriterId
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import durationNs
@@ -162,7 +161,7 @@ class RosCassandra:
     def addTopic(
         self,
         topic: str,
-        format: str = DEFAULT_FORMAT,
+        format: Optional[str] = None,
         *,
         msg_type: Optional[str] = None,
         nodeID: str = "",
@@ -173,11 +172,13 @@ class RosCassandra:
         metadata: Optional[Mapping[str, Any]] = None,
         index: Sequence[str] = (),
     ) -> CassandraTopic:
-        """Make a topic, or find it where it is stored already in this format.
+        """Make a topic, or find it where it is stored already.
 
         Args:
             topic: Its name, kept as it is given.
-            format: Name of a storage format.
+            format: Name of a storage format; None = the one in which the topic is stored, that of
+                its newest table where there are several, and of a new one 'ros'. Another one than
+                that means a second table, and a warning.
             msg_type: 'pkg/Name' of an installed type; None = the type that the ROS master
                 knows, else that of the first message.
             nodeID: The entity (robot) that produces its messages.
@@ -203,7 +204,7 @@ class RosCassandra:
         if msg_type is not None:
             check_text("msg_type", msg_type, error=InvalidName, wanted="one like 'std_msgs/String'")
         wish = Wish(
-            format=format,
+            format=format or "",
             nodeID=check_node(nodeID),
             ttl=check_ttl(ttl),
             comment=check_text("comment", comment),
@@ -274,7 +275,7 @@ class RosCassandra:
         self,
         *,
         writer_id: Optional[int] = None,
-        format: str = DEFAULT_FORMAT,
+        format: Optional[str] = None,
         nodeID: str = "",
         ttl: int = 0,
         linger_sec: float = 0.2,
@@ -286,7 +287,7 @@ class RosCassandra:
 
         Args:
             writer_id: Repeats of the same import give the same; None = a random one.
-            format: For topics that are not stored yet.
+            format: As addTopic takes it, for all topics.
             nodeID: The entity that produces the messages.
             ttl: Seconds until a message expires; 0 = never.
             linger_sec: How long a message may wait to be sent together with others.

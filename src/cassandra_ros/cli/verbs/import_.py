@@ -19,9 +19,8 @@ import time
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.cli.options import add_format_option, add_store_options, open_store
 from cassandra_ros.cli.text import MessageBar, format_bytes, format_table, shown
-from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.importer import ImportReport
@@ -32,13 +31,7 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add bags, format, selection and the store."""
     parser.add_argument("bags", nargs="+", metavar="FILE", help="bags of format 2.0")
-    parser.add_argument(
-        "--format",
-        default=DEFAULT_FORMAT,
-        metavar="F",
-        help=f"how topics are kept that are not stored yet: {', '.join(FORMATS)} "
-        "(default: %(default)s)",
-    )
+    add_format_option(parser)
     parser.add_argument(
         "--topics", nargs="+", metavar="TOPIC", help="only these topics (after the FILEs)"
     )
