@@ -269,6 +269,16 @@ def test_versions_go_on_where_a_page_failed(far, proxy, rosCas, small_pages, rev
     assert len(failed.frames) >= 4
 
 
+def test_a_directory_that_fails_once_hides_no_bucket(far, proxy, rosCas):
+    with rosCas.messageWriter(nodeID="r1") as writer:
+        write(writer, range(10))
+    (table,) = rosCas.getTopic("/a").tables
+    words = (table.name.encode(), b"\0\0\0\2r1")  # only the list of buckets names both
+    failed = proxy.catch(lambda f: f.opcode == EXECUTE and all(w in f.body for w in words), most=1)
+    assert len(list(far.getTopic("/a").rows())) == 10
+    assert len(failed.frames) == 1
+
+
 def test_a_list_of_names_begins_again_where_a_page_failed(far, proxy, rosCas, small_pages):
     fill(rosCas, key_format="manual")
     failed = proxy.catch(asks_on, most=3)
