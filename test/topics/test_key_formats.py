@@ -638,6 +638,8 @@ def test_typed_keys(rosCas):
     text_key = texts.addData(String(data="17"))
     assert numbers.getData(numbers.keyOfText(" 5 ")).data == 5
     assert numbers.getData(numbers.keyOfText(isoTime(key.ns))).data == 5
+    with pytest.raises(MessageNotFound, match="the nearest lies at"):
+        numbers.getData(genpy.Time(1))  # the time of reception, besides the field
     assert texts.getData(texts.keyOfText("17")).data == "17"
     assert texts.getData(texts.keyOfText(isoTime(text_key.ns))).data == "17"
     assert rosCas.addTopic("/m", key_format="manual").keyOfText("17") == "17"

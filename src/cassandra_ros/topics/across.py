@@ -23,12 +23,7 @@ Pair = Tuple[StoredRow, Optional[StoredRow]]
 
 
 class AcrossTopics:
-    """Reads several topics at once; see RosCassandra.readMessages and nearestMessages.
-
-    Args:
-        rows: Reads the rows of the keyspace.
-        catalog: Finds its topics.
-    """
+    """Reads several topics at once; see RosCassandra.readMessages and nearestMessages."""
 
     def __init__(self, rows: RowReader, catalog: Catalog) -> None:
         self._rows = rows

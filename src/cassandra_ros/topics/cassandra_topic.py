@@ -106,12 +106,7 @@ class CassandraTopic:
         if comment is not None:
             check_text("comment", comment)
         check_user_keys(keys)
-        if not self.tables:
-            raise TopicNotFound(
-                f"topic {self.name} has no type yet: its first message fixes it; give metadata= "
-                "to addTopic"
-            )
-
+        self._typed("; give metadata= to addTopic")
         self._keyspace.schema.changeTopic(self.name, lambda m: m.with_user(keys, comment))
 
     @property
@@ -121,10 +116,14 @@ class CassandraTopic:
         Raises:
             TopicNotFound: The type is not known before the first message.
         """
+        return self._typed()[0].format
+
+    def _typed(self, remedy: str = "") -> list[TopicTable]:
         tables = self.tables
         if not tables:
-            raise TopicNotFound(f"topic {self.name} has no type yet: its first message fixes it")
-        return tables[0].format
+            none = f"topic {self.name} has no type yet: its first message fixes it"
+            raise TopicNotFound(none + remedy)
+        return tables
 
     def getColValidationClasses(self) -> dict[str, str]:
         """Return the format's columns: name → CQL type (paper listing 3)."""

@@ -15,14 +15,7 @@ from cassandra_ros.messages.stamps import Stamp, isoTime
 from cassandra_ros.query.conditions import Condition
 from cassandra_ros.query.protocols import Source, Table
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.selection import (
-    LAST_NS,
-    AnyKey,
-    Named,
-    Selection,
-    Stretch,
-    TopicKeys,
-)
+from cassandra_ros.topics.selection import LAST_NS, AnyKey, Named, Selection, Stretch, TopicKeys
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -51,12 +44,7 @@ class Finder:
         return check_nodes(self.node)
 
     def many(
-        self,
-        key: AnyKey,
-        to_key: AnyKey,
-        *,
-        limit: Optional[int] = None,
-        reverse: bool = False,
+        self, key: AnyKey, to_key: AnyKey, *, limit: Optional[int] = None, reverse: bool = False
     ) -> Iterator[StoredRow]:
         """Walk through the rows that key and to_key mean, as the ends of a stretch or alone."""
         return self._select(self.keys.several(key, to_key), limit=limit, reverse=reverse)

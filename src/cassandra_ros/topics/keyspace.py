@@ -34,19 +34,7 @@ _log = logging.getLogger(__name__)
 class Keyspace:
     """One keyspace of a cluster; it and its side tables are made by what first writes.
 
-    Attributes:
-        cassandra: The connection.
-        name: The keyspace's name.
-        side_tables: Makes it and the tables beside those of topics.
-        schema: Its topic tables, from their comments.
-        indexes: Adds and drops their indexes.
-        directory: Which buckets they have.
-        registry: Connections, definitions and runs as rows.
-        connections: Connection headers, each read once.
-        tables: The topic tables as objects.
-        rows: Reads messages.
-        totals: Counts and describes them.
-        removal: Deletes them.
+    Each of its parts, which are its attributes, does one thing in it; their classes say which.
 
     Raises:
         InvalidName: The name is not 1 to 48 letters, digits and underscores.
@@ -172,23 +160,13 @@ def _beside(metadata: TopicMetadata, others: Sequence[TopicMetadata]) -> TopicMe
         return metadata
     first = others[0]
     if all(other.md5sum != metadata.md5sum for other in others):
-        _log.warning(
-            "topic %s was stored with type %s [%s] and goes on with %s [%s] in a table of its own; "
-            "reading merges both",
-            metadata.topic,
-            first.msg_type,
-            first.md5sum,
-            metadata.msg_type,
-            metadata.md5sum,
-        )
+        was, now = (f"{each.msg_type} [{each.md5sum}]" for each in (first, metadata))
+        text = "topic %s was stored with type %s and goes on with %s in a table of its own; "
+        _log.warning(text + "reading merges both", metadata.topic, was, now)
     elif metadata.format not in (formats := {other.format for other in others}):
-        _log.warning(
-            "topic %s is stored in format %s and goes on in format %s in a table of its own; "
-            "reading merges both",
-            metadata.topic,
-            ", ".join(sorted(formats)),
-            metadata.format,
-        )
+        was, now = ", ".join(sorted(formats)), metadata.format
+        text = "topic %s is stored in format %s and goes on in format %s in a table of its own; "
+        _log.warning(text + "reading merges both", metadata.topic, was, now)
     return metadata.with_(
         key_format=first.key_format,
         key_part=first.key_part,

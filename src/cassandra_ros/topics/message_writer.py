@@ -207,13 +207,9 @@ class MessageWriter:
                     found = None
             if found is None:
                 self._keyspace.schema.tables(fresh=True)
-                former = handle.table.metadata
+                old, like = handle, handle.table.metadata
                 found = self.connect(
-                    handle.connection,
-                    former.bucket_ns,
-                    format=handle.asked,
-                    node=handle.node,
-                    like=former,
+                    old.connection, like.bucket_ns, format=old.asked, node=old.node, like=like
                 )
             handle = found
         return handle
@@ -252,22 +248,17 @@ class MessageWriter:
         except CassandraRosError as exc:
             if self._on_loss is None:
                 raise
-            self._refuse(handle.table, exc)
+            with self._mutex:
+                stats = self._refused.setdefault(handle.table.name, WriteStats())
+                stats.lost += 1
+                stats.reason = stats.reason or str(exc)
+            self._on_loss(handle.topic, 1, exc)
             return None
 
     def _put(self, handle: Handle, t_ns: int, seq: int, wire: bytes, name: str) -> NewRow:
         row = handle.table.newRow(t_ns, seq, handle.conn, wire, name)
         self._rows.add(handle.table, handle.node, row)
         return row
-
-    def _refuse(self, table: TopicTable, exc: CassandraRosError) -> None:
-        topic = table.metadata.topic
-        with self._mutex:
-            stats = self._refused.setdefault(table.name, WriteStats())
-            stats.lost += 1
-            stats.reason = stats.reason or str(exc)
-        if self._on_loss is not None:
-            self._on_loss(topic, 1, exc)
 
     def stats(self) -> dict[str, WriteStats]:
         """Return what became of the messages so far, by topic."""

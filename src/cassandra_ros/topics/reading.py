@@ -15,14 +15,7 @@ from cassandra_ros.query import protocols
 from cassandra_ros.store import reader
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import Directory
-from cassandra_ros.store.fetch import (
-    Wanted,
-    fetchRows,
-    firstAt,
-    keysByShadow,
-    listNames,
-    versions,
-)
+from cassandra_ros.store.fetch import Wanted, fetchRows, firstAt, keysByShadow, listNames, versions
 from cassandra_ros.store.reader import Scan, readRows
 from cassandra_ros.store.row_table import RowTable, TableRow
 from cassandra_ros.topics.connections import ConnectionCache

@@ -2,9 +2,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Statements of any kind, run on the topics that they name.
 
-DELETE gives one row with the number of messages that it removed, in the column ``deleted``; the
-others give no row and no column.
-
 DELETE removes whole messages. A condition on KEY and NODE alone removes the stretch as it lies in
 the store; any other one is checked on every message, read page by page, and a message goes when
 one element of its array satisfies what is asked of the elements. Messages that come in while it
@@ -43,12 +40,7 @@ from cassandra_ros.topics.keyspace import Keyspace
 
 
 class Statements:
-    """Runs the statements of the query language on the topics of one keyspace.
-
-    Args:
-        keyspace: Its parts.
-        catalog: Finds its topics.
-    """
+    """Runs the statements of the query language on the topics of one keyspace."""
 
     def __init__(self, keyspace: Keyspace, catalog: Catalog) -> None:
         self._keyspace = keyspace
