@@ -27,7 +27,7 @@ from genpy import Time
 from sensor_msgs.msg import Imu
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.importer import importBag
+from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.local_server import LocalCluster, free_port
 
@@ -127,7 +127,7 @@ def run(args: argparse.Namespace) -> None:
                     try:
                         note(
                             f"import, {name}",
-                            timed(lambda name=name: importBag(rosCas, path, format=name)),
+                            timed(lambda name=name: import_bag(rosCas, path, format=name)),
                         )
                         topic = rosCas.getTopic("/imu")
                         note(
@@ -137,7 +137,7 @@ def run(args: argparse.Namespace) -> None:
                         if number == args.rounds - 1:
                             _printLookups(rosCas, name, args.lookups, len(messages))
                     finally:
-                        rosCas.cassandra.schemaChange(
+                        rosCas.cassandra.schema_change(
                             f'DROP KEYSPACE IF EXISTS "{keyspace}"', what="ending the benchmark"
                         )
     base = statistics.median(figures["rosbag.Bag.write"])

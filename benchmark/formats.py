@@ -30,13 +30,13 @@ from genpy import Time
 from sensor_msgs.msg import LaserScan, MultiEchoLaserScan
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.importer import importBag
+from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
-from cassandra_ros.formats.table import FORMATS, formatClass
+from cassandra_ros.formats.table import FORMATS, format_class
 from cassandra_ros.local_server import LocalCluster, free_port
-from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.definition import parse_definition
 
 ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = ROOT / "examples/data"
@@ -63,7 +63,7 @@ class Kind:
     name: str
     bag: str
     topic: str
-    firstEcho: bool = False
+    first_echo: bool = False
     """Make a LaserScan of each MultiEchoLaserScan."""
 
     @property
@@ -75,7 +75,7 @@ class Kind:
 KINDS = (
     Kind("Imu", "husky_gps_data.bag", "/imu/data"),
     Kind("tf", "husky_gps_data.bag", "/tf"),
-    Kind("LaserScan", "backpack_multiecho_bz2.bag", "horizontal_laser_2d", firstEcho=True),
+    Kind("LaserScan", "backpack_multiecho_bz2.bag", "horizontal_laser_2d", first_echo=True),
     Kind("MultiEchoLaserScan", "backpack_multiecho_bz2.bag", "horizontal_laser_2d"),
     Kind("Image", "ros_numpy_types.bag", "/image"),
 )
@@ -109,8 +109,8 @@ class Sample:
         return sum(len(wire) for _, wire in self.repeated()) / self.count
 
     def format(self, name: str) -> CassandraTopic_:
-        definition = parseDefinition(self.msg_type, self.definition, self.md5sum)
-        return formatClass(name)(self.msg_type, self.md5sum, definition)
+        definition = parse_definition(self.msg_type, self.definition, self.md5sum)
+        return format_class(name)(self.msg_type, self.md5sum, definition)
 
 
 def readSamples(folder: Path, at_most: int) -> list[Sample]:
@@ -134,7 +134,7 @@ def readSample(kind: Kind, path: Path, at_most: int) -> Sample:
         messages = [(raw.t_ns, raw.data) for raw in reader.messages({number})]
     messages.sort(key=lambda message: message[0])
     what = (connection.type, connection.md5sum, connection.definition_text)
-    if kind.firstEcho:
+    if kind.first_echo:
         messages = [(t_ns, firstEchoes(wire)) for t_ns, wire in messages]
         what = (LaserScan._type, LaserScan._md5sum, LaserScan._full_text)
     size = statistics.mean(len(wire) for _, wire in messages)
@@ -185,17 +185,17 @@ def measureTimes(sample: Sample, rounds: int) -> dict[str, tuple[float, float]]:
     codecs = {name: sample.format(name) for name in FORMATS}
     encoded = {}
     for name, codec in codecs.items():
-        encoded[name] = [codec.encodeWire(wire) for wire in wires]
-        assert [codec.decodeWire(e.columns, e.raw) for e in encoded[name]] == wires
+        encoded[name] = [codec.encode_wire(wire) for wire in wires]
+        assert [codec.decode_wire(e.columns, e.raw) for e in encoded[name]] == wires
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in FORMATS}
     for _ in range(rounds):
         for name, codec in codecs.items():
             rows = encoded[name]
             times[name].append(
                 (
-                    microseconds(lambda c=codec: [c.encodeWire(w) for w in wires], len(wires)),
+                    microseconds(lambda c=codec: [c.encode_wire(w) for w in wires], len(wires)),
                     microseconds(
-                        lambda c=codec, rows=rows: [c.decodeWire(e.columns, e.raw) for e in rows],
+                        lambda c=codec, rows=rows: [c.decode_wire(e.columns, e.raw) for e in rows],
                         len(wires),
                     ),
                 )
@@ -230,7 +230,7 @@ def measureDisk(samples: list[Sample], folder: Path) -> dict[str, list[float]]:
 def storeSample(rosCas: RosCassandra, name: str, sample: Sample, folder: Path) -> str:
     """Import the bag of a sample in a format; return the table's name."""
     say(f"storing {sample.count} {sample.kind.name} as {name}")
-    importBag(rosCas, folder / f"{sample.kind.name}.bag", format=name)
+    import_bag(rosCas, folder / f"{sample.kind.name}.bag", format=name)
     topic = rosCas.getTopic(sample.kind.stored)
     assert topic.countTopicData() == sample.count
     (table,) = topic.tables
@@ -257,7 +257,7 @@ def printTables(
     rounds: int,
 ) -> None:
     for s in samples:
-        made = ", first echoes as LaserScan" if s.kind.firstEcho else ""
+        made = ", first echoes as LaserScan" if s.kind.first_echo else ""
         distinct = len({wire for _, wire in s.messages[: s.count]})
         print(
             f"{s.kind.name}: {s.kind.bag} {s.kind.topic}{made}: "

@@ -29,7 +29,7 @@ from genpy import Time
 from sensor_msgs.msg import Imu
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.importer import importBag
+from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import CassandraRosError
 
 ONE_IN = 1000
@@ -171,7 +171,7 @@ def run(args: argparse.Namespace) -> None:
         with RosCassandra(args.host, args.port) as rosCas:
             rosCas.connectToKeyspace(keyspace)
             try:
-                seconds, _ = timed(lambda: importBag(rosCas, path, format="ros"))
+                seconds, _ = timed(lambda: import_bag(rosCas, path, format="ros"))
                 (info,) = rosCas.info()
                 print(
                     f"{args.messages:,} sensor_msgs/Imu at {args.hz} Hz, imported in "
@@ -179,7 +179,7 @@ def run(args: argparse.Namespace) -> None:
                 )
                 measure(args, rosCas, path)
             finally:
-                rosCas.cassandra.schemaChange(
+                rosCas.cassandra.schema_change(
                     f'DROP KEYSPACE IF EXISTS "{keyspace}"', what="ending the benchmark"
                 )
 

@@ -70,7 +70,7 @@ class Demo:
         print(f"$ {_shell(command)} &", flush=True)
         node = Node(name, command, self.env, self.home)
         self.stack.callback(node.stop)
-        node.waitFor(ready, timeout_sec)
+        node.wait_for(ready, timeout_sec)
         return node
 
     def note(self, what: str, figure: str) -> None:
@@ -81,13 +81,13 @@ class Demo:
 
     def servers(self) -> None:
         self.say("A Cassandra and a roscore of our own")
-        port = _portOr(9042)
+        port = _port_or(9042)
         cluster = LocalCluster(self.home / "cassandra", port=port, say=print)
         self.stack.callback(cluster.stop)
         start = time.monotonic()
         cluster.start(die_with_us=True)
         self.note("Cassandra ready after", f"{time.monotonic() - start:.1f} s")
-        master = _portOr(11311)
+        master = _port_or(11311)
         self.env.update(
             CASSANDRA_ROS_HOST="127.0.0.1",
             CASSANDRA_ROS_PORT=str(port),
@@ -191,7 +191,7 @@ class Node:
         """Return what it has printed."""
         return self.log.read_text(errors="replace").rstrip()
 
-    def waitFor(self, pattern: str, timeout_sec: float) -> None:
+    def wait_for(self, pattern: str, timeout_sec: float) -> None:
         """Wait for a line."""
         deadline = time.monotonic() + timeout_sec
         while not re.search(pattern, self.text()):
@@ -230,7 +230,7 @@ def _messages() -> int:
         return bag.message_count
 
 
-def _portOr(wanted: int) -> int:
+def _port_or(wanted: int) -> int:
     from cassandra_ros.local_server.ports import is_free
 
     return wanted if is_free("127.0.0.1", wanted) else free_port()

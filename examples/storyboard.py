@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.importer import importBag
+from cassandra_ros.bag.importer import import_bag
 
 BAG = Path(__file__).resolve().parent / "data" / "turtlesim_tf.bag"
 CAMERAS = ["Image", "CompressedImage", "LaserScan", "Color"]
@@ -26,9 +26,9 @@ def record(rosCas):
     """What each robot recorded, under its nodeID: the name of its frame in tf."""
     for robot in ("turtle1", "turtle2"):
         topics = [f"/{robot}/{name}" for name in ("color_sensor", "pose", "cmd_vel")]
-        report = importBag(rosCas, BAG, topics=topics, nodeID=robot)
+        report = import_bag(rosCas, BAG, topics=topics, nodeID=robot)
         print(f"stored:   {report.messages} messages of {robot}")
-    report = importBag(rosCas, BAG, topics=["/tf", "/tf_static"])
+    report = import_bag(rosCas, BAG, topics=["/tf", "/tf_static"])
     print(f"          {report.messages} messages of tf")
 
 
@@ -112,7 +112,7 @@ def replay(rosCas, topics, t1, t2):
 
     rospy.init_node("storyboard", anonymous=True)
     rows = list(rosCas.readMessages(topics, t1 - 5, t2 + 5))
-    classes = {row.topic: row.messageClass() for row in rows}
+    classes = {row.topic: row.message_class() for row in rows}
     publishers = {name: rospy.Publisher(name, classes[name], queue_size=1000) for name in classes}
     print(f"waiting for subscribers of {' '.join(classes)}", flush=True)
     while not all(publisher.get_num_connections() for publisher in publishers.values()):

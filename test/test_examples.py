@@ -14,7 +14,7 @@ import rosbag
 from conftest import ROOT
 from nodes.children import Child, start_recorder
 
-from cassandra_ros.bag.importer import importBag
+from cassandra_ros.bag.importer import import_bag
 
 HUSKY = ROOT / "examples/data/husky_gps_data.bag"
 TURTLES = ROOT / "examples/data/turtlesim_tf.bag"
@@ -77,7 +77,7 @@ def test_the_listing_reads_what_the_environment_names(cassandra, keyspaces, conn
         with connect(keyspace=recorded) as rosCas:
             with rosbag.Bag(str(HUSKY)) as bag:
                 topics = [topic for topic in topics if topic in bag.get_type_and_topic_info()[1]]
-            importBag(rosCas, HUSKY, topics=topics)
+            import_bag(rosCas, HUSKY, topics=topics)
             before = {topic.name: topic.countTopicData() for topic in rosCas.getAllTopics()}
         env = {
             **ros_env,
@@ -174,4 +174,4 @@ def test_the_storyboard_replays_the_window(cassandra, keyspace, rosCas, roscore)
                 wire for topic, wire in sent if topic == name
             ]
     finally:
-        rosCas.cassandra.schemaChange(f'DROP KEYSPACE "{rosCas.keyspace}"', what="cleaning up")
+        rosCas.cassandra.schema_change(f'DROP KEYSPACE "{rosCas.keyspace}"', what="cleaning up")

@@ -59,7 +59,7 @@ class RowName(str):
         return name
 
 
-def newWriterId() -> int:
+def new_writer_id() -> int:
     """Draw a writer id: 31 bits, never 0.
 
     Returns:
@@ -68,7 +68,7 @@ def newWriterId() -> int:
     return secrets.randbelow(MAX_WRITER) + 1
 
 
-def joinSeq(writer_id: int, counter: int) -> int:
+def join_seq(writer_id: int, counter: int) -> int:
     """Combine a writer id and its counter.
 
     Args:
@@ -85,23 +85,23 @@ def joinSeq(writer_id: int, counter: int) -> int:
     return writer_id << COUNTER_BITS | counter
 
 
-def splitSeq(seq: int) -> tuple[int, int]:
+def split_seq(seq: int) -> tuple[int, int]:
     """Return (writer id, counter) of a ``_seq``."""
     return seq >> COUNTER_BITS, seq & (2**COUNTER_BITS - 1)
 
 
-def encodeCursor(position: Position) -> str:
+def encode_cursor(position: Position) -> str:
     """Write a position as a short text without spaces."""
     parts = list(position) if position.name else list(position[:4])
     text = json.dumps(parts, separators=(",", ":"), ensure_ascii=False)
     return base64.urlsafe_b64encode(text.encode("utf-8", "surrogateescape")).decode("ascii")
 
 
-def decodeCursor(text: str) -> Position:
+def decode_cursor(text: str) -> Position:
     """Read a cursor back.
 
     Raises:
-        InvalidKey: The text is not a cursor that encodeCursor wrote.
+        InvalidKey: The text is not a cursor that encode_cursor wrote.
     """
     try:
         raw = base64.b64decode(text.encode("ascii"), altchars=b"-_", validate=True)
@@ -117,7 +117,7 @@ def decodeCursor(text: str) -> Position:
     return position
 
 
-def isBehind(position: Position, after: Position | None, reverse: bool = False) -> bool:
+def is_behind(position: Position, after: Position | None, reverse: bool = False) -> bool:
     """Say whether a row comes after another in the direction of reading; None = before all."""
     if after is None:
         return True

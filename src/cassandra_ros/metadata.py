@@ -65,24 +65,24 @@ class TopicMetadata:
         return "_key" if self.named else "_bucket"
 
     @property
-    def nextShadow(self) -> int:
+    def next_shadow(self) -> int:
         """Number that no shadow column had yet, as far as the comment tells."""
         used = [int(shadow[len(SHADOW) :]) for shadow in self.indexes.values()]
         return max(self.index_count, *(number + 1 for number in used), 0)
 
-    def withIndex(self, field: str, number: int) -> TopicMetadata:
+    def with_index(self, field: str, number: int) -> TopicMetadata:
         """Return a copy with one more index, in the shadow column of this number."""
-        indexes = {**self.indexes, field: shadowColumn(number)}
+        indexes = {**self.indexes, field: shadow_column(number)}
         return self.with_(indexes=indexes, index_count=number + 1)
 
-    def withoutIndex(self, field: str) -> TopicMetadata:
+    def without_index(self, field: str) -> TopicMetadata:
         """Return a copy without an index."""
         indexes = {name: shadow for name, shadow in self.indexes.items() if name != field}
         names = {name: indexed for name, indexed in self.index_names.items() if indexed != field}
-        return self.with_(indexes=indexes, index_names=names, index_count=self.nextShadow)
+        return self.with_(indexes=indexes, index_names=names, index_count=self.next_shadow)
 
     @property
-    def receivedColumns(self) -> dict[str, str]:
+    def received_columns(self) -> dict[str, str]:
         """Columns that say when a message came, where its key does not: name -> CQL type."""
         if not self.own_time:
             return {}
@@ -90,7 +90,7 @@ class TopicMetadata:
         arrival = {"_arrival": "bigint"} if self.key_format == "hash" else {}
         return {"_recv": "bigint", **arrival}
 
-    def toComment(self) -> str:
+    def to_comment(self) -> str:
         """Write the metadata as the JSON text of a table comment."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         values["columns"] = list(self.columns)
@@ -107,12 +107,12 @@ class TopicMetadata:
         return replace(self, **changes)
 
 
-def shadowColumn(number: int) -> str:
+def shadow_column(number: int) -> str:
     """Name a column that carries an index."""
     return f"{SHADOW}{number}"
 
 
-def fromComment(comment: str, table: str) -> TopicMetadata | None:
+def from_comment(comment: str, table: str) -> TopicMetadata | None:
     """Read the metadata out of a table comment.
 
     Args:

@@ -18,13 +18,13 @@ from messages.random_wire import PRIMITIVES, DefinitionMaker, WireMaker, install
 from query.rows import attribute, plain
 
 from cassandra_ros.arrays import table_values
-from cassandra_ros.arrays.gather import gatherFields, readArrays
+from cassandra_ros.arrays.gather import gather_fields, read_arrays
 from cassandra_ros.errors import CorruptMessage, InvalidQuery
-from cassandra_ros.formats.table import FORMATS, formatClass
-from cassandra_ros.messages.classes import deserialize, installedDefinition, messageClass
-from cassandra_ros.messages.definition import parseDefinition
-from cassandra_ros.query.names import Findings, allFields
-from cassandra_ros.query.parse import parseSelect
+from cassandra_ros.formats.table import FORMATS, format_class
+from cassandra_ros.messages.classes import deserialize, installed_definition, message_class
+from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.query.names import Findings, all_fields
+from cassandra_ros.query.parse import parse_select
 from cassandra_ros.query.projection import Projection
 
 SEEDS = st.integers(0, 2**32)
@@ -44,7 +44,7 @@ class Table:
 
     def __init__(self, definition, fmt="ros", name="table", named=False):
         self.name, self.definition, self.named = name, definition, named
-        self.storage = formatClass(fmt)(definition.type, definition.md5sum, definition)
+        self.storage = format_class(fmt)(definition.type, definition.md5sum, definition)
         self.by_field = self.storage.BY_FIELD
         self.columns = tuple(self.storage.getColValidationClasses())
 
@@ -56,7 +56,7 @@ class Row:
 
     def __init__(self, table, wire, t=0, held=None):
         self.table, self.t, self.size, self.name = table, t, len(wire), f"name {t}"
-        self.columns, self.odd, self.raw = table.storage.encodeWire(wire)
+        self.columns, self.odd, self.raw = table.storage.encode_wire(wire)
         if held is not None:
             self.columns = [c for n, c in zip(table.columns, self.columns) if n in held]
         self.bytes, self.key = wire, t
@@ -73,7 +73,7 @@ class Row:
 def gather(rows, fields=None, where=None, tables=None):
     tables = tables or list({row.table.name: row.table for row in rows}.values())
     topic = Topic("/topic", tables)
-    return readArrays(topic, fields, where, lambda columns: rows)
+    return read_arrays(topic, fields, where, lambda columns: rows)
 
 
 def shown(value):
@@ -120,8 +120,8 @@ def check(definition, wires, fmt):
     table = Table(definition, fmt)
     found = gather([Row(table, wire, t) for t, wire in enumerate(wires)])
     assert found.pop("KEY").tolist() == list(range(len(wires)))
-    messages = [deserialize(messageClass(definition), wire) for wire in wires]
-    fields = allFields(definition)
+    messages = [deserialize(message_class(definition), wire) for wire in wires]
+    fields = all_fields(definition)
     assert list(found) == [ref.name for ref in fields]
     for ref in fields:
         if isNothing(ref, definition):
@@ -135,7 +135,7 @@ def check(definition, wires, fmt):
 @settings(deadline=None, max_examples=60)
 @given(seed=SEEDS, odd=st.booleans())
 def test_every_kind_of_field(fmt, seed, odd):
-    definition = parseDefinition("pkg/Every", EVERY, None)
+    definition = parse_definition("pkg/Every", EVERY, None)
     maker = WireMaker(definition, seed, odd=odd, signalling=False)
     found = check(definition, [maker.make() for _ in range(5)], fmt)
     for kind in PRIMITIVES:
@@ -152,14 +152,14 @@ def test_every_kind_of_field(fmt, seed, odd):
 @settings(deadline=None, max_examples=150)
 @given(seed=SEEDS, odd=st.booleans())
 def test_random_types(fmt, seed, odd):
-    definition = parseDefinition(*DefinitionMaker(seed, depth=3).make())
+    definition = parse_definition(*DefinitionMaker(seed, depth=3).make())
     maker = WireMaker(definition, seed, odd=odd, signalling=False)
     check(definition, [maker.make() for _ in range(3)], fmt)
 
 
 def test_installed_types():
     for number, msg_type in enumerate(installedTypes()):
-        definition = installedDefinition(msg_type)
+        definition = installed_definition(msg_type)
         maker = WireMaker(definition, number, odd=True, signalling=False)
         check(definition, [maker.make() for _ in range(2)], "ros")
 
@@ -174,8 +174,8 @@ def language(rows, select):
 @given(seed=SEEDS, data=st.data())
 def test_rows_per_element_are_those_of_the_language(seed, data):
     """Fields inside of arrays, with conditions on some of them, of random types."""
-    definition = parseDefinition(*DefinitionMaker(seed, depth=3).make())
-    every = [ref for ref in allFields(definition) if not isNothing(ref, definition)]
+    definition = parse_definition(*DefinitionMaker(seed, depth=3).make())
+    every = [ref for ref in all_fields(definition) if not isNothing(ref, definition)]
     if not every:
         return
     fmt = data.draw(st.sampled_from(["ros", "binary"]))
@@ -193,7 +193,7 @@ def test_rows_per_element_are_those_of_the_language(seed, data):
     table = Table(definition, fmt)
     rows = [Row(table, maker.make(), t) for t in range(4)]
     try:
-        select = parseSelect(text)
+        select = parse_select(text)
         findings = Findings(text)
         projection = Projection.compile(select, table, findings)
         findings.check()
@@ -235,7 +235,7 @@ def indexed(draw, ref):
 # ------------------------------------------------------------------ one by one
 
 
-INT64 = parseDefinition("pkg/A", "int64 x\nint32[] some\nfloat32 f", None)
+INT64 = parse_definition("pkg/A", "int64 x\nint32[] some\nfloat32 f", None)
 
 
 def wire_of(x, some=(), f=0.0):
@@ -266,7 +266,7 @@ def test_names_as_keys():
 
 
 def test_nothing_has_types_all_the_same():
-    found = gather([], None, tables=[Table(parseDefinition("pkg/Every", EVERY, None))])
+    found = gather([], None, tables=[Table(parse_definition("pkg/Every", EVERY, None))])
     assert found["KEY"].dtype == np.int64
     assert found["one_uint64"].dtype == np.uint64
     assert found["three_float32"].shape == (0, 3)
@@ -293,7 +293,7 @@ OTHERS = {
 def test_several_definitions(text):
     """Rows of two types in turn: in their order, and in a type that holds both."""
     dtype, is_five = OTHERS[text]
-    other = Table(parseDefinition("pkg/B", text, None), "binary", "other")
+    other = Table(parse_definition("pkg/B", text, None), "binary", "other")
     if is_five:
         code = {"int8": "b", "uint32": "I", "float64": "d", "uint64": "Q"}[text.split()[0]]
         wires = [struct.pack("<" + code, 5)] * 3
@@ -312,7 +312,7 @@ def test_several_definitions(text):
     assert shown(found["x"])[4::2] == [0, 1, 2]
     expected = [None, None, None]
     if "x" in text:
-        message = messageClass(other.definition)
+        message = message_class(other.definition)
         expected = [shown(deserialize(message, wire).x) for wire in wires]
     assert same(shown(found["x"])[3::2], expected)
     assert shown(found["f"]) == [0.0] * 3 + [None, 0.0] * 3
@@ -321,7 +321,7 @@ def test_several_definitions(text):
 
 def test_fixed_arrays_of_two_definitions():
     three, four = (
-        Table(parseDefinition("pkg/A", f"float64[{n}] x", None), name=str(n)) for n in "34"
+        Table(parse_definition("pkg/A", f"float64[{n}] x", None), name=str(n)) for n in "34"
     )
     rows = [Row(three, struct.pack("<3d", 1, 2, 3)), Row(four, struct.pack("<4d", 1, 2, 3, 4))]
     found = gather(rows, ["x"])["x"]
@@ -364,7 +364,7 @@ def test_only_the_columns_that_are_needed_are_read():
 
     topic = Topic("/topic", [table, binary])
     for fields in (["f", "x"], ["KEY"], ["some[3]"]):
-        gatherFields(topic, fields, None, read)
+        gather_fields(topic, fields, None, read)
     assert [tuple(map(list, pair)) for pair in asked] == [
         (["x", "f"], ["_data"]),
         ([], []),
@@ -419,7 +419,7 @@ def test_no_python_object_is_kept_for_a_number(fmt, monkeypatch):
     gather(list(Many(table, 10)), fields)
     tracemalloc.start()
     try:
-        found = gatherFields(topic, fields, None, lambda columns: Many(table, count))
+        found = gather_fields(topic, fields, None, lambda columns: Many(table, count))
         kept, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -436,7 +436,7 @@ def test_batches_are_bounded_in_bytes(monkeypatch):
     monkeypatch.setattr(
         table_values.TableValues, "flush", lambda self: (sizes.append(self._bytes), flush(self))
     )
-    table = Table(parseDefinition("pkg/Blob", "uint8[] data", None))
+    table = Table(parse_definition("pkg/Blob", "uint8[] data", None))
     wire = struct.pack("<I", 2**20) + bytes(2**20)
     found = gather([Row(table, wire[: 4 + 2**20]) for _ in range(20)], ["data"])
     assert len(found["data"]) == 20

@@ -9,7 +9,7 @@ import tracemalloc
 
 import pytest
 from bag.truth import string_connection, string_wire
-from cassandra_ros.bag.order import readInOrder
+from cassandra_ros.bag.order import read_in_order
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -80,7 +80,7 @@ def test_a_corrupt_chunk_is_named(tmp_path):
         for i in range(100):
             writer.write(number, i, string_wire(f"text {i}"))
     with BagReader(path) as reader:
-        position = reader.chunkInfo(2).position
+        position = reader.chunk_info(2).position
     changed = bytearray(path.read_bytes())
     changed[position + 120] ^= 0xFF
     path.write_bytes(changed)
@@ -88,7 +88,7 @@ def test_a_corrupt_chunk_is_named(tmp_path):
         messages = reader.messages()
         with pytest.raises(BagError, match=f"{path}: chunk 3 of {reader.chunk_count} is damaged"):
             list(messages)
-        assert len(list(reader.chunkMessages(1))) > 0
+        assert len(list(reader.chunk_messages(1))) > 0
 
 
 def make_bag(path, chunk_header, chunk_data, counts=((0, 1),), times=(5, 5)):
@@ -102,12 +102,12 @@ def make_bag(path, chunk_header, chunk_data, counts=((0, 1),), times=(5, 5)):
         (b"op", b"\x06"),
         (b"ver", bagformat.U32.pack(1)),
         (b"chunk_pos", bagformat.U64.pack(13 + 4104)),
-        (b"start_time", bagformat.packTime(times[0])),
-        (b"end_time", bagformat.packTime(times[1])),
+        (b"start_time", bagformat.pack_time(times[0])),
+        (b"end_time", bagformat.pack_time(times[1])),
         (b"count", bagformat.U32.pack(len(counts))),
     )
-    chunk = bagformat.packRecord(chunk_header, chunk_data)
-    header = bagformat.packFields(
+    chunk = bagformat.pack_record(chunk_header, chunk_data)
+    header = bagformat.pack_fields(
         (
             (b"op", b"\x03"),
             (b"index_pos", bagformat.U64.pack(13 + 4104 + len(chunk))),
@@ -123,16 +123,16 @@ def make_bag(path, chunk_header, chunk_data, counts=((0, 1),), times=(5, 5)):
         + bagformat.U32.pack(len(padding))
         + padding
         + chunk
-        + bagformat.packRecord(connection, string_connection().header)
-        + bagformat.packRecord(
+        + bagformat.pack_record(connection, string_connection().header)
+        + bagformat.pack_record(
             info, b"".join(bagformat.U32.pack(a) + bagformat.U32.pack(b) for a, b in counts)
         )
     )
 
 
 def message_record(t=5, conn=0, data=b"\x01\0\0\0x", order=(b"op", b"conn", b"time")):
-    fields = {b"op": b"\x02", b"conn": bagformat.U32.pack(conn), b"time": bagformat.packTime(t)}
-    return bagformat.packRecord([(name, fields[name]) for name in order], data)
+    fields = {b"op": b"\x02", b"conn": bagformat.U32.pack(conn), b"time": bagformat.pack_time(t)}
+    return bagformat.pack_record([(name, fields[name]) for name in order], data)
 
 
 def chunk_header(compression, size):
@@ -213,7 +213,7 @@ def test_a_message_outside_the_times_of_its_chunk_is_refused(tmp_path, t):
     record, path = message_record(t), tmp_path / "a.bag"
     make_bag(path, chunk_header(b"none", len(record)), record, times=(5, 7))
     with BagReader(path) as reader:
-        messages = readInOrder(reader, lambda message: message.data)
+        messages = read_in_order(reader, lambda message: message.data)
         if 5 <= t <= 7:
             assert [message.t_ns for message in messages] == [t]
         else:
@@ -234,7 +234,7 @@ def test_what_contradicts_itself_is_refused(tmp_path):
     foreign = message_record(conn=9)
     cases.append((chunk_header(b"none", len(foreign)), foreign, {}, "index lists"))
     late = message_record()
-    late = late.replace(bagformat.packTime(5), b"\xff\xff\xff\xff\xff\xff\xff\xff")
+    late = late.replace(bagformat.pack_time(5), b"\xff\xff\xff\xff\xff\xff\xff\xff")
     cases.append((chunk_header(b"none", len(late)), late, {}, "damaged"))
     for header, data, more, text in cases:
         make_bag(path, header, data, **more)

@@ -11,14 +11,14 @@ from bag.truth import read_with_rosbag, string_connection, string_wire
 from std_msgs.msg import Int32, String
 from tf2_msgs.msg import TFMessage
 
-from cassandra_ros.bag.exporter import exportBag
-from cassandra_ros.bag.importer import importBag
+from cassandra_ros.bag.exporter import export_bag
+from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import TypeMismatch
 from cassandra_ros.formats.table import FORMATS
-from cassandra_ros.messages.classes import serialize, toYaml
-from cassandra_ros.messages.connection import liveConnection
-from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.classes import serialize, to_yaml
+from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.recording.recording import Recording
 
 T0 = 1_500_000_000 * 10**9
@@ -34,7 +34,7 @@ THING_WIRE = b"\1\0\0\0\2\0\0\0hi" + b"\1\0\0\0" + bytes(8) + b"\0\0\x80?"
 def header(type_, definition):
     return {
         "type": type_,
-        "md5sum": parseDefinition(type_, definition).md5sum,
+        "md5sum": parse_definition(type_, definition).md5sum,
         "message_definition": definition,
         "callerid": "/x",
     }
@@ -63,13 +63,13 @@ def warnings(caplog):
 
 
 def by_import(rosCas, tmp_path, messages, form):
-    importBag(rosCas, write_bag(tmp_path / f"{len(messages)}.bag", messages), format=form)
+    import_bag(rosCas, write_bag(tmp_path / f"{len(messages)}.bag", messages), format=form)
 
 
 def by_writer(rosCas, tmp_path, messages, form):
     with rosCas.messageWriter(format=form) as writer:
         for n, (fields, wire) in enumerate(messages):
-            writer.write(writer.connect(liveConnection("/t", fields)), T0 + n, n, wire)
+            writer.write(writer.connect(live_connection("/t", fields)), T0 + n, n, wire)
 
 
 def by_recorder(rosCas, tmp_path, messages, form):
@@ -128,12 +128,12 @@ def test_two_names_of_a_definition_share_a_table(rosCas, tmp_path, form):
     names = [header(name, TFMessage._full_text) for name in ("tf/tfMessage", "tf2_msgs/TFMessage")]
     wire = serialize(TFMessage())
     path = write_bag(tmp_path / "a.bag", [(names[n % 2], wire) for n in range(6)])
-    importBag(rosCas, path, format=form)
+    import_bag(rosCas, path, format=form)
     topic = rosCas.getTopic("/t")
     assert len(topic.tables) == 1
     assert [row.type for row in topic.rows()] == ["tf/tfMessage", "tf2_msgs/TFMessage"] * 3
     assert [m._type for _, m in topic.items()] == ["tf/tfMessage", "tf2_msgs/TFMessage"] * 3
-    exportBag(rosCas, tmp_path / "out.bag")
+    export_bag(rosCas, tmp_path / "out.bag")
     assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)
 
 
@@ -142,14 +142,14 @@ def test_a_type_that_is_not_installed_is_one_like_any(rosCas, tmp_path, form):
     fields = header("lost_msgs/Thing", THING)
     messages = [(fields, n.to_bytes(4, "little") + THING_WIRE) for n in range(5)]
     path = write_bag(tmp_path / "a.bag", messages)
-    importBag(rosCas, path, format=form)
+    import_bag(rosCas, path, format=form)
     topic = rosCas.getTopic("/t")
     found = [message for _, message in topic.items()]
     assert [(m._type, m.number, m.names, m.parts[0].value) for m in found] == [
         ("lost_msgs/Thing", n, ["hi"], 1.0) for n in range(5)
     ]
     assert {"number: 3", "names:", "    value: 1.0"} <= {
-        line.rstrip() for line in toYaml(found[3]).splitlines()
+        line.rstrip() for line in to_yaml(found[3]).splitlines()
     }
     assert rosCas.executeCQL("select number, parts.value from /t where number > 2") == [
         (3, 1.0),
@@ -159,7 +159,7 @@ def test_a_type_that_is_not_installed_is_one_like_any(rosCas, tmp_path, form):
     key = topic.addData(found[2], key=T0 + 10)
     assert topic.getData(key) == found[2]
     topic.removeData(key)
-    exportBag(rosCas, tmp_path / "out.bag")
+    export_bag(rosCas, tmp_path / "out.bag")
     assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)
 
 
@@ -169,11 +169,11 @@ def test_an_installed_name_with_another_definition_is_read_by_the_stored_one(
 ):
     messages = [(OLD, string_wire("old") + b"\5"), (STRING, string_wire("new"))]
     path = write_bag(tmp_path / "a.bag", messages)
-    importBag(rosCas, path, format=form)
+    import_bag(rosCas, path, format=form)
     old, new = (message for _, message in rosCas.getTopic("/t").items())
     assert type(new) is String
     assert type(old) is not String
     assert (old._type, old._md5sum, old.data, old.level) == (*list(OLD.values())[:2], "old", 5)
     assert rosCas.executeCQL("select level from /t where level = 5") == [(5,)]
-    exportBag(rosCas, tmp_path / "out.bag")
+    export_bag(rosCas, tmp_path / "out.bag")
     assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)

@@ -10,7 +10,7 @@ import pytest
 from bag.truth import string_connection, string_wire
 
 from cassandra_ros.bag.identity import EARLIER_SAMPLE as SAMPLE
-from cassandra_ros.bag.identity import earlierWriterId, readContent
+from cassandra_ros.bag.identity import earlier_writer_id, read_content
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.writer import BagWriter
 
@@ -26,7 +26,7 @@ def write(path, messages, connections=None, **options):
 
 def identify(path, nodeID=""):
     with BagReader(path) as reader:
-        return readContent(reader).writerId(nodeID)
+        return read_content(reader).writer_id(nodeID)
 
 
 MESSAGES = [(i % 2, i, f"text {i}") for i in range(3 * SAMPLE)]
@@ -108,7 +108,7 @@ def test_the_pass_tells_how_far_it_is_and_what_it_read(tmp_path):
         tmp_path / "a.bag", [(i % 2, i, "x" * 996) for i in range(500)], chunk_bytes=10_000
     )
     with BagReader(path) as reader:
-        content = readContent(reader, lambda *counts: told.append(counts))
+        content = read_content(reader, lambda *counts: told.append(counts))
         assert len(told) == reader.chunk_count > 40
     assert tuple(map(sum, zip(*told))) == (500, 500_000)
     assert content.sizes == {0: 250_000, 1: 250_000}
@@ -120,7 +120,7 @@ def test_what_stands_behind_damage_counts(original, tmp_path):
     for name, text in (("a", "text 2999"), ("b", "text 2998"), ("c", "text 2997")):
         path = write(tmp_path / name, changed(2999, text=text), chunk_bytes=10_000)
         with BagReader(path) as reader:
-            place = reader.chunkInfo(3).position
+            place = reader.chunk_info(3).position
         with path.open("r+b") as file:
             file.seek(place)
             file.write(bytes(100))
@@ -132,5 +132,5 @@ def test_the_id_of_earlier_releases_is_still_known(original, tmp_path):
     """Both ids as the tree gave them that knew no others."""
     for path in (original, write(tmp_path / "b.bag", changed(SAMPLE + 1, text="other"))):
         with BagReader(path) as reader:
-            found = [earlierWriterId(reader, node) for node in ("", "husky ü")]
+            found = [earlier_writer_id(reader, node) for node in ("", "husky ü")]
         assert found == EARLIER

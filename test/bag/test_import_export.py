@@ -15,11 +15,11 @@ from bag.test_reader import READABLE
 from bag.truth import STRING_MD5, read_with_rosbag, string_connection, string_wire
 from std_msgs.msg import String
 
-from cassandra_ros.bag.exporter import exportBag
-from cassandra_ros.bag.identity import earlierWriterId, readContent
-from cassandra_ros.bag.importer import importBag
-from cassandra_ros.bag.reader import BagReader, matchTopics
-from cassandra_ros.bag.verify import verifyBag
+from cassandra_ros.bag.exporter import export_bag
+from cassandra_ros.bag.identity import earlier_writer_id, read_content
+from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.bag.reader import BagReader, match_topics
+from cassandra_ros.bag.verify import verify_bag
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import (
     BagError,
@@ -31,8 +31,8 @@ from cassandra_ros.errors import (
     TopicNotFound,
 )
 from cassandra_ros.formats.table import FORMATS
-from cassandra_ros.keys import splitSeq
-from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.keys import split_seq
+from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.store.registry import Run
 
 
@@ -83,15 +83,15 @@ def test_every_bag_comes_back_as_it_was(rosCas, bags, tmp_path, name, form):
     path = bags / f"{name}.bag"
     if form == "yaml" and name == "backpack_multiecho_bz2":
         path = beginning(path, tmp_path / "in.bag")  # slow, and more of the same
-    report = importBag(rosCas, path, format=form)
+    report = import_bag(rosCas, path, format=form)
     expected = read_with_rosbag(path)
     assert report.messages == len(expected[1])
     told = {topic: info.messages for topic, info in report.topics.items()}
     assert told == Counter(message.topic for message in expected[1])
-    verified = verifyBag(rosCas, path)
+    verified = verify_bag(rosCas, path)
     assert verified.equal, verified.first
     assert verified.equal_messages == len(expected[1])
-    exportBag(rosCas, tmp_path / "out.bag")
+    export_bag(rosCas, tmp_path / "out.bag")
     assert read_with_rosbag(tmp_path / "out.bag") == expected
     with BagReader(path) as original, BagReader(tmp_path / "out.bag") as copy:
         assert copy.connections == original.connections
@@ -100,12 +100,12 @@ def test_every_bag_comes_back_as_it_was(rosCas, bags, tmp_path, name, form):
 @pytest.mark.parametrize("form", ["binary", "ros"])
 def test_a_bag_of_what_satisfies_conditions(rosCas, bags, tmp_path, form):
     path = bags / "turtlesim_tf.bag"
-    importBag(rosCas, path, format=form)
+    import_bag(rosCas, path, format=form)
     where = {
         "turtle1/pose": "x > 5.6 AND NOT theta = 0",
         "/tf": ("transforms.child_frame_id = ? AND transforms.header.seq = 0", ["turtle1"]),
     }
-    report = exportBag(rosCas, tmp_path / "out.bag", where=where)
+    report = export_bag(rosCas, tmp_path / "out.bag", where=where)
     with rosbag.Bag(str(path)) as original:
         kept = []
         for topic, message, stamp in original.read_messages():
@@ -129,12 +129,12 @@ def test_no_bag_is_begun_for_a_condition_that_is_none(rosCas, tmp_path):
     rosCas.addTopic("/a", msg_type="std_msgs/String")
     for where, error in (({"/a": "data >"}, InvalidQuery), ({"/b": "data = ''"}, TopicNotFound)):
         with pytest.raises(error):
-            exportBag(rosCas, tmp_path / "out.bag", where=where)
+            export_bag(rosCas, tmp_path / "out.bag", where=where)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_definition_that_is_none_is_kept_as_binary_with_a_warning(rosCas, bags, tmp_path):
-    report = importBag(rosCas, bags / "empty_message_definition.bag", format="ros")
+    report = import_bag(rosCas, bags / "empty_message_definition.bag", format="ros")
     assert report.topics["/led_array_status"].format == "binary"
     assert len(report.warnings) == 1
     assert "/led_array_status is kept as binary" in report.warnings[0]
@@ -149,16 +149,16 @@ def test_a_broken_definition_does_not_stop_the_others(rosCas, tmp_path):
         for i in range(10):
             writer.write(good, i, string_wire(f"good {i}"))
             writer.write(bad, i, string_wire(f"bad {i}"))
-    report = importBag(rosCas, path, format="ros")
+    report = import_bag(rosCas, path, format="ros")
     assert {t: (i.format, i.messages) for t, i in report.topics.items()} == {
         "/good": ("ros", 10),
         "/bad": ("binary", 10),
     }
     assert len(report.warnings) == 1
-    assert verifyBag(rosCas, path).equal
+    assert verify_bag(rosCas, path).equal
     with BagReader(path) as reader:
         expected = [(m.number, m.t_ns, m.data) for m in reader.messages()]
-    exportBag(rosCas, tmp_path / "out.bag")
+    export_bag(rosCas, tmp_path / "out.bag")
     with BagReader(tmp_path / "out.bag") as reader:
         assert [(m.number, m.t_ns, m.data) for m in reader.messages()] == expected
 
@@ -166,7 +166,7 @@ def test_a_broken_definition_does_not_stop_the_others(rosCas, tmp_path):
 def test_a_type_without_a_class_is_imported_twice(rosCas, cql, tmp_path):
     """genpy cannot make a class with a field called serialize: the topic is kept as binary."""
     definition = "int32 serialize\n"
-    md5sum = parseDefinition("odd_msgs/Odd", definition).md5sum
+    md5sum = parse_definition("odd_msgs/Odd", definition).md5sum
     path = tmp_path / "a.bag"
     with BagWriter(path) as writer:
         fields = {"type": "odd_msgs/Odd", "md5sum": md5sum, "message_definition": definition}
@@ -174,10 +174,10 @@ def test_a_type_without_a_class_is_imported_twice(rosCas, cql, tmp_path):
         for i in range(5):
             writer.write(number, i, i.to_bytes(4, "little"))
     for _ in range(2):
-        report = importBag(rosCas, path, format="ros")
+        report = import_bag(rosCas, path, format="ros")
         assert report.topics["/odd"].format == "binary"
         assert counts_agree(rosCas, cql) == {"/odd": 5}
-    assert verifyBag(rosCas, path).equal
+    assert verify_bag(rosCas, path).equal
 
 
 @pytest.mark.parametrize("form", ["binary", "ros"])
@@ -196,9 +196,9 @@ def test_one_topic_of_two_types_and_two_names_of_one_type(rosCas, tmp_path, form
                 writer.connection(string_connection("/mixed", **fields), i)
             wire = i.to_bytes(4, "little") if i % 3 == 1 else string_wire(f"text {i}")
             writer.write(i % 3, 10**18 + i // 4, wire)
-    importBag(rosCas, path, format=form)
-    assert verifyBag(rosCas, path).equal
-    exportBag(rosCas, tmp_path / "out.bag")
+    import_bag(rosCas, path, format=form)
+    assert verify_bag(rosCas, path).equal
+    export_bag(rosCas, tmp_path / "out.bag")
     assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)
 
 
@@ -210,15 +210,15 @@ def test_connection_numbers_of_32_bits(rosCas, connect, tmp_path):
             writer.connection(string_connection(f"/topic{number % 2}"), number)
             # Equal times: the numbers decide the order.
             writer.write(number, 1000, string_wire(f"over {number}"))
-    importBag(rosCas, path)
+    import_bag(rosCas, path)
     rosCas.addTopic("/live", msg_type="std_msgs/String").addData(String("x"), key=2000)
     with connect(keyspace=rosCas.keyspace) as another:  # it has read no connection yet
-        assert verifyBag(another, path).equal
+        assert verify_bag(another, path).equal
         found = {row.connection.number for row in another.readMessages()}
         assert found == {-1, *numbers}
-        exportBag(another, tmp_path / "part.bag", topics=["/topic0", "/topic1"])
+        export_bag(another, tmp_path / "part.bag", topics=["/topic0", "/topic1"])
         assert read_with_rosbag(tmp_path / "part.bag") == read_with_rosbag(path)
-        exportBag(another, tmp_path / "all.bag")
+        export_bag(another, tmp_path / "all.bag")
     connections, messages = read_with_rosbag(tmp_path / "all.bag")
     assert {number for number, *_ in connections} == {*numbers, 1}
     assert messages[:-1] == read_with_rosbag(path)[1]
@@ -226,22 +226,22 @@ def test_connection_numbers_of_32_bits(rosCas, connect, tmp_path):
 
 def test_an_empty_bag_is_an_import_of_nothing(rosCas, tmp_path):
     BagWriter(tmp_path / "a.bag").close()
-    assert importBag(rosCas, tmp_path / "a.bag").messages == 0
-    assert verifyBag(rosCas, tmp_path / "a.bag").equal
+    assert import_bag(rosCas, tmp_path / "a.bag").messages == 0
+    assert verify_bag(rosCas, tmp_path / "a.bag").equal
     with pytest.raises(MessageNotFound, match="holds none of these topics"):
-        exportBag(rosCas, tmp_path / "out.bag")
+        export_bag(rosCas, tmp_path / "out.bag")
     assert not (tmp_path / "out.bag").exists()
-    exportBag(rosCas, tmp_path / "out.bag", empty=True)
+    export_bag(rosCas, tmp_path / "out.bag", empty=True)
     assert read_with_rosbag(tmp_path / "out.bag") == ([], [])
 
 
 def test_bags_that_cannot_be_read_store_nothing(rosCas, bags, tmp_path):
     with pytest.raises(BagUnindexed, match="rosbag reindex"):
-        importBag(rosCas, bags / "truncated_header_only.bag")
+        import_bag(rosCas, bags / "truncated_header_only.bag")
     whole = (bags / "husky_gps_data.bag").read_bytes()
     (tmp_path / "cut.bag").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(BagUnindexed, match="rosbag reindex"):
-        importBag(rosCas, tmp_path / "cut.bag")
+        import_bag(rosCas, tmp_path / "cut.bag")
     assert rosCas.getAllTopics() == []
     assert rosCas.runs() == []
 
@@ -253,12 +253,12 @@ def test_damage_in_the_middle_says_how_much_was_stored(rosCas, cql, tmp_path):
         for i in range(10_000):
             writer.write(number, i, string_wire(f"text {i}"))
     with BagReader(path) as reader:
-        info = reader.chunkInfo(5)
+        info = reader.chunk_info(5)
     changed = bytearray(path.read_bytes())
     changed[info.position + 200] ^= 0xFF
     path.write_bytes(changed)
     with pytest.raises(BagError, match=f"chunk 6 of .* the {info.first} messages before it are"):
-        importBag(rosCas, path)
+        import_bag(rosCas, path)
     assert counts_agree(rosCas, cql) == {"/chatter": info.first}
 
 
@@ -267,10 +267,10 @@ def test_damage_in_the_middle_says_how_much_was_stored(rosCas, cql, tmp_path):
 
 def test_importing_twice_changes_nothing(rosCas, cql, bags, tmp_path):
     path = bags / "turtlesim_tf.bag"
-    importBag(rosCas, path)
+    import_bag(rosCas, path)
     rows, counts = stored_rows(rosCas), counts_agree(rosCas, cql)
     shutil.copy(path, tmp_path / "another name.bag")
-    importBag(rosCas, tmp_path / "another name.bag")
+    import_bag(rosCas, tmp_path / "another name.bag")
     assert stored_rows(rosCas) == rows
     assert counts_agree(rosCas, cql) == counts
     assert sum(counts.values()) == 8647
@@ -279,22 +279,22 @@ def test_importing_twice_changes_nothing(rosCas, cql, bags, tmp_path):
 
 def test_a_part_and_then_the_whole_is_the_whole(rosCas, cql, bags):
     path = bags / "turtlesim_tf.bag"
-    part = importBag(rosCas, path, topics=["tf", "/rosout"])
+    part = import_bag(rosCas, path, topics=["tf", "/rosout"])
     assert {t: i.messages for t, i in part.topics.items()} == {"/tf": 2688, "/rosout": 10}
-    assert verifyBag(rosCas, path, topics=["/tf", "/rosout"]).equal
-    difference = verifyBag(rosCas, path)
+    assert verify_bag(rosCas, path, topics=["/tf", "/rosout"]).equal
+    difference = verify_bag(rosCas, path)
     assert difference.differences == 8647 - 2698
     assert "/turtle1/pose is not stored: its 1344 messages are missing" in difference.first
-    importBag(rosCas, path)
+    import_bag(rosCas, path)
     rows = stored_rows(rosCas)
-    assert verifyBag(rosCas, path).equal
+    assert verify_bag(rosCas, path).equal
     assert sum(counts_agree(rosCas, cql).values()) == 8647
-    importBag(rosCas, path, topics=["/rosout"])
+    import_bag(rosCas, path, topics=["/rosout"])
     assert stored_rows(rosCas) == rows
     with BagReader(path) as reader:
         expected = {(m.t_ns, m.position) for m in reader.messages()}
-        assert {splitSeq(row[2])[0] for row in rows} == {readContent(reader).writerId()}
-    assert {(row[0], splitSeq(row[2])[1]) for row in rows} == expected
+        assert {split_seq(row[2])[0] for row in rows} == {read_content(reader).writer_id()}
+    assert {(row[0], split_seq(row[2])[1]) for row in rows} == expected
 
 
 def long_bag(path, changed=-1, count=2500):
@@ -311,7 +311,7 @@ def long_bag(path, changed=-1, count=2500):
 def import_as_before(rosCas, path, numbers=(0, 1), most=2500, nodeID=""):
     """Store a bag as a release did that noted no content; of an interrupted import the run too."""
     with BagReader(path) as reader:
-        writer_id = earlierWriterId(reader, nodeID)
+        writer_id = earlier_writer_id(reader, nodeID)
         run = Run(nodeID, writer_id, "import", path.name, str(path), "binary")
         with rosCas.messageWriter(writer_id=writer_id, run=run, nodeID=nodeID) as writer:
             handles = {n: writer.connect(c) for n, c in reader.connections.items() if n in numbers}
@@ -322,18 +322,18 @@ def import_as_before(rosCas, path, numbers=(0, 1), most=2500, nodeID=""):
 
 def test_bags_that_differ_in_the_middle_lie_side_by_side(rosCas, cql, tmp_path):
     paths = [long_bag(tmp_path / "a.bag"), long_bag(tmp_path / "b.bag", changed=1250)]
-    first = importBag(rosCas, paths[0])
+    first = import_bag(rosCas, paths[0])
     rows = stored_rows(rosCas)
-    second = importBag(rosCas, paths[1])
+    second = import_bag(rosCas, paths[1])
     assert first.writer_id != second.writer_id
     both = stored_rows(rosCas)
-    assert [row for row in both if splitSeq(row[2])[0] == first.writer_id] == rows
+    assert [row for row in both if split_seq(row[2])[0] == first.writer_id] == rows
     assert counts_agree(rosCas, cql) == {"/a": 2500, "/b": 2500}
     for path in (*paths, paths[0]):
-        importBag(rosCas, path)
-        importBag(rosCas, path, topics=["/a"])
+        import_bag(rosCas, path)
+        import_bag(rosCas, path, topics=["/a"])
         assert stored_rows(rosCas) == both
-        assert verifyBag(rosCas, path).equal
+        assert verify_bag(rosCas, path).equal
     assert len(rosCas.runs()) == 2
 
 
@@ -342,14 +342,14 @@ def test_what_an_earlier_release_imported_keeps_its_id(rosCas, tmp_path, part):
     path = long_bag(tmp_path / "a.bag")
     writer_id = import_as_before(rosCas, path, **part)
     rows = stored_rows(rosCas)
-    assert verifyBag(rosCas, path).equal == (not part)
+    assert verify_bag(rosCas, path).equal == (not part)
     path = path.rename(tmp_path / "b.bag")
-    assert importBag(rosCas, path, topics=["/a"]).writer_id == writer_id
+    assert import_bag(rosCas, path, topics=["/a"]).writer_id == writer_id
     assert part or stored_rows(rosCas) == rows
     for _ in range(2):
-        assert importBag(rosCas, path).writer_id == writer_id
+        assert import_bag(rosCas, path).writer_id == writer_id
         assert len(stored_rows(rosCas)) == 2500
-        assert verifyBag(rosCas, path).equal
+        assert verify_bag(rosCas, path).equal
     assert len(rosCas.runs()) == 1
 
 
@@ -359,53 +359,53 @@ def test_no_other_bag_takes_the_id_of_an_earlier_import(rosCas, tmp_path, part):
     paths = [long_bag(tmp_path / "a.bag"), long_bag(tmp_path / "b.bag", changed=1250)]
     writer_id = import_as_before(rosCas, paths[0], **part)
     rows = stored_rows(rosCas)
-    assert verifyBag(rosCas, paths[1]).differences > 0
-    assert importBag(rosCas, paths[1]).writer_id != writer_id
-    assert [row for row in stored_rows(rosCas) if splitSeq(row[2])[0] == writer_id] == rows
-    assert importBag(rosCas, paths[0]).writer_id == writer_id
+    assert verify_bag(rosCas, paths[1]).differences > 0
+    assert import_bag(rosCas, paths[1]).writer_id != writer_id
+    assert [row for row in stored_rows(rosCas) if split_seq(row[2])[0] == writer_id] == rows
+    assert import_bag(rosCas, paths[0]).writer_id == writer_id
     assert len(stored_rows(rosCas)) == 5000
     for path in paths:
-        assert verifyBag(rosCas, path).equal
+        assert verify_bag(rosCas, path).equal
 
 
 def test_an_id_that_is_another_bags_by_chance_is_not_taken(rosCas, tmp_path):
     path = long_bag(tmp_path / "a.bag", count=20)
     with BagReader(path) as reader:
-        writer_id = readContent(reader).writerId()
+        writer_id = read_content(reader).writer_id()
     other = Run("", writer_id, "import", labels={"content": "of another bag"})
-    rosCas.parts.registry.putRun(other, started=True)
+    rosCas.parts.registry.put_run(other, started=True)
     for _ in range(2):
-        assert importBag(rosCas, path).writer_id == writer_id + 1
-    assert verifyBag(rosCas, path).equal
+        assert import_bag(rosCas, path).writer_id == writer_id + 1
+    assert verify_bag(rosCas, path).equal
     assert len(stored_rows(rosCas)) == 20
 
 
 def test_a_second_format_of_the_same_bag_is_refused(rosCas, bags):
-    importBag(rosCas, bags / "primitive_arrays.bag", format="binary")
+    import_bag(rosCas, bags / "primitive_arrays.bag", format="binary")
     with pytest.raises(TopicExists, match="in format binary.*twice"):
-        importBag(rosCas, bags / "primitive_arrays.bag", format="ros")
+        import_bag(rosCas, bags / "primitive_arrays.bag", format="ros")
     rosCas.removeTopic("/array_test")
-    importBag(rosCas, bags / "primitive_arrays.bag", format="ros")
-    assert verifyBag(rosCas, bags / "primitive_arrays.bag").equal
+    import_bag(rosCas, bags / "primitive_arrays.bag", format="ros")
+    assert verify_bag(rosCas, bags / "primitive_arrays.bag").equal
 
 
 def test_two_nodes_keep_two_copies(rosCas, bags, tmp_path):
     path = bags / "primitive_arrays.bag"
-    importBag(rosCas, path, nodeID="r1")
-    importBag(rosCas, path, nodeID="r2")
+    import_bag(rosCas, path, nodeID="r1")
+    import_bag(rosCas, path, nodeID="r2")
     assert len(stored_rows(rosCas)) == 40
     with pytest.raises(InvalidKey, match="'r1', 'r2'; choose one"):
-        verifyBag(rosCas, path)
-    assert verifyBag(rosCas, path, nodeID="r2").equal
-    exportBag(rosCas, tmp_path / "out.bag", nodeID="r1")
+        verify_bag(rosCas, path)
+    assert verify_bag(rosCas, path, nodeID="r2").equal
+    export_bag(rosCas, tmp_path / "out.bag", nodeID="r1")
     assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)
 
 
 def test_unknown_topics_are_named(rosCas, bags):
     with pytest.raises(TopicNotFound, match="no topic /turtle1/poze in .*; it has /turtle1/pose"):
-        importBag(rosCas, bags / "turtlesim_tf.bag", topics=["/turtle1/poze"])
+        import_bag(rosCas, bags / "turtlesim_tf.bag", topics=["/turtle1/poze"])
     with pytest.raises(TopicNotFound) as raised:
-        importBag(rosCas, bags / "turtlesim_tf.bag", topics=["/nope"])
+        import_bag(rosCas, bags / "turtlesim_tf.bag", topics=["/nope"])
     listing = str(raised.value).partition("; it has ")[2]
     with BagReader(bags / "turtlesim_tf.bag") as reader:
         names = {connection.topic for connection in reader.connections.values()}
@@ -417,15 +417,15 @@ def test_unknown_topics_are_named(rosCas, bags):
 def test_of_many_topics_the_nearest_are_named():
     present = {f"/robot{i}/scan" for i in range(20)} | {"/a", "/b", "/c", "/tf"}
     with pytest.raises(TopicNotFound) as raised:
-        matchTopics(["/robot7/scam"], present, "a.bag")
+        match_topics(["/robot7/scam"], present, "a.bag")
     text = str(raised.value)
     assert text.startswith("there is no topic /robot7/scam in a.bag; it has /robot7/scan, /robot")
     assert text.endswith(" and 14 more (24 topics)")
     wanted = "/x in a.bag; it has /c, /b, .* and 14 more .24 topics.$"
     with pytest.raises(TopicNotFound, match=wanted):
-        matchTopics(["/x"], present, "a.bag")
+        match_topics(["/x"], present, "a.bag")
     with pytest.raises(TopicNotFound, match="/x in a.bag; it has none$"):
-        matchTopics(["/x"], set(), "a.bag")
+        match_topics(["/x"], set(), "a.bag")
 
 
 # ------------------------------------------------------------------ export
@@ -445,10 +445,10 @@ def test_two_bags_of_the_same_topics_verify_each_and_export_together(rosCas, tmp
 
     first, second = write("one", 1000), write("two", 1050)
     for path in (first, second):
-        importBag(rosCas, path)
+        import_bag(rosCas, path)
     for path in (first, second):
-        assert verifyBag(rosCas, path).equal
-    exportBag(rosCas, tmp_path / "both.bag")
+        assert verify_bag(rosCas, path).equal
+    export_bag(rosCas, tmp_path / "both.bag")
     messages = read_with_rosbag(tmp_path / "both.bag")[1]
     assert [m.t_ns for m in messages] == sorted(m.t_ns for m in messages)
     for name, path in (("one", first), ("two", second)):
@@ -458,10 +458,10 @@ def test_two_bags_of_the_same_topics_verify_each_and_export_together(rosCas, tmp
 
 def test_a_stretch_of_some_topics(rosCas, bags, tmp_path):
     path = bags / "turtlesim_tf.bag"
-    importBag(rosCas, path)
+    import_bag(rosCas, path)
     everything = read_with_rosbag(path)[1]
     start, end = everything[2000].t_ns, everything[5000].t_ns
-    report = exportBag(
+    report = export_bag(
         rosCas, tmp_path / "out.bag", topics=["/tf", "tf", "turtle1/pose"], start=start, end=end
     )
     wanted = ("/tf", "/turtle1/pose")
@@ -473,8 +473,8 @@ def test_a_stretch_of_some_topics(rosCas, bags, tmp_path):
 @pytest.mark.parametrize("compression", ["bz2", "lz4"])
 def test_compressed_export(rosCas, bags, tmp_path, compression):
     path = bags / "luminar_stage_lz4.bag"
-    importBag(rosCas, path)
-    exportBag(rosCas, tmp_path / "out.bag", compression=compression)
+    import_bag(rosCas, path)
+    export_bag(rosCas, tmp_path / "out.bag", compression=compression)
     assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)
     info = subprocess.run(
         ["rosbag", "info", "-y", "-k", "compression", str(tmp_path / "out.bag")],
@@ -486,13 +486,13 @@ def test_compressed_export(rosCas, bags, tmp_path, compression):
 
 
 def test_a_file_is_not_replaced_unasked(rosCas, bags, tmp_path):
-    importBag(rosCas, bags / "primitive_arrays.bag")
+    import_bag(rosCas, bags / "primitive_arrays.bag")
     path = tmp_path / "out.bag"
     path.write_bytes(b"precious")
     with pytest.raises(BagError, match="exists"):
-        exportBag(rosCas, path)
+        export_bag(rosCas, path)
     assert path.read_bytes() == b"precious"
-    exportBag(rosCas, path, force=True)
+    export_bag(rosCas, path, force=True)
     assert read_with_rosbag(path) == read_with_rosbag(bags / "primitive_arrays.bag")
 
 
@@ -503,7 +503,7 @@ def test_messages_that_were_added_by_hand_are_exported(rosCas, tmp_path):
     topic = rosCas.getTopic("/by_hand")
     for i in range(5):
         topic.addData(String(f"text {i}"), key=10**18 + i)
-    exportBag(rosCas, tmp_path / "out.bag")
+    export_bag(rosCas, tmp_path / "out.bag")
     messages = read_with_rosbag(tmp_path / "out.bag")[1]
     assert [(m.topic, m.t_ns, m.type) for m in messages] == [
         ("/by_hand", 10**18 + i, "std_msgs/String") for i in range(5)

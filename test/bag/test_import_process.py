@@ -15,8 +15,8 @@ import pytest
 from bag.test_import_export import counts_agree, stored_rows
 from bag.truth import string_connection, string_wire
 
-from cassandra_ros.bag.importer import importBag
-from cassandra_ros.bag.verify import verifyBag
+from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.bag.verify import verify_bag
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import TopicNotFound
 
@@ -26,7 +26,7 @@ START = 1_700_000_000 * 10**9
 IMPORT = """
 import os, resource, signal, sys
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.importer import importBag
+from cassandra_ros.bag.importer import import_bag
 host, port, keyspace, path, most = sys.argv[1:]
 done = 0
 def count(messages, size):
@@ -35,7 +35,7 @@ def count(messages, size):
     if done > int(most):
         os.kill(os.getpid(), signal.SIGKILL)
 with RosCassandra(host, int(port), keyspace=keyspace) as rosCas:
-    report = importBag(rosCas, path, progress=count)
+    report = import_bag(rosCas, path, progress=count)
 print(report.messages, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
 
@@ -75,12 +75,12 @@ def test_an_import_that_was_killed_is_completed_by_the_next(
         assert child.returncode == -signal.SIGKILL
         part = sum(counts_agree(rosCas, cql).values())
         assert 0 < part < count
-        assert not verifyBag(rosCas, path).equal
-    importBag(rosCas, path)
-    assert verifyBag(rosCas, path).equal
+        assert not verify_bag(rosCas, path).equal
+    import_bag(rosCas, path)
+    assert verify_bag(rosCas, path).equal
     assert sum(counts_agree(rosCas, cql).values()) == count
     rows = stored_rows(rosCas)
-    importBag(rosCas, path)
+    import_bag(rosCas, path)
     assert stored_rows(rosCas) == rows
 
 
@@ -148,6 +148,6 @@ def test_a_signal_ends_an_import_and_the_next_completes_it(
     assert child.returncode == 128 + signal_number
     errors = "".join(line for line in errors.splitlines(True) if "trying again" not in line)
     assert errors == "cassandra_bag: interrupted; the same command again completes the import\n"
-    importBag(rosCas, path)
-    assert verifyBag(rosCas, path).equal
+    import_bag(rosCas, path)
+    assert verify_bag(rosCas, path).equal
     assert sum(counts_agree(rosCas, cql).values()) == 60_000

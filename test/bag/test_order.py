@@ -9,10 +9,10 @@ import random
 import pytest
 from bag.truth import read_with_rosbag, string_connection, string_wire
 
-from cassandra_ros.bag.exporter import exportBag
-from cassandra_ros.bag.importer import importBag
+from cassandra_ros.bag.exporter import export_bag
+from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.bag.verify import verifyBag
+from cassandra_ros.bag.verify import verify_bag
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.keys import MAX_NS
@@ -52,9 +52,9 @@ def test_order_and_headers_come_back(rosCas, tmp_path, form):
             number = rand.choice(numbers)
             wires.append(string_wire(f"{number} {n}"))
             writer.write(number, t_ns, wires[-1])
-    importBag(rosCas, path, format=form)
-    assert verifyBag(rosCas, path).equal
-    exportBag(rosCas, tmp_path / "out.bag")
+    import_bag(rosCas, path, format=form)
+    assert verify_bag(rosCas, path).equal
+    export_bag(rosCas, tmp_path / "out.bag")
     connections, messages = read_with_rosbag(path)
     again, exported = read_with_rosbag(tmp_path / "out.bag")
     assert again == connections

@@ -10,7 +10,7 @@ import rosbag
 from bag.truth import read_with_rosbag, string_connection, string_wire
 from std_msgs.msg import String
 
-from cassandra_ros.bag.reader import BagReader, readInOrder
+from cassandra_ros.bag.reader import BagReader, read_in_order
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError, BagUnindexed
 
@@ -33,7 +33,7 @@ def test_it_reads_what_rosbag_reads_in_the_same_order(bags, name):
     with BagReader(bags / f"{name}.bag") as reader:
         ours = list(reader.messages())
         found = list(reader.connections.values())
-        ordered = [ours[e.position] for e in readInOrder(reader, lambda message: b"")]
+        ordered = [ours[e.position] for e in read_in_order(reader, lambda message: b"")]
         assert reader.message_count == len(messages)
         assert reader.start_ns == min(m.t_ns for m in messages)
         assert reader.end_ns == max(m.t_ns for m in messages)
@@ -65,7 +65,7 @@ def test_chunks_of_any_size_written_by_rosbag(tmp_path, compression):
     with BagReader(path) as reader:
         assert reader.chunk_count > 5
         ours = list(reader.messages())
-        ordered = [ours[e.position] for e in readInOrder(reader, lambda message: b"")]
+        ordered = [ours[e.position] for e in read_in_order(reader, lambda message: b"")]
     # rosbag merges unsorted lists here; the order by time, connection, position is the defined one.
     assert [(m.t_ns, m.number, m.position) for m in ordered] == sorted(
         (m.t_ns, m.number, m.position) for m in ours
@@ -150,6 +150,6 @@ def test_an_encrypted_bag_is_named_as_such(tmp_path):
         (b"chunk_count", bagformat.U32.pack(1)),
     )
     path = tmp_path / "a.bag"
-    path.write_bytes(bagformat.MAGIC + bagformat.packRecord(header, bytes(4000)) + bytes(2000))
+    path.write_bytes(bagformat.MAGIC + bagformat.pack_record(header, bytes(4000)) + bytes(2000))
     with pytest.raises(BagError, match="encrypted.*rosbag decrypt"):
         BagReader(path)

@@ -11,15 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from std_msgs.msg import Header
 
-from cassandra_ros.bag.exporter import exportBag
-from cassandra_ros.bag.importer import importBag
-from cassandra_ros.bag.reader import BagReader, readInOrder
-from cassandra_ros.bag.verify import Comparison, Entry, VerifyReport, verifyBag, verifyContent
+from cassandra_ros.bag.exporter import export_bag
+from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.bag.reader import BagReader, read_in_order
+from cassandra_ros.bag.verify import Comparison, Entry, VerifyReport, verify_bag, verify_content
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.definition import definitionOf
-from cassandra_ros.messages.stamps import isoTime
+from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.messages.stamps import iso_time
 
 START = 1_700_000_000 * 10**9
 MESSAGES = [("/a", START + i * 1000, f"text {i}") for i in range(50)]
@@ -39,12 +39,12 @@ def write(path, messages, **header):
 @pytest.fixture
 def original(rosCas, tmp_path):
     path = write(tmp_path / "original.bag", MESSAGES)
-    importBag(rosCas, path)
+    import_bag(rosCas, path)
     return path
 
 
 def differences(rosCas, path, **options):
-    report = verifyBag(rosCas, path, **options)
+    report = verify_bag(rosCas, path, **options)
     assert report.equal == (not report.first)
     return report.differences, report.first
 
@@ -55,7 +55,7 @@ def test_equal(rosCas, original):
 
 def test_a_missing_message(rosCas, original):
     rosCas.getTopic("/a").removeData(MESSAGES[7][1])
-    place = isoTime(MESSAGES[7][1])
+    place = iso_time(MESSAGES[7][1])
     assert differences(rosCas, original) == (
         1,
         [f"/a at {place}: message 7 of the bag is not in the store"],
@@ -89,34 +89,34 @@ def test_other_bytes_time_and_connection(rosCas, original, tmp_path):
 
 def test_order_of_equal_stamps_counts(rosCas, tmp_path):
     equal = [("/a", START, "one"), ("/a", START, "two"), ("/a", START, "one more")]
-    importBag(rosCas, write(tmp_path / "a.bag", equal))
-    assert verifyBag(rosCas, tmp_path / "a.bag").equal
+    import_bag(rosCas, write(tmp_path / "a.bag", equal))
+    assert verify_bag(rosCas, tmp_path / "a.bag").equal
     swapped = write(tmp_path / "b.bag", [equal[1], equal[0], equal[2]])
-    assert verifyBag(rosCas, swapped).differences == 2
+    assert verify_bag(rosCas, swapped).differences == 2
 
 
 def test_messages_that_the_bag_has_not(rosCas, original, tmp_path):
-    report = verifyBag(rosCas, write(tmp_path / "b.bag", MESSAGES[:-2]))
+    report = verify_bag(rosCas, write(tmp_path / "b.bag", MESSAGES[:-2]))
     assert report.differences == 2
     assert report.scope == "all stored messages on its topics"
     assert all("the bag has no such message" in text for text in report.first)
 
 
 def test_other_rows_of_the_topic_do_not_matter_for_an_import(rosCas, original, tmp_path):
-    importBag(rosCas, write(tmp_path / "b.bag", MESSAGES[10:20], callerid="/other"))
-    report = verifyBag(rosCas, original)
+    import_bag(rosCas, write(tmp_path / "b.bag", MESSAGES[10:20], callerid="/other"))
+    report = verify_bag(rosCas, original)
     assert report.equal
     assert report.scope == "the import of this bag"
 
 
 def test_an_import_of_the_exported_bag_is_equal_to_the_original(rosCas, bags, keyspace, tmp_path):
     path = bags / "turtlesim_tf.bag"
-    importBag(rosCas, path)
-    exportBag(rosCas, tmp_path / "out.bag")
+    import_bag(rosCas, path)
+    export_bag(rosCas, tmp_path / "out.bag")
     for topic in rosCas.getAllTopics():
         rosCas.removeTopic(topic.name)
-    importBag(rosCas, tmp_path / "out.bag")
-    report = verifyBag(rosCas, path)
+    import_bag(rosCas, tmp_path / "out.bag")
+    report = verify_bag(rosCas, path)
     assert report.equal, report.first
     assert report.scope == "all stored messages on its topics"
 
@@ -137,11 +137,11 @@ def test_content_of_a_recording(rosCas, tmp_path):
     messages = [("/ab"[:2] if i % 3 else "/b", START + i, f"text {i}") for i in range(60)]
     path = write(tmp_path / "a.bag", messages)
     record(rosCas, messages, {"/b": "/renamed"})
-    assert not verifyBag(rosCas, path).equal
-    report = verifyContent(rosCas, path, mapping={"/b": "/renamed"})
+    assert not verify_bag(rosCas, path).equal
+    report = verify_content(rosCas, path, mapping={"/b": "/renamed"})
     assert report.equal, report.first
     assert report.equal_messages == 60
-    missing = verifyContent(rosCas, path)
+    missing = verify_content(rosCas, path)
     assert missing.differences == 20
     assert "has no counterpart" in missing.first[0]
 
@@ -149,20 +149,20 @@ def test_content_of_a_recording(rosCas, tmp_path):
 def test_content_differs(rosCas, tmp_path):
     path = write(tmp_path / "a.bag", MESSAGES)
     record(rosCas, [*MESSAGES[:5], ("/a", MESSAGES[5][1], "lost it"), *MESSAGES[6:49]])
-    report = verifyContent(rosCas, path)
+    report = verify_content(rosCas, path)
     assert (report.differences, report.equal_messages) == (2, 48)
     assert "message 5 of the bag: 10 bytes in the bag, 11 in the store" in report.first[0]
     assert "message 49 of the bag has no counterpart" in report.first[1]
     record(rosCas, MESSAGES[:3], later=10**12)
-    report = verifyContent(rosCas, path)
+    report = verify_content(rosCas, path)
     assert not report.equal
     assert report.equal_messages == 48
-    only = verifyContent(rosCas, path, start=START, end=START + 10**9)
+    only = verify_content(rosCas, path, start=START, end=START + 10**9)
     assert (only.differences, only.equal_messages) == (2, 48)
 
 
 def test_content_is_in_the_order_of_reception(rosCas, tmp_path):
-    header = definitionOf(Header)
+    header = definition_of(Header)
     kind = {"type": header.type, "md5sum": header.md5sum, "message_definition": header.text}
     connection = string_connection("/h", **kind)
     wires = [
@@ -179,13 +179,13 @@ def test_content_is_in_the_order_of_reception(rosCas, tmp_path):
         for n, wire in enumerate(wires):
             writer.write(handle, START + 5000 + n, n, wire)
     assert [row.wire for row in rosCas.readMessages()] != wires
-    report = verifyContent(rosCas, tmp_path / "a.bag", start=START + 5000)
+    report = verify_content(rosCas, tmp_path / "a.bag", start=START + 5000)
     assert (report.differences, report.equal_messages) == (0, 4), report.first
-    late = verifyContent(rosCas, tmp_path / "a.bag", end=START + 5002)
+    late = verify_content(rosCas, tmp_path / "a.bag", end=START + 5002)
     assert (late.differences, late.equal_messages) == (1, 3)
     rosCas.getTopic("/h").addData(Header(stamp=genpy.Time(9)))
-    (surplus,) = verifyContent(rosCas, tmp_path / "a.bag").first
-    assert isoTime(9 * 10**9) not in surplus
+    (surplus,) = verify_content(rosCas, tmp_path / "a.bag").first
+    assert iso_time(9 * 10**9) not in surplus
 
 
 # ------------------------------------------------------------------ alignment
@@ -211,7 +211,7 @@ def test_one_difference_does_not_spread():
     assert align([], []) == (0, 0, [])
     lost = align(NUMBERS, [n for n in NUMBERS if n not in ("7", "8", "150")])
     assert lost[:2] == (197, 3)
-    place = f"/a at {isoTime(0)}"
+    place = f"/a at {iso_time(0)}"
     assert lost[2] == [f"{place}: message {i} of the bag is not in the store" for i in (7, 8, 150)]
     doubled = align(NUMBERS, [*NUMBERS[:10], "x", "y", *NUMBERS[10:]])
     assert doubled[:2] == (200, 2)
@@ -245,8 +245,8 @@ def test_overlapping_chunks_are_put_in_order(tmp_path):
     with BagReader(path) as reader:
         assert reader.chunk_count > 20
         expected = sorted((m.t_ns, m.number, m.position) for m in reader.messages())
-        assert [e[:3] for e in readInOrder(reader, lambda message: b"")] == expected
-        some = [e[:3] for e in readInOrder(reader, lambda message: b"", {1})]
+        assert [e[:3] for e in read_in_order(reader, lambda message: b"")] == expected
+        some = [e[:3] for e in read_in_order(reader, lambda message: b"", {1})]
         assert some == [entry for entry in expected if entry[1] == 1]
 
 
@@ -258,4 +258,4 @@ def test_an_index_that_denies_the_times_is_an_error(tmp_path):
     with BagReader(tmp_path / "a.bag") as reader:
         assert len(list(reader.messages())) == 1
         with pytest.raises(BagError, match="outside the times that the index states"):
-            list(readInOrder(reader, lambda message: b""))
+            list(read_in_order(reader, lambda message: b""))

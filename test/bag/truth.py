@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import rosbag
 
-from cassandra_ros.messages.connection import Connection, liveConnection
+from cassandra_ros.messages.connection import Connection, live_connection
 
 
 class Read(NamedTuple):
@@ -45,7 +45,7 @@ def string_connection(topic="/chatter", number=-1, **fields):
         "message_definition": "string data\n",
         **fields,
     }
-    return Connection(topic, liveConnection(topic, header).header, number)
+    return Connection(topic, live_connection(topic, header).header, number)
 
 
 def string_wire(text):

@@ -22,9 +22,9 @@ import pytest
 from geometry_msgs.msg import Twist, Vector3
 from std_msgs.msg import Duration, Float32, Int64, String, Time, UInt8MultiArray, UInt64
 
-from cassandra_ros.messages.classes import messageClass
-from cassandra_ros.messages.connection import liveConnection
-from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.classes import message_class
+from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.definition import parse_definition
 
 ROOT = Path(__file__).resolve().parents[2]
 T = 1_400_000_000_123_456_789
@@ -218,8 +218,8 @@ def test_parquet_keeps_types(call, rosCas, tmp_path):
         "uint64 big\nfloat32 small\nbool yes\ntime at\nduration long\nuint8[] raw\n"
         "float64[2] pair\nstring[] names\nint8 tiny"
     )
-    definition = parseDefinition("pkg/Kinds", text, None)
-    message = messageClass(definition)()
+    definition = parse_definition("pkg/Kinds", text, None)
+    message = message_class(definition)()
     message.big, message.small, message.yes = 2**64 - 1, 0.1, True
     message.at.secs, message.at.nsecs = 2**32 - 1, 999_999_999
     message.long.secs, message.long.nsecs = -2, 1
@@ -276,14 +276,14 @@ def test_parquet_of_nothing_and_of_a_late_value(call, rosCas, tmp_path, monkeypa
 
 def test_parquet_of_two_definitions(call, rosCas, tmp_path):
     for text, value in (("int64 x", 2**60), ("string x", "word"), ("int64 x\nint8 y", 5)):
-        message = messageClass(parseDefinition("pkg/X", text, None))()
+        message = message_class(parse_definition("pkg/X", text, None))()
         message.x = value
         with rosCas.messageWriter() as writer:
             wire = io.BytesIO()
             message.serialize(wire)
             header = {"topic": "/x", "type": "pkg/X", "md5sum": message._md5sum}
             header["message_definition"] = text
-            handle = writer.connect(liveConnection("/x", header))
+            handle = writer.connect(live_connection("/x", header))
             writer.write(handle, T + len(text), 0, wire.getvalue())
     table = parquet(call, tmp_path / "x.parquet", "select x, y from x")
     assert table["x"].to_pylist() == [str(2**60), '"word"', "5"]
@@ -506,7 +506,7 @@ def test_index(call, rosCas):
     with rosCas.messageWriter(format="ros") as writer:  # a bucket that is open is not taken in
         header = {"topic": "/cmd_vel", "type": Twist._type, "md5sum": Twist._md5sum}
         header["message_definition"] = Twist._full_text
-        handle = writer.connect(liveConnection("/cmd_vel", header))
+        handle = writer.connect(live_connection("/cmd_vel", header))
         for n in range(10):
             wire = io.BytesIO()
             Twist(linear=Vector3(x=n)).serialize(wire)

@@ -20,9 +20,14 @@ from messages.random_wire import DefinitionMaker, WireMaker, installedTypes
 import cassandra_ros.formats
 from cassandra_ros.errors import CorruptMessage, DefinitionError, UnknownFormat
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
-from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS, formatClass
-from cassandra_ros.messages.classes import deserialize, installedDefinition, messageClass, serialize
-from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS, format_class
+from cassandra_ros.messages.classes import (
+    deserialize,
+    installed_definition,
+    message_class,
+    serialize,
+)
+from cassandra_ros.messages.definition import parse_definition
 
 SEEDS = st.integers(0, 2**32)
 every_format = pytest.mark.parametrize("name", FORMATS)
@@ -33,12 +38,12 @@ SIZES = {"boolean": 1, "tinyint": 1, "smallint": 2, "int": 4, "bigint": 8, "floa
 
 
 def makeFormat(name, definition):
-    return formatClass(name)(definition.type, definition.md5sum, definition)
+    return format_class(name)(definition.type, definition.md5sum, definition)
 
 
 def checkWire(storage, wire):
     """Bytes that go in come out, by the columns and raw bytes that a row would hold."""
-    columns, odd, raw = storage.encodeWire(wire)
+    columns, odd, raw = storage.encode_wire(wire)
     types = list(storage.getColValidationClasses().values())
     assert len(columns) == len(types)
     assert odd or None not in columns
@@ -47,8 +52,8 @@ def checkWire(storage, wire):
     for column, cql_type in zip(columns, types):
         checkColumn(column, cql_type)
     assert raw in (None, wire)
-    assert storage.decodeWire(columns, raw) == wire
-    assert storage.decodeWire([None] * len(columns), wire) == wire
+    assert storage.decode_wire(columns, raw) == wire
+    assert storage.decode_wire([None] * len(columns), wire) == wire
     return odd
 
 
@@ -81,12 +86,12 @@ def test_every_format_of_the_folder_is_in_the_table():
 
 def test_unknown_format_names_those_that_are():
     with pytest.raises(UnknownFormat, match=", ".join(FORMATS)):
-        formatClass("xml")
+        format_class("xml")
 
 
 @every_format
 def test_a_format_is_one_class_in_a_file_of_its_name(name):
-    found = formatClass(name)
+    found = format_class(name)
     assert found.NAME == name
     assert found.__name__ == f"CassandraTopic_{name}"
     assert found.__module__ == f"cassandra_ros.formats.{name}"
@@ -96,7 +101,7 @@ def test_a_format_is_one_class_in_a_file_of_its_name(name):
 @every_format
 def test_columns_are_named_typed_and_described(name):
     for msg_type in installedTypes():
-        storage = makeFormat(name, installedDefinition(msg_type))
+        storage = makeFormat(name, installed_definition(msg_type))
         columns = storage.getColValidationClasses()
         for column, cql_type in columns.items():
             assert re.fullmatch(r"_data|[A-Za-z][A-Za-z0-9_.]*", column)
@@ -111,7 +116,7 @@ def test_columns_are_named_typed_and_described(name):
 @every_format
 def test_every_installed_type_is_exact(name):
     for number, msg_type in enumerate(installedTypes()):
-        definition = installedDefinition(msg_type)
+        definition = installed_definition(msg_type)
         storage = makeFormat(name, definition)
         for seed in range(number, number + 4):
             checkWire(storage, WireMaker(definition, seed).make())
@@ -122,9 +127,9 @@ def test_every_installed_type_is_exact(name):
 @settings(deadline=None)
 @given(data=st.data(), msg_type=st.sampled_from(installedTypes()), seed=SEEDS)
 def test_changed_columns_are_read_or_corrupt(name, data, msg_type, seed):
-    definition = installedDefinition(msg_type)
+    definition = installed_definition(msg_type)
     storage = makeFormat(name, definition)
-    columns = list(storage.encodeWire(WireMaker(definition, seed).make()).columns)
+    columns = list(storage.encode_wire(WireMaker(definition, seed).make()).columns)
     held = [i for i, column in enumerate(columns) if column]
     if not held:
         return
@@ -133,7 +138,7 @@ def test_changed_columns_are_read_or_corrupt(name, data, msg_type, seed):
     instead = data.draw(st.binary(max_size=3))
     columns[i] = columns[i][:at] + instead + columns[i][at + data.draw(st.integers(0, 9)) :]
     try:
-        assert type(storage.decodeWire(columns, None)) is bytes
+        assert type(storage.decode_wire(columns, None)) is bytes
     except CorruptMessage as exc:
         assert msg_type in str(exc)
 
@@ -141,17 +146,17 @@ def test_changed_columns_are_read_or_corrupt(name, data, msg_type, seed):
 @every_format
 def test_without_a_definition_there_is_binary(name):
     if name == "binary":
-        formatClass(name)("pkg/T", "53a14e6c", None)
+        format_class(name)("pkg/T", "53a14e6c", None)
     else:
         with pytest.raises(DefinitionError, match=f"{name}.*pkg/T.*use binary"):
-            formatClass(name)("pkg/T", "53a14e6c", None)
+            format_class(name)("pkg/T", "53a14e6c", None)
 
 
 @every_format
 @settings(deadline=None)
 @given(seed=SEEDS, cut=st.integers(0, 500), surplus=st.binary(max_size=5))
 def test_random_types_and_broken_messages_are_exact(name, seed, cut, surplus):
-    definition = parseDefinition(*DefinitionMaker(seed).make())
+    definition = parse_definition(*DefinitionMaker(seed).make())
     storage = makeFormat(name, definition)
     wire = WireMaker(definition, seed, odd=True).make()
     checkWire(storage, wire)
@@ -161,10 +166,10 @@ def test_random_types_and_broken_messages_are_exact(name, seed, cut, surplus):
 @every_format
 def test_message_objects_go_in_and_come_out(name):
     for msg_type in installedTypes():
-        definition = installedDefinition(msg_type)
+        definition = installed_definition(msg_type)
         storage = makeFormat(name, definition)
-        storage.requireClass()
-        cls = messageClass(definition)
+        storage.require_class()
+        cls = message_class(definition)
         message = deserialize(cls, WireMaker(definition, 3, signalling=False).make())
         again = storage.decode(storage.encode(message))
         assert type(again) is cls
@@ -181,7 +186,7 @@ def test_messages_of_the_bags_are_exact(name, bags):
             storages = {}
             for info in bag._get_connections():
                 try:
-                    definition = parseDefinition(info.datatype, info.msg_def, info.md5sum)
+                    definition = parse_definition(info.datatype, info.msg_def, info.md5sum)
                 except DefinitionError:
                     assert path.name == "empty_message_definition.bag"
                     continue
@@ -193,7 +198,7 @@ def test_messages_of_the_bags_are_exact(name, bags):
                         continue  # a tenth of a second each
                     odd = checkWire(storages[raw[0]], raw[1])
                     if odd and name in ("yaml", "json"):
-                        text = storages[raw[0]].encodeWire(raw[1]).columns[0]
+                        text = storages[raw[0]].encode_wire(raw[1]).columns[0]
                         assert re.search(b"<array type|null|[.]nan", text)
                     elif odd:
                         assert len(raw[1]) > 512 * 1024
@@ -201,14 +206,14 @@ def test_messages_of_the_bags_are_exact(name, bags):
 
 @every_format
 def test_large_messages_are_exact(name):
-    definition = installedDefinition("std_msgs/UInt8MultiArray")
-    message = messageClass(definition)(data=b"x" * (3 << 20))
+    definition = installed_definition("std_msgs/UInt8MultiArray")
+    message = message_class(definition)(data=b"x" * (3 << 20))
     message.layout.data_offset = 7
     checkWire(makeFormat(name, definition), serialize(message))
 
 
 @every_format
 def test_rows_without_their_values_are_corrupt(name):
-    storage = makeFormat(name, installedDefinition("std_msgs/Header"))
+    storage = makeFormat(name, installed_definition("std_msgs/Header"))
     with pytest.raises(CorruptMessage, match="std_msgs/Header"):
-        storage.decodeWire([None] * len(storage.getColValidationClasses()), None)
+        storage.decode_wire([None] * len(storage.getColValidationClasses()), None)

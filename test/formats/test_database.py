@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
 
 from cassandra_ros.formats.table import FORMATS
-from cassandra_ros.messages.classes import installedDefinition
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.classes import installed_definition
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import parse_definition
 
 SEEDS = st.integers(0, 2**32)
 every_format = pytest.mark.parametrize("name", FORMATS)
@@ -27,7 +27,7 @@ def checkStored(rosCas, name, definitions, number):
     """Write random messages of all definitions, a topic for each; read back what was written."""
     with rosCas.messageWriter(format=name, linger_sec=0.01) as writer:
         topics = {f"/topic{number}": found for number, found in enumerate(definitions)}
-        handles = [writer.connect(apiConnection(t, d, "/test")) for t, d in topics.items()]
+        handles = [writer.connect(api_connection(t, d, "/test")) for t, d in topics.items()]
         assert {handle.format for handle in handles} <= {name, "binary"}
         begins = iter(range(0, 10**9, STRETCH_NS))
 
@@ -61,7 +61,7 @@ def test_every_installed_type_comes_back_equal(fresh, name, record_property):
     record_property("told", f"{len(types)} message types came back equal in format {name}")
     for first in range(0, len(types), TABLES):
         with fresh() as rosCas:
-            batch = [installedDefinition(t) for t in types[first : first + TABLES]]
+            batch = [installed_definition(t) for t in types[first : first + TABLES]]
             checkStored(rosCas, name, batch, examples(3, least=3))
 
 
@@ -69,6 +69,6 @@ def test_every_installed_type_comes_back_equal(fresh, name, record_property):
 @pytest.mark.campaign
 def test_random_types_come_back_equal(fresh, name):
     makers = [DefinitionMaker(seed, depth=seed % 5) for seed in range(40 if LENGTH else 10)]
-    definitions = [parseDefinition(*maker.make()) for maker in makers]
+    definitions = [parse_definition(*maker.make()) for maker in makers]
     with fresh() as rosCas:
         checkStored(rosCas, name, definitions, examples(4, least=4))

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.formats.table import FORMATS, formatClass
-from cassandra_ros.messages.classes import installedDefinition, messageClass
-from cassandra_ros.messages.definition import parseDefinition
-from cassandra_ros.messages.wire.skip import MAX_SURPLUS, compileObjectCheck
+from cassandra_ros.formats.table import FORMATS, format_class
+from cassandra_ros.messages.classes import installed_definition, message_class
+from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.wire.skip import MAX_SURPLUS, compile_object_check
 
 SEEDS = st.integers(0, 2**32)
 every_format = pytest.mark.parametrize("name", FORMATS)
@@ -33,7 +33,7 @@ BYTES_AN_OBJECT = 100
 def bounded(definition, size):
     """Fail where much more memory is taken than the bytes of a message explain."""
     limit = BYTES_ALWAYS + size * BYTES_A_BYTE
-    if compileObjectCheck(definition.type, definition.specs) is not None:
+    if compile_object_check(definition.type, definition.specs) is not None:
         limit += MAX_SURPLUS * BYTES_AN_OBJECT  # arrays of empty messages
     tracemalloc.start()
     try:
@@ -57,11 +57,11 @@ def broken(test):
 def storageOf(name, number):
     """A storage of an installed type, or from their number on of a random one."""
     if number < len(TYPES):
-        definition = installedDefinition(TYPES[number])
+        definition = installed_definition(TYPES[number])
     else:
-        definition = parseDefinition(*DefinitionMaker(number).make())
-    messageClass(definition)
-    return formatClass(name)(definition.type, definition.md5sum, definition)
+        definition = parse_definition(*DefinitionMaker(number).make())
+    message_class(definition)
+    return format_class(name)(definition.type, definition.md5sum, definition)
 
 
 def makeWire(storage, seed):
@@ -74,26 +74,26 @@ def test_broken_buffers_are_stored_exactly(name, number, seed, fuzz):
     wire = makeWire(storage, seed)
     damaged = fuzzed(wire, fuzz)
     with bounded(storage.definition, len(wire) + len(damaged)):
-        encoded = storage.encodeWire(damaged)
-        assert storage.decodeWire(encoded.columns, encoded.raw) == damaged
+        encoded = storage.encode_wire(damaged)
+        assert storage.decode_wire(encoded.columns, encoded.raw) == damaged
         try:
             message = storage.decode(encoded)
         except CorruptMessage:
             return
-        assert type(message) is messageClass(storage.definition)
+        assert type(message) is message_class(storage.definition)
 
 
 @broken
 def test_broken_columns_are_bytes_or_corrupt(name, number, seed, fuzz):
     storage = storageOf(name, number)
     wire = makeWire(storage, seed)
-    columns = list(storage.encodeWire(wire).columns)
+    columns = list(storage.encode_wire(wire).columns)
     if not columns:
         return
     which = fuzz % len(columns)
     columns[which] = fuzzed(columns[which] or b"", fuzz)
     with bounded(storage.definition, sum(len(column or b"") for column in columns)):
         try:
-            assert type(storage.decodeWire(columns, None)) is bytes
+            assert type(storage.decode_wire(columns, None)) is bytes
         except CorruptMessage:
             pass

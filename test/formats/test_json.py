@@ -12,34 +12,34 @@ from messages.random_wire import SEPARATOR
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.json import CassandraTopic_json
-from cassandra_ros.messages.classes import installedDefinition, messageClass, serialize
-from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.classes import installed_definition, message_class, serialize
+from cassandra_ros.messages.definition import parse_definition
 
 
 def jsonFormat(definition):
     if isinstance(definition, str):
-        definition = installedDefinition(definition)
+        definition = installed_definition(definition)
     return CassandraTopic_json(definition.type, definition.md5sum, definition)
 
 
 def test_the_text_is_rosbridges():
     storage = jsonFormat("sensor_msgs/CompressedImage")
-    message = messageClass(storage.definition)(format="png", data=b"\x89PNG\r\n")
+    message = message_class(storage.definition)(format="png", data=b"\x89PNG\r\n")
     message.header.frame_id = 'Zoë "cam" \u2028\0'
     message.header.stamp.secs = 7
     wire = serialize(message)
-    (text,), odd, raw = storage.encodeWire(wire)
+    (text,), odd, raw = storage.encode_wire(wire)
     assert (odd, raw) == (False, None)
     assert text.decode() == (
         '{"header":{"seq":0,"stamp":{"secs":7,"nsecs":0},"frame_id":"Zoë \\"cam\\" \u2028\\u0000"},'
         '"format":"png","data":"iVBORw0K"}'
     )
-    assert storage.decodeWire((text,), None) == wire
+    assert storage.decode_wire((text,), None) == wire
 
 
 def test_kinds_of_fields():
     storage = jsonFormat(
-        parseDefinition(
+        parse_definition(
             "p/T",
             "char[2] c\nuint8[] b\nint8[] from\nuint64 u\nint64 i\nbool[1] f\nduration[] d\n"
             "float32 g\nE e\nE[] a" + SEPARATOR + "MSG: p/E\n",
@@ -52,27 +52,27 @@ def test_kinds_of_fields():
             struct.pack("<Iii", 1, -1, 5) + struct.pack("<f", 0.1) + struct.pack("<I", 2),
         ]
     )
-    (text,), odd, raw = storage.encodeWire(wire)
+    (text,), odd, raw = storage.encode_wire(wire)
     assert (odd, raw) == (False, None)
     assert text.decode() == (
         '{"c":"AP8=","b":"","from":[-1],"u":18446744073709551615,"i":-9223372036854775808,'
         '"f":[true],"d":[{"secs":-1,"nsecs":5}],"g":0.10000000149011612,"e":{},"a":[{},{}]}'
     )
-    assert storage.decodeWire((text,), None) == wire
+    assert storage.decode_wire((text,), None) == wire
     listed = text.replace(b'"AP8="', b"[0, 255]")  # rosbridge reads lists too
-    assert storage.decodeWire((listed,), None) == wire
+    assert storage.decode_wire((listed,), None) == wire
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_floats_that_are_not_finite_are_null(value):
     storage = jsonFormat("sensor_msgs/LaserScan")
-    message = messageClass(storage.definition)(ranges=[1.0, value], angle_min=value)
+    message = message_class(storage.definition)(ranges=[1.0, value], angle_min=value)
     encoded = storage.encode(message)
     assert (encoded.odd, encoded.raw) == (True, serialize(message))
     found = json.loads(encoded.columns[0])
     assert (found["ranges"], found["angle_min"]) == ([1.0, None], None)
     with pytest.raises(CorruptMessage, match="LaserScan"):
-        storage.decodeWire(encoded.columns, None)
+        storage.decode_wire(encoded.columns, None)
 
 
 @pytest.mark.parametrize(
@@ -87,14 +87,14 @@ def test_floats_that_are_not_finite_are_null(value):
     ],
 )
 def test_what_the_text_cannot_say_is_kept_beside_it(text, wire):
-    encoded = jsonFormat(parseDefinition("p/T", text)).encodeWire(wire)
+    encoded = jsonFormat(parse_definition("p/T", text)).encode_wire(wire)
     assert encoded.columns[0] is not None
     assert (encoded.odd, encoded.raw) == (True, wire)
 
 
 def test_a_string_like_null_is_exact():
     storage = jsonFormat("std_msgs/String")
-    encoded = storage.encode(messageClass(storage.definition)(data="null"))
+    encoded = storage.encode(message_class(storage.definition)(data="null"))
     assert encoded == ((b'{"data":"null"}',), False, None)
 
 
@@ -127,13 +127,13 @@ HOSTILE = [
 def test_texts_that_are_no_message(text):
     storage = jsonFormat("std_msgs/Float64MultiArray")
     with pytest.raises(CorruptMessage, match="Float64MultiArray"):
-        storage.decodeWire((text.encode(),), None)
+        storage.decode_wire((text.encode(),), None)
 
 
 def test_arrays_are_shortened_before_strings():
     storage = jsonFormat("diagnostic_msgs/DiagnosticStatus")
-    value = messageClass(installedDefinition("diagnostic_msgs/KeyValue"))
-    make = messageClass(storage.definition)
+    value = message_class(installed_definition("diagnostic_msgs/KeyValue"))
+    make = message_class(storage.definition)
 
     def shown(**fields):
         return json.loads(storage.encode(make(**fields)).columns[0])
@@ -158,9 +158,9 @@ def test_arrays_are_shortened_before_strings():
 
 def test_a_type_whose_shortest_text_is_too_long_has_none():
     text = "\n".join(f"float64 {'x' * 200}{i}" for i in range(400))
-    storage = jsonFormat(parseDefinition("p/T", text))
+    storage = jsonFormat(parse_definition("p/T", text))
     wire = bytes(3200)
-    assert storage.encodeWire(wire) == ((None,), True, wire)
+    assert storage.encode_wire(wire) == ((None,), True, wire)
 
 
 def test_large_messages_are_not_turned_into_objects():
@@ -169,7 +169,7 @@ def test_large_messages_are_not_turned_into_objects():
     wire = bytes(16) + struct.pack("<I", 200_000) + pose * 200_000
     tracemalloc.start()
     try:
-        encoded = storage.encodeWire(wire)
+        encoded = storage.encode_wire(wire)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

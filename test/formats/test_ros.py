@@ -8,8 +8,8 @@ import pytest
 
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.formats.ros import INLINE_BYTES, CassandraTopic_ros
-from cassandra_ros.messages.classes import installedDefinition, messageClass, serialize
-from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.classes import installed_definition, message_class, serialize
+from cassandra_ros.messages.definition import parse_definition
 
 
 def rosFormat(definition):
@@ -17,7 +17,7 @@ def rosFormat(definition):
 
 
 def test_listing_3_of_the_paper():
-    storage = rosFormat(installedDefinition("geometry_msgs/TransformStamped"))
+    storage = rosFormat(installed_definition("geometry_msgs/TransformStamped"))
     columns = storage.getColValidationClasses()
     assert list(columns.items()) == [
         ("header.seq", "bigint"),
@@ -35,8 +35,8 @@ def test_listing_3_of_the_paper():
 
 
 def test_values_are_in_cqls_encoding():
-    definition = installedDefinition("geometry_msgs/TransformStamped")
-    message = messageClass(definition)(child_frame_id="Zoë")
+    definition = installed_definition("geometry_msgs/TransformStamped")
+    message = message_class(definition)(child_frame_id="Zoë")
     message.header.stamp.secs = 2**32 - 1
     message.transform.rotation.w = -0.0
     columns, odd, raw = rosFormat(definition).encode(message)
@@ -53,21 +53,21 @@ def test_a_definition_is_needed():
 
 
 def test_a_type_without_a_class_can_be_stored_and_read_as_bytes():
-    storage = rosFormat(parseDefinition("pkg/T", "int8 serialize"))
-    assert storage.decodeWire(*storage.encodeWire(b"\5")[::2]) == b"\5"
+    storage = rosFormat(parse_definition("pkg/T", "int8 serialize"))
+    assert storage.decode_wire(*storage.encode_wire(b"\5")[::2]) == b"\5"
     with pytest.raises(DefinitionError, match="genpy"):
-        storage.requireClass()
+        storage.require_class()
     with pytest.raises(DefinitionError, match="genpy"):
-        storage.decode(storage.encodeWire(b"\5"))
+        storage.decode(storage.encode_wire(b"\5"))
 
 
 def test_large_messages_keep_their_scalars():
-    definition = installedDefinition("sensor_msgs/Image")
+    definition = installed_definition("sensor_msgs/Image")
     storage = rosFormat(definition)
     names = list(storage.getColValidationClasses())
     for size, odd in ((INLINE_BYTES // 2, False), (INLINE_BYTES, True)):
-        wire = serialize(messageClass(definition)(height=7, encoding="mono8", data=b"x" * size))
-        encoded = storage.encodeWire(wire)
+        wire = serialize(message_class(definition)(height=7, encoding="mono8", data=b"x" * size))
+        encoded = storage.encode_wire(wire)
         values = dict(zip(names, encoded.columns))
         assert encoded.odd is odd
         assert encoded.raw == (wire if odd else None)
@@ -77,11 +77,11 @@ def test_large_messages_keep_their_scalars():
 
 
 def test_types_with_too_many_fields_keep_the_bytes():
-    definition = parseDefinition("pkg/T", "\n".join(f"int32 x{i}" for i in range(70)))
+    definition = parse_definition("pkg/T", "\n".join(f"int32 x{i}" for i in range(70)))
     storage = rosFormat(definition)
     assert len(storage.getColValidationClasses()) == 64
     wire = struct.pack("<70i", *range(70))
-    encoded = storage.encodeWire(wire)
+    encoded = storage.encode_wire(wire)
     assert not encoded.odd
     assert encoded.raw == wire
     assert [d["name"] for d in storage.describe() if d["cql"] is None] == [
@@ -90,7 +90,7 @@ def test_types_with_too_many_fields_keep_the_bytes():
 
 
 def test_description_says_which_array_a_list_runs_over():
-    storage = rosFormat(installedDefinition("tf2_msgs/TFMessage"))
+    storage = rosFormat(installed_definition("tf2_msgs/TFMessage"))
     assert storage.describe()[3] == {
         "name": "transforms.child_frame_id",
         "cql": "frozen<list<text>>",

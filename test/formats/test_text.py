@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.formats.table import formatClass
-from cassandra_ros.messages.classes import installedDefinition, messageClass
+from cassandra_ros.formats.table import format_class
+from cassandra_ros.messages.classes import installed_definition, message_class
 
 
 def makeFormat(name, msg_type):
-    definition = installedDefinition(msg_type)
-    return formatClass(name)(definition.type, definition.md5sum, definition)
+    definition = installed_definition(msg_type)
+    return format_class(name)(definition.type, definition.md5sum, definition)
 
 
 @pytest.mark.parametrize(
@@ -30,7 +30,7 @@ def test_any_bytes_are_read_or_corrupt(name, texts, text):
     storage = makeFormat(name, "std_msgs/String")
     for column in texts:
         try:
-            storage.decodeWire((column % text,), None)
+            storage.decode_wire((column % text,), None)
         except CorruptMessage:
             pass
 
@@ -49,20 +49,20 @@ def test_any_bytes_are_read_or_corrupt(name, texts, text):
 )
 def test_texts_are_never_over_64_kib(name, size, exact):
     storage = makeFormat(name, "std_msgs/UInt8MultiArray")
-    encoded = storage.encode(messageClass(storage.definition)(data=bytes(size)))
+    encoded = storage.encode(message_class(storage.definition)(data=bytes(size)))
     assert len(encoded.columns[0]) <= 65536
     assert encoded.odd is not exact
     if not exact:
         words = f"<array type: uint8, length: {size}>"
         assert yaml.safe_load(encoded.columns[0])["data"] == words
         with pytest.raises(CorruptMessage, match="UInt8MultiArray"):
-            storage.decodeWire(encoded.columns, None)
+            storage.decode_wire(encoded.columns, None)
 
 
 @pytest.mark.parametrize("name", ["json", "yaml", "string"])
 def test_a_text_of_64_kib_is_kept_and_one_byte_more_is_not(name):
     storage = makeFormat(name, "std_msgs/String")
-    message = messageClass(storage.definition)
+    message = message_class(storage.definition)
     around = len(storage.encode(message(data="x")).columns[0]) - 1
     for length, fits in ((65536 - around, True), (65537 - around, False)):
         encoded = storage.encode(message(data="x" * length))

@@ -15,8 +15,8 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 
 T0 = 1_500_000_000 * 10**9
 _READ = re.compile(r"Read (\d+) live rows and (\d+) tombstone cells")
@@ -76,7 +76,7 @@ def test_no_row_has_a_tombstone(rosCas, cql, format_name):
     wires.update(ODD)
     with rosCas.messageWriter(format=format_name) as writer:
         for n, (name, (cls, wire)) in enumerate(wires.items()):
-            handle = writer.connect(apiConnection(f"/{name}", definitionOf(cls), "/x"))
+            handle = writer.connect(api_connection(f"/{name}", definition_of(cls), "/x"))
             writer.write(handle, T0, n, wire)
     for name, (_, wire) in wires.items():
         assert [row.wire for row in rosCas.getTopic(f"/{name}").rows()] == [wire]
@@ -92,6 +92,6 @@ def test_a_null_is_seen_by_the_same_check(rosCas, cql):
     cql.execute(
         f'INSERT INTO {rosCas.keyspace}."{table.name}" ("_node", "_bucket", "_t", "_seq", "_raw") '
         "VALUES (%s, %s, %s, %s, %s)",
-        ("", table.bucketOf(T0), T0, 1, None),
+        ("", table.bucket_of(T0), T0, 1, None),
     )
     assert whole_buckets(cql, rosCas, "/a") == (2, 2, 1)

@@ -15,13 +15,13 @@ from messages.random_wire import SEPARATOR, WireMaker, installedTypes
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.yaml import CassandraTopic_yaml
-from cassandra_ros.messages.classes import installedDefinition, messageClass, serialize
-from cassandra_ros.messages.definition import attributeName, parseDefinition
+from cassandra_ros.messages.classes import installed_definition, message_class, serialize
+from cassandra_ros.messages.definition import attribute_name, parse_definition
 
 
 def yamlFormat(definition):
     if isinstance(definition, str):
-        definition = installedDefinition(definition)
+        definition = installed_definition(definition)
     return CassandraTopic_yaml(definition.type, definition.md5sum, definition)
 
 
@@ -33,14 +33,14 @@ def checkPublished(msg_type, seed):
     """The message that `rostopic pub -f` would send of the text is the message."""
     storage = yamlFormat(msg_type)
     specs = storage.definition.specs.values()
-    if any(attributeName(f.name) != f.name for spec in specs for f in spec.fields):
+    if any(attribute_name(f.name) != f.name for spec in specs for f in spec.fields):
         return  # rostopic knows such fields by another name only
     wire = WireMaker(storage.definition, seed, signalling=False).make()
-    encoded = storage.encodeWire(wire)
+    encoded = storage.encode_wire(wire)
     if b"<array type" in encoded.columns[0]:
         return
     assert not encoded.odd
-    message = messageClass(storage.definition)()
+    message = message_class(storage.definition)()
     genpy.message.fill_message_args(message, [Loader(encoded.columns[0]).get_single_data()])
     assert serialize(message) == wire
 
@@ -58,7 +58,7 @@ def test_rostopic_publishes_installed_types(msg_type, seed):
 
 def test_the_text_is_block_style_with_numbers_in_one_line():
     storage = yamlFormat(
-        parseDefinition(
+        parse_definition(
             "p/T",
             "time t\nfloat64[] f\nuint8[3] b\nstring[] s\nE[] a\nE on\nint8[] n\nbool y\nE[] z"
             + SEPARATOR
@@ -76,7 +76,7 @@ def test_the_text_is_block_style_with_numbers_in_one_line():
             struct.pack("<I", 0) + b"\1" + struct.pack("<I", 0),
         ]
     )
-    (text,), odd, raw = storage.encodeWire(wire)
+    (text,), odd, raw = storage.encode_wire(wire)
     assert (odd, raw) == (False, None)
     assert text.decode() == (
         "t:\n  secs: 7\n  nsecs: 8\n"
@@ -87,7 +87,7 @@ def test_the_text_is_block_style_with_numbers_in_one_line():
         "'on':\n  x: 1e5\n"
         "n: []\ny: true\nz: []\n"
     )
-    assert storage.decodeWire((text,), None) == wire
+    assert storage.decode_wire((text,), None) == wire
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_the_text_is_block_style_with_numbers_in_one_line():
     ],
 )
 def test_what_the_text_cannot_say_is_kept_beside_it(text, wire):
-    encoded = yamlFormat(parseDefinition("p/T", text)).encodeWire(wire)
+    encoded = yamlFormat(parse_definition("p/T", text)).encode_wire(wire)
     assert encoded.columns[0] is not None
     assert (encoded.odd, encoded.raw) == (True, wire)
 
@@ -112,8 +112,8 @@ def test_what_the_text_cannot_say_is_kept_beside_it(text, wire):
 def test_pythons_nan_is_exact():
     storage = yamlFormat("std_msgs/Float64")
     wire = struct.pack("<Q", 0x7FF8 << 48)
-    assert storage.encodeWire(wire) == ((b"data: .nan\n",), False, None)
-    assert storage.decodeWire((b"data: .nan\n",), None) == wire
+    assert storage.encode_wire(wire) == ((b"data: .nan\n",), False, None)
+    assert storage.decode_wire((b"data: .nan\n",), None) == wire
 
 
 @settings(deadline=None)
@@ -123,11 +123,11 @@ def test_pythons_nan_is_exact():
 )
 def test_strings_are_exact_or_kept(text):
     storage = yamlFormat("std_msgs/String")
-    wire = serialize(messageClass(storage.definition)(data=text))
-    columns, odd, raw = storage.encodeWire(wire)
+    wire = serialize(message_class(storage.definition)(data=text))
+    columns, odd, raw = storage.encode_wire(wire)
     assert raw == (wire if odd else None)
     if not odd:
-        assert storage.decodeWire(columns, None) == wire
+        assert storage.decode_wire(columns, None) == wire
 
 
 BOMB = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 40))
@@ -170,13 +170,13 @@ HOSTILE = [
 def test_texts_that_are_no_message(text):
     storage = yamlFormat("std_msgs/Float64MultiArray")
     with pytest.raises(CorruptMessage, match="Float64MultiArray"):
-        storage.decodeWire((text.encode(),), None)
+        storage.decode_wire((text.encode(),), None)
 
 
 def test_texts_of_people_are_read():
     storage = yamlFormat("std_msgs/UInt8MultiArray")
     text = "# mine\ndata: !!binary AAEC\nlayout:\n  data_offset: 0x10\n  dim: []\n"
-    assert storage.decodeWire((text.encode(),), None) == bytes(4) + struct.pack(
+    assert storage.decode_wire((text.encode(),), None) == bytes(4) + struct.pack(
         "<II3s", 16, 3, b"\0\1\2"
     )
 
@@ -228,10 +228,10 @@ def exactly(value):
 def checkTree(tree):
     """A text says its tree, and what is taken for faithful says it to the bit."""
     storage = yamlFormat("std_msgs/Empty")
-    text = storage.printTree(tree)
+    text = storage.print_tree(tree)
     said = storage.parse(text)
-    assert exactly(said) == exactly(storage.parseOwn(text))
-    if storage.isFaithful(text):
+    assert exactly(said) == exactly(storage.parse_own(text))
+    if storage.is_faithful(text):
         assert exactly(said) == exactly(tree)
     return said, text
 
@@ -267,8 +267,8 @@ def test_long_names_are_no_simple_keys(length):
 @pytest.mark.parametrize(("depth", "refused"), [(60, False), (300, True), (5000, True)])
 def test_texts_too_deep_are_not_composed(kind, depth, refused):
     before, after = kind.format("\0").split("\0")
-    storage = CassandraTopic_yaml("p/T", "", parseDefinition("p/T", "string s"))
+    storage = CassandraTopic_yaml("p/T", "", parse_definition("p/T", "string s"))
     text = "s: x\nz:\n " + before * depth + "1" + after * depth
     with pytest.raises(CorruptMessage) as caught:
-        storage.decodeWire((text.encode(),), None)
+        storage.decode_wire((text.encode(),), None)
     assert ("nested deeper" in str(caught.value)) is refused

@@ -228,7 +228,7 @@ def connect(cluster):
 
 
 def nodes_asked(rosCas):
-    listed = rosCas.cassandra.executeOnEach("SELECT key FROM system.local", what="asking each")
+    listed = rosCas.cassandra.execute_on_each("SELECT key FROM system.local", what="asking each")
     return len(listed)
 
 

@@ -20,24 +20,24 @@ from cassandra_ros.errors import CorruptMessage, DefinitionError, TypeMismatch
 from cassandra_ros.messages import classes
 from cassandra_ros.messages.classes import (
     deserialize,
-    installedDefinition,
-    messageClass,
-    rawClass,
+    installed_definition,
+    message_class,
+    raw_class,
     serialize,
-    toYaml,
+    to_yaml,
 )
-from cassandra_ros.messages.definition import definitionOf, parseDefinition
+from cassandra_ros.messages.definition import definition_of, parse_definition
 
 
 def test_installed_class_when_the_md5_agrees():
-    assert messageClass(installedDefinition("std_msgs/String")) is String
+    assert message_class(installed_definition("std_msgs/String")) is String
 
 
 def test_generated_class_when_it_does_not():
-    definition = parseDefinition("std_msgs/String", "string data\nint8 more\nint8 CONST=7")
-    generated = messageClass(definition)
+    definition = parse_definition("std_msgs/String", "string data\nint8 more\nint8 CONST=7")
+    generated = message_class(definition)
     assert generated is not String
-    assert generated is messageClass(definition)
+    assert generated is message_class(definition)
     assert generated.CONST == 7
     assert generated._full_text == definition.text
     message = deserialize(generated, serialize(generated(data="x", more=5)))
@@ -46,28 +46,30 @@ def test_generated_class_when_it_does_not():
 
 
 def test_same_md5_under_another_name_is_another_class():
-    text = installedDefinition("std_msgs/String").text
-    other = parseDefinition("pkg/Text", text, String._md5sum)
-    assert messageClass(other) is not String
-    assert messageClass(other)._type == "pkg/Text"
+    text = installed_definition("std_msgs/String").text
+    other = parse_definition("pkg/Text", text, String._md5sum)
+    assert message_class(other) is not String
+    assert message_class(other)._type == "pkg/Text"
 
 
 def test_nested_classes_know_their_own_definition():
     text = "Inner inner" + SEPARATOR + "MSG: pkg/Inner\nstring A=# \\b\nint8 TWO=2\nHeader header"
-    text += SEPARATOR + "MSG: std_msgs/Header\n" + installedDefinition("std_msgs/Header").text
-    definition = parseDefinition("pkg/Outer", text)
-    inner = type(messageClass(definition)().inner)
+    text += SEPARATOR + "MSG: std_msgs/Header\n" + installed_definition("std_msgs/Header").text
+    definition = parse_definition("pkg/Outer", text)
+    inner = type(message_class(definition)().inner)
     assert inner._md5sum == definition.md5sums["pkg/Inner"]
-    assert definitionOf(inner).md5sum == inner._md5sum
-    assert parseDefinition("pkg/Inner", inner._full_text, inner._md5sum)
+    assert definition_of(inner).md5sum == inner._md5sum
+    assert parse_definition("pkg/Inner", inner._full_text, inner._md5sum)
     assert (inner.A, inner.TWO) == ("# \\b", 2)
     assert type(inner().header)._md5sum == Header._md5sum
 
 
 def test_classes_are_made_once_by_many_threads():
-    definition = parseDefinition("pkg/Many", "int8 x\nstring[] y")
+    definition = parse_definition("pkg/Many", "int8 x\nstring[] y")
     made = []
-    threads = [threading.Thread(target=lambda: made.append(messageClass(definition))) for _ in "ab"]
+    threads = [
+        threading.Thread(target=lambda: made.append(message_class(definition))) for _ in "ab"
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -78,21 +80,21 @@ def test_classes_are_made_once_by_many_threads():
 @settings(deadline=None, max_examples=60)
 @given(st.integers(0, 2**32))
 def test_generated_classes_read_and_write_what_genpy_can_hold(seed):
-    definition = parseDefinition(*DefinitionMaker(seed).make())
-    generated = messageClass(definition)
+    definition = parse_definition(*DefinitionMaker(seed).make())
+    generated = message_class(definition)
     wire = WireMaker(definition, seed, signalling=False).make()
     assert serialize(deserialize(generated, wire)) == wire
 
 
 def test_unusable_definitions_keep_the_bytes():
-    cls = rawClass("pkg/Broken", "0" * 32)
-    assert cls is rawClass("pkg/Broken", "0" * 32)
+    cls = raw_class("pkg/Broken", "0" * 32)
+    assert cls is raw_class("pkg/Broken", "0" * 32)
     message = deserialize(cls, b"\1\2")
     assert (message._type, message._md5sum, message._buff) == ("pkg/Broken", "0" * 32, b"\1\2")
     assert serialize(message) == b"\1\2"
     assert message == deserialize(cls, b"\1\2")
     assert message != deserialize(cls, b"\1")
-    assert "2 bytes of pkg/Broken" in toYaml(message)
+    assert "2 bytes of pkg/Broken" in to_yaml(message)
 
 
 def test_any_msg_is_serialised_as_it_is():
@@ -113,10 +115,10 @@ def test_surplus_bytes_are_ignored_as_in_ros():
 
 
 def test_arrays_that_count_too_far_are_corrupt():
-    definition = parseDefinition(
+    definition = parse_definition(
         "pkg/Many", "Some[] x" + SEPARATOR + "MSG: pkg/Some\nNone[] y" + SEPARATOR + "MSG: pkg/None"
     )
-    cls = messageClass(definition)
+    cls = message_class(definition)
     fine = struct.pack("<III", 2, 1000, 3)
     assert len(deserialize(cls, fine).x[0].y) == 1000
     for counts in ([1, 2**32 - 1], [2**32 - 1], [3, 2**20, 2**20, 2**20]):
@@ -135,7 +137,7 @@ def test_fields_that_cannot_be_serialised():
 
 def test_yaml_is_what_rostopic_echo_prints():
     message = Header(seq=5, stamp=genpy.Time(1, 2), frame_id='a"b')
-    assert yaml.safe_load(toYaml(message)) == {
+    assert yaml.safe_load(to_yaml(message)) == {
         "seq": 5,
         "stamp": {"secs": 1, "nsecs": 2},
         "frame_id": 'a"b',
@@ -146,10 +148,10 @@ def test_types_of_the_bags_that_are_installed_nowhere(bags):
     with rosbag.Bag(str(bags / "husky_gps_data.bag")) as bag:
         messages = islice(bag.read_messages(raw=True), 0, None, 10)
         for topic, (name, wire, md5sum, _, cls), _ in messages:
-            definition = parseDefinition(name, cls._full_text, md5sum)
-            ours = deserialize(messageClass(definition), wire)
+            definition = parse_definition(name, cls._full_text, md5sum)
+            ours = deserialize(message_class(definition), wire)
             assert serialize(ours) == wire
-            assert toYaml(ours) == str(cls().deserialize(wire)), topic
+            assert to_yaml(ours) == str(cls().deserialize(wire)), topic
 
 
 def test_an_installed_package_that_is_broken_is_passed_over(tmp_path, monkeypatch):
@@ -160,7 +162,7 @@ def test_an_installed_package_that_is_broken_is_passed_over(tmp_path, monkeypatc
     (folder / "_Thing.py").write_text("class Other: pass")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(DefinitionError, match="not installed"):
-        installedDefinition("broken_msgs/Thing")
-    definition = parseDefinition("broken_msgs/Thing", "int8 x")
-    assert messageClass(definition)(5).x == 5
-    assert classes.messageClass(definition)._type == "broken_msgs/Thing"
+        installed_definition("broken_msgs/Thing")
+    definition = parse_definition("broken_msgs/Thing", "int8 x")
+    assert message_class(definition)(5).x == 5
+    assert classes.message_class(definition)._type == "broken_msgs/Thing"

@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.messages.classes import installedDefinition
+from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection import (
     Connection,
-    apiConnection,
-    cutDefinition,
-    joinDefinition,
-    liveConnection,
+    api_connection,
+    cut_definition,
+    join_definition,
+    live_connection,
 )
 
 HEADER = {
@@ -30,7 +30,7 @@ HEADER = {
 
 
 def test_live_header_is_kept_field_by_field():
-    connection = liveConnection("/chatter", HEADER)
+    connection = live_connection("/chatter", HEADER)
     assert connection.fields == {name: value.encode() for name, value in HEADER.items()}
     assert list(connection.fields) == list(HEADER)
     assert connection.type == "std_msgs/String"
@@ -42,7 +42,7 @@ def test_live_header_is_kept_field_by_field():
 
 
 def test_missing_fields_are_empty():
-    connection = liveConnection("/chatter", {})
+    connection = live_connection("/chatter", {})
     assert connection.header == b""
     assert (connection.type, connection.md5sum, connection.callerid) == ("", "", "")
     assert connection.definition_text == ""
@@ -50,8 +50,8 @@ def test_missing_fields_are_empty():
 
 
 def test_api_connection_says_what_it_stores():
-    definition = installedDefinition("std_msgs/String")
-    connection = apiConnection("/chatter", definition, "/me")
+    definition = installed_definition("std_msgs/String")
+    connection = api_connection("/chatter", definition, "/me")
     assert connection.type == "std_msgs/String"
     assert connection.md5sum == definition.md5sum
     assert connection.definition_text == definition.text
@@ -60,27 +60,27 @@ def test_api_connection_says_what_it_stores():
 
 def test_values_may_hold_any_bytes():
     raw = "d\udce9fini".encode("utf-8", "surrogateescape")
-    connection = liveConnection("/x", {"message_definition": "d\udce9fini", "a": b"=\0="})
+    connection = live_connection("/x", {"message_definition": "d\udce9fini", "a": b"=\0="})
     assert connection.fields == {"message_definition": raw, "a": b"=\0="}
     assert connection.definition_text == "d\udce9fini"
 
 
 @given(st.dictionaries(st.text(st.characters(exclude_characters="="), min_size=1), st.binary()))
 def test_cut_and_join_are_inverse(fields):
-    header = liveConnection("/x", fields).header
-    without, offset, definition = cutDefinition(header)
+    header = live_connection("/x", fields).header
+    without, offset, definition = cut_definition(header)
     assert offset == -1
     assert (without, definition) == (header, b"")
-    header = liveConnection("/x", {**fields, "message_definition": b"int8 x", "z": b"1"}).header
-    without, offset, definition = cutDefinition(header)
+    header = live_connection("/x", {**fields, "message_definition": b"int8 x", "z": b"1"}).header
+    without, offset, definition = cut_definition(header)
     assert definition == b"int8 x"
     assert len(without) == len(header) - 6
-    assert joinDefinition(without, offset, definition) == header
+    assert join_definition(without, offset, definition) == header
 
 
 @given(st.binary(max_size=200))
 def test_any_bytes_survive_cutting(header):
-    assert joinDefinition(*cutDefinition(header)) == header
+    assert join_definition(*cut_definition(header)) == header
     try:
         Connection("/x", header).fields  # noqa: B018
     except CorruptMessage:
@@ -94,15 +94,15 @@ def test_any_bytes_survive_cutting(header):
 def test_malformed_headers_are_named(header):
     with pytest.raises(CorruptMessage, match="/chatter"):
         Connection("/chatter", header).type  # noqa: B018
-    assert cutDefinition(header) == (header, -1, b"")
+    assert cut_definition(header) == (header, -1, b"")
 
 
 def test_two_definitions_in_one_header():
-    one = liveConnection("/x", {"message_definition": b"first"}).header
-    two = liveConnection("/x", {"message_definition": b"second!"}).header
-    without, offset, definition = cutDefinition(one + two)
+    one = live_connection("/x", {"message_definition": b"first"}).header
+    two = live_connection("/x", {"message_definition": b"second!"}).header
+    without, offset, definition = cut_definition(one + two)
     assert definition == b"second!"
-    assert joinDefinition(without, offset, definition) == one + two
+    assert join_definition(without, offset, definition) == one + two
 
 
 def test_headers_of_real_bags(bags):
@@ -110,7 +110,7 @@ def test_headers_of_real_bags(bags):
         seen = list(bag._get_connections())
     assert len(seen) == 12
     for info in seen:
-        connection = liveConnection(info.topic, info.header)
+        connection = live_connection(info.topic, info.header)
         assert connection.type == info.datatype
         assert connection.definition_text == info.msg_def
-        assert joinDefinition(*cutDefinition(connection.header)) == connection.header
+        assert join_definition(*cut_definition(connection.header)) == connection.header

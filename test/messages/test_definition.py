@@ -13,16 +13,16 @@ from hypothesis import strategies as st
 from messages.random_wire import SEPARATOR, DefinitionMaker, installedTypes
 
 from cassandra_ros.errors import DefinitionError
-from cassandra_ros.messages.classes import deserialize, installedDefinition, messageClass
+from cassandra_ros.messages.classes import deserialize, installed_definition, message_class
 from cassandra_ros.messages.definition import (
-    attributeName,
-    definitionOf,
-    parseDefinition,
-    renderSpec,
+    attribute_name,
+    definition_of,
+    parse_definition,
+    render_spec,
 )
-from cassandra_ros.messages.installed import installedClass
-from cassandra_ros.messages.spec import parseSpec
-from cassandra_ros.messages.wire.plan import wirePlan
+from cassandra_ros.messages.installed import installed_class
+from cassandra_ros.messages.spec import parse_spec
+from cassandra_ros.messages.wire.plan import wire_plan
 
 
 def genmsgMd5(msg_type, text):
@@ -42,8 +42,8 @@ def test_every_installed_type_has_the_md5_of_genmsg():
     names = installedTypes()
     assert len(names) >= 150
     for name in names:
-        found = installedClass(name)
-        definition = definitionOf(found)
+        found = installed_class(name)
+        definition = definition_of(found)
         assert definition.md5sum == found._md5sum
         assert definition.root.type == name
         assert len(definition.root.fields) == len(found.__slots__)
@@ -61,7 +61,7 @@ def test_every_connection_of_the_bags_is_understood(bags):
         for info in bag._get_connections():
             count += 1
             try:
-                definition = parseDefinition(info.datatype, info.msg_def, info.md5sum)
+                definition = parse_definition(info.datatype, info.msg_def, info.md5sum)
                 assert definition.md5sum == info.md5sum
             except DefinitionError:
                 broken.append(path.name)
@@ -74,22 +74,22 @@ def test_every_connection_of_the_bags_is_understood(bags):
 @given(st.integers(0, 2**32))
 def test_random_definitions_have_the_md5_of_genmsg(seed):
     msg_type, text = DefinitionMaker(seed).make()
-    definition = parseDefinition(msg_type, text)
+    definition = parse_definition(msg_type, text)
     assert definition.md5sum == genmsgMd5(msg_type, text)
-    assert parseDefinition(msg_type, text, definition.md5sum) == definition
+    assert parse_definition(msg_type, text, definition.md5sum) == definition
 
 
 @settings(deadline=None)
 @given(st.integers(0, 2**32))
 def test_rendered_definitions_say_the_same_without_constants(seed):
-    definition = parseDefinition(*DefinitionMaker(seed).make())
+    definition = parse_definition(*DefinitionMaker(seed).make())
     for name, spec in definition.specs.items():
-        rendered = renderSpec(spec)
+        rendered = render_spec(spec)
         assert "TEXT" not in rendered
         assert "#" not in rendered
-        again = parseSpec(name, rendered)
+        again = parse_spec(name, rendered)
         assert [(f.name, f.full_type) for f in again.fields] == [
-            (attributeName(f.name), f.full_type) for f in spec.fields
+            (attribute_name(f.name), f.full_type) for f in spec.fields
         ]
         assert not again.constants
 
@@ -106,7 +106,7 @@ Local local
 """
     others = ["MSG: std_msgs/Header\nuint32 seq", "MSG: geometry_msgs/Point\nfloat64 x"]
     parts = [text, *others, "MSG: pkg/Local\n", "MSG: pkg/Unused\nnonsense that nobody uses"]
-    definition = parseDefinition("pkg/Type", SEPARATOR.join(parts))
+    definition = parse_definition("pkg/Type", SEPARATOR.join(parts))
     assert [(f.name, f.type, f.is_array, f.length, f.base) for f in definition.root.fields] == [
         ("header", "std_msgs/Header", False, None, "std_msgs/Header"),
         ("covariance", "float64", True, 9, "float64"),
@@ -132,7 +132,7 @@ bool U=0
 char C=255
 byte D=-128
 """
-    constants = parseDefinition("pkg/Type", text).root.constants
+    constants = parse_definition("pkg/Type", text).root.constants
     values = {constant.name: constant.value for constant in constants}
     assert math.isnan(values.pop("N"))
     assert values == {
@@ -149,45 +149,47 @@ byte D=-128
 
 
 def test_old_home_of_header():
-    new = installedDefinition("std_msgs/Header")
+    new = installed_definition("std_msgs/Header")
     text = "Header header" + SEPARATOR + "MSG: roslib/Header\n" + new.text
-    definition = parseDefinition("pkg/Old", text)
+    definition = parse_definition("pkg/Old", text)
     assert definition.root.fields[0].type == "std_msgs/Header"
 
 
 def test_windows_line_ends_and_spaces_do_not_matter():
     text = "  uint8 x \r\n" + SEPARATOR.replace("\n", "\r\n") + "MSG: pkg/Other\r\nint8 y\r\n"
-    assert parseDefinition("pkg/T", text).md5sum == parseDefinition("pkg/T", "uint8 x").md5sum
+    assert parse_definition("pkg/T", text).md5sum == parse_definition("pkg/T", "uint8 x").md5sum
 
 
 def test_missing_types_come_from_installed_packages_when_the_md5_agrees():
-    whole = installedDefinition("geometry_msgs/PoseStamped")
+    whole = installed_definition("geometry_msgs/PoseStamped")
     text = "Header header\nPose pose"
-    definition = parseDefinition("geometry_msgs/PoseStamped", text, whole.md5sum)
+    definition = parse_definition("geometry_msgs/PoseStamped", text, whole.md5sum)
     assert set(definition.specs) == set(whole.specs)
     with pytest.raises(DefinitionError, match="does not define"):
-        parseDefinition("geometry_msgs/PoseStamped", text)
+        parse_definition("geometry_msgs/PoseStamped", text)
     with pytest.raises(DefinitionError, match="taken from installed packages"):
-        parseDefinition("geometry_msgs/PoseStamped", text, "0" * 32)
+        parse_definition("geometry_msgs/PoseStamped", text, "0" * 32)
     with pytest.raises(DefinitionError, match="not installed"):
-        parseDefinition("pkg/T", "nobody_has/This x", "0" * 32)
+        parse_definition("pkg/T", "nobody_has/This x", "0" * 32)
 
 
 def test_definition_of_a_class():
     from std_msgs.msg import String
 
-    assert definitionOf(String) == definitionOf(String()) == installedDefinition("std_msgs/String")
+    assert (
+        definition_of(String) == definition_of(String()) == installed_definition("std_msgs/String")
+    )
     for wrong in (str, None, 5):
         with pytest.raises(DefinitionError, match="not a ROS message class"):
-            definitionOf(wrong)
+            definition_of(wrong)
 
 
 def test_a_type_that_is_not_installed():
     with pytest.raises(DefinitionError, match="not installed"):
-        installedDefinition("nobody_has/This")
+        installed_definition("nobody_has/This")
     for package in ("os", "antigravity", "this"):  # modules, but no packages of messages
         with pytest.raises(DefinitionError, match="not installed"):
-            installedDefinition(f"{package}/Path")
+            installed_definition(f"{package}/Path")
 
 
 def test_what_installed_packages_complete_is_kept_with_the_text():
@@ -195,24 +197,24 @@ def test_what_installed_packages_complete_is_kept_with_the_text():
     from sensor_msgs.msg import NavSatFix
 
     alone = NavSatFix._full_text.split("\n====")[0]
-    definition = parseDefinition("sensor_msgs/NavSatFix", alone, NavSatFix._md5sum)
+    definition = parse_definition("sensor_msgs/NavSatFix", alone, NavSatFix._md5sum)
     for used in ("std_msgs/Header", "sensor_msgs/NavSatStatus"):
         assert f"MSG: {used}" in definition.text
-    again = parseDefinition("sensor_msgs/NavSatFix", definition.text, NavSatFix._md5sum)
+    again = parse_definition("sensor_msgs/NavSatFix", definition.text, NavSatFix._md5sum)
     assert again.text == definition.text
 
 
 def test_arrays_that_the_md5_does_not_tell_apart():
     """ROS hashes 'E x' and 'E[] x' alike; what is compiled of one must not serve the other."""
     texts = [f"pkg/E{array} x{SEPARATOR}MSG: pkg/E\nuint8 a" for array in ("", "[]", "[3]")]
-    found = [parseDefinition("pkg/T", text) for text in texts]
+    found = [parse_definition("pkg/T", text) for text in texts]
     assert len({d.md5sum for d in found}) == 1
     assert len(set(found)) == 3
-    assert [len(wirePlan(d).walk(w)[0]) for d, w in zip(found, (b"1", b"\0" * 4, b"123"))] == [
+    assert [len(wire_plan(d).walk(w)[0]) for d, w in zip(found, (b"1", b"\0" * 4, b"123"))] == [
         1
     ] * 3
-    assert wirePlan(found[0]).walk(b"\7")[1] is False
-    assert wirePlan(found[1]).walk(b"\7")[1] is True
-    messages = [deserialize(messageClass(d), w) for d, w in zip(found, (b"\7", b"\0" * 4, b"123"))]
+    assert wire_plan(found[0]).walk(b"\7")[1] is False
+    assert wire_plan(found[1]).walk(b"\7")[1] is True
+    messages = [deserialize(message_class(d), w) for d, w in zip(found, (b"\7", b"\0" * 4, b"123"))]
     assert messages[0].x.a == 7
     assert [len(m.x) for m in messages[1:]] == [0, 3]

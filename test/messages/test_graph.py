@@ -9,7 +9,7 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from cassandra_ros.messages import graph
-from cassandra_ros.messages.graph import topicType
+from cassandra_ros.messages.graph import topic_type
 
 
 @pytest.fixture
@@ -34,16 +34,16 @@ def patient(monkeypatch):
 
 
 def test_type_that_the_master_knows(master, patient):
-    assert topicType("/chatter") == "std_msgs/String"
-    assert topicType("chatter") == "std_msgs/String"
-    assert topicType("/other") is None
-    assert topicType("/any") is None
+    assert topic_type("/chatter") == "std_msgs/String"
+    assert topic_type("chatter") == "std_msgs/String"
+    assert topic_type("/other") is None
+    assert topic_type("/any") is None
 
 
 @pytest.mark.parametrize("answer", [[-1, "no", []], [0, "", 5], "text", None, [1, "", [["/x"]]], 5])
 def test_nonsense_leaves_the_type_open(master, answer):
     master.append(answer)
-    assert topicType("/chatter") is None
+    assert topic_type("/chatter") is None
 
 
 def test_no_master_leaves_the_type_open(monkeypatch):
@@ -51,11 +51,11 @@ def test_no_master_leaves_the_type_open(monkeypatch):
         free.bind(("127.0.0.1", 0))
         uri = f"http://127.0.0.1:{free.getsockname()[1]}"
     monkeypatch.setenv("ROS_MASTER_URI", uri)
-    assert topicType("/chatter") is None
+    assert topic_type("/chatter") is None
     monkeypatch.setenv("ROS_MASTER_URI", "nonsense")
-    assert topicType("/chatter") is None
+    assert topic_type("/chatter") is None
     monkeypatch.delenv("ROS_MASTER_URI")
-    assert topicType("/chatter") is None
+    assert topic_type("/chatter") is None
 
 
 def test_a_master_that_is_silent_is_left_after_a_second(monkeypatch):
@@ -65,7 +65,9 @@ def test_a_master_that_is_silent_is_left_after_a_second(monkeypatch):
         uri = f"http://127.0.0.1:{silent.getsockname()[1]}"
         monkeypatch.setenv("ROS_MASTER_URI", uri)
         answers = []
-        asking = threading.Thread(target=lambda: answers.append(topicType("/chatter")), daemon=True)
+        asking = threading.Thread(
+            target=lambda: answers.append(topic_type("/chatter")), daemon=True
+        )
         asking.start()
         asking.join(60)
         assert answers == [None]
@@ -73,4 +75,4 @@ def test_a_master_that_is_silent_is_left_after_a_second(monkeypatch):
 
 def test_a_real_master(roscore, monkeypatch, patient):
     monkeypatch.setenv("ROS_MASTER_URI", roscore.uri)
-    assert topicType("/rosout_agg") == "rosgraph_msgs/Log"
+    assert topic_type("/rosout_agg") == "rosgraph_msgs/Log"

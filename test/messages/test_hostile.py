@@ -13,10 +13,10 @@ from messages.random_wire import SEPARATOR
 
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.formats.table import FALLBACK_FORMAT, FORMATS
-from cassandra_ros.messages.classes import deserialize, messageClass, serialize
-from cassandra_ros.messages.connection import liveConnection
-from cassandra_ros.messages.definition import definitionOf, parseDefinition, renderSpec
-from cassandra_ros.topics.message_writer import usableDefinition
+from cassandra_ros.messages.classes import deserialize, message_class, serialize
+from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.definition import definition_of, parse_definition, render_spec
+from cassandra_ros.topics.message_writer import usable_definition
 
 EVIL = "open('ran','w')"
 
@@ -100,20 +100,20 @@ HOSTILE = {
 @pytest.mark.parametrize("text", HOSTILE.values(), ids=list(HOSTILE))
 def test_hostile_text_is_a_definition_error(text):
     with pytest.raises(DefinitionError) as caught:
-        parseDefinition("pkg/Type", text)
+        parse_definition("pkg/Type", text)
     assert len(str(caught.value)) < 400
 
 
 @pytest.mark.parametrize("name", ["", "Type", "a/b/c", f"pkg/T;{EVIL}", "pkg/T\n", "1/T", None, 5])
 def test_hostile_type_is_a_definition_error(name):
     with pytest.raises(DefinitionError):
-        parseDefinition(name, "int8 x")
+        parse_definition(name, "int8 x")
 
 
 @pytest.mark.parametrize("text", [None, b"int8 x", 5])
 def test_what_is_no_text_is_a_definition_error(text):
     with pytest.raises(DefinitionError):
-        parseDefinition("pkg/Type", text)
+        parse_definition("pkg/Type", text)
 
 
 GENPY_FAILS = {
@@ -133,9 +133,9 @@ GENPY_FAILS = {
 
 @pytest.mark.parametrize("text", GENPY_FAILS.values(), ids=list(GENPY_FAILS))
 def test_where_genpy_fails_there_is_one_kind_of_error(text):
-    definition = parseDefinition("pkg/Type", text)
+    definition = parse_definition("pkg/Type", text)
     with pytest.raises(DefinitionError, match="genpy cannot"):
-        messageClass(definition)
+        message_class(definition)
 
 
 @pytest.mark.parametrize("kind", [MemoryError, RecursionError, SyntaxError, KeyError, OSError])
@@ -144,9 +144,9 @@ def test_every_failure_of_genpy_is_a_definition_error(kind, monkeypatch):
         raise kind("made for this test")
 
     monkeypatch.setattr("genpy.generator.msg_generator", fail)
-    definition = parseDefinition("pkg/Fails", f"int8 {kind.__name__}")
+    definition = parse_definition("pkg/Fails", f"int8 {kind.__name__}")
     with pytest.raises(DefinitionError, match=kind.__name__):
-        messageClass(definition)
+        message_class(definition)
 
 
 HARMLESS = {
@@ -182,20 +182,20 @@ HARMLESS = {
 
 @pytest.mark.parametrize("text", HARMLESS.values(), ids=list(HARMLESS))
 def test_text_that_only_looks_hostile_gives_a_class_that_works(text):
-    definition = parseDefinition("pkg/Type", text)
-    generated = messageClass(definition)
+    definition = parse_definition("pkg/Type", text)
+    generated = message_class(definition)
     assert generated._type == "pkg/Type"
     assert generated._md5sum == definition.md5sum
-    assert definitionOf(generated) == definition
+    assert definition_of(generated) == definition
     wire = serialize(generated())
     assert serialize(deserialize(generated, wire)) == wire
 
 
 def test_constants_are_set_on_the_class_and_never_generated():
     text = f"string A=';{EVIL}#\nint8 class=3\nint8 x\nint8 serialize=4"
-    definition = parseDefinition("pkg/Type", text)
-    assert "open" not in renderSpec(definition.root)
-    generated = messageClass(definition)
+    definition = parse_definition("pkg/Type", text)
+    assert "open" not in render_spec(definition.root)
+    generated = message_class(definition)
     assert f"';{EVIL}#" == generated.A
     assert generated.class_ == 3
     assert callable(generated.serialize)
@@ -203,9 +203,9 @@ def test_constants_are_set_on_the_class_and_never_generated():
 
 def test_hostile_definition_in_a_live_header():
     header = {"type": "pkg/Type", "md5sum": "x", "message_definition": HOSTILE["constant name"]}
-    connection = liveConnection("/x", header)
+    connection = live_connection("/x", header)
     with pytest.raises(DefinitionError):
-        parseDefinition(connection.type, connection.definition_text, connection.md5sum)
+        parse_definition(connection.type, connection.definition_text, connection.md5sum)
 
 
 def hostileConnections():
@@ -213,9 +213,9 @@ def hostileConnections():
     for number, text in enumerate([*HOSTILE.values(), *GENPY_FAILS.values()]):
         md5sum = "0" * 32
         if number >= len(HOSTILE):
-            md5sum = parseDefinition("pkg/Type", text).md5sum
+            md5sum = parse_definition("pkg/Type", text).md5sum
         header = {"type": "pkg/Type", "md5sum": md5sum, "message_definition": text}
-        yield liveConnection(f"/hostile{number}", header)
+        yield live_connection(f"/hostile{number}", header)
 
 
 OTHER_FORMATS = [name for name in FORMATS if name != FALLBACK_FORMAT]
@@ -224,7 +224,7 @@ OTHER_FORMATS = [name for name in FORMATS if name != FALLBACK_FORMAT]
 @pytest.mark.parametrize("name", OTHER_FORMATS)
 def test_no_format_uses_a_hostile_definition(name):
     for connection in hostileConnections():
-        definition, warning = usableDefinition(connection, name)
+        definition, warning = usable_definition(connection, name)
         assert definition is None
         assert f"topic {connection.topic} is kept as binary" in warning
 
@@ -258,10 +258,10 @@ SCRAPS = ["int8", "x", "=", "#", "[", "]", "3", "/", "pkg", "MSG:", "\n", " ", "
 @given(st.lists(st.sampled_from(SCRAPS) | st.text(max_size=5), max_size=30).map("".join))
 def test_any_text_is_a_definition_or_a_definition_error(text):
     try:
-        definition = parseDefinition("pkg/Type", text)
+        definition = parse_definition("pkg/Type", text)
     except DefinitionError:
         return
     try:
-        messageClass(definition)
+        message_class(definition)
     except DefinitionError:
         pass

@@ -29,14 +29,14 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros.errors import InvalidName
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.index_field import MAX_ELEMENTS, MAX_TEXT_BYTES, IndexField
 
 NAN = float("nan")
 
 
 def field_of(cls, field):
-    return IndexField(definitionOf(cls), field, "_ix3")
+    return IndexField(definition_of(cls), field, "_ix3")
 
 
 def held(msg, field):

@@ -12,14 +12,14 @@ import genpy
 import pytest
 
 from cassandra_ros.errors import InvalidKey
-from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.key_part import KeyPart
 
 NO_MESSAGE = None
 
 
 def part_of(field_type):
-    return KeyPart(parseDefinition("p/T", f"{field_type} x"), "x")
+    return KeyPart(parse_definition("p/T", f"{field_type} x"), "x")
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.messages.stamps import Stamp, isoTime, toNs
+from cassandra_ros.messages.stamps import Stamp, iso_time, to_ns
 
 NS = st.integers(0, MAX_NS)
 DAY = 86_400 * 10**9
@@ -22,8 +22,8 @@ DAY = 86_400 * 10**9
 
 @given(NS)
 def test_stamp_is_exactly_its_nanoseconds(ns):
-    stamp = Stamp.fromNs(ns)
-    assert stamp.ns == stamp.to_nsec() == int(str(stamp)) == toNs(stamp) == toNs(str(stamp)) == ns
+    stamp = Stamp.from_ns(ns)
+    assert stamp.ns == stamp.to_nsec() == int(str(stamp)) == to_ns(stamp) == to_ns(str(stamp)) == ns
     assert stamp == genpy.Time(0, ns)
     assert genpy.Time(0, ns) == stamp
     assert hash(stamp) == hash(genpy.Time(0, ns))
@@ -31,18 +31,18 @@ def test_stamp_is_exactly_its_nanoseconds(ns):
 
 @given(NS)
 def test_iso_text_is_exact(ns):
-    assert toNs(isoTime(ns)) == ns
+    assert to_ns(iso_time(ns)) == ns
 
 
 @given(NS, NS)
 def test_order_is_that_of_nanoseconds_from_both_sides(a, b):
-    for other in (Stamp.fromNs(b), genpy.Time(0, b), b):
-        assert (Stamp.fromNs(a) < other) == (a < b)
-        assert (Stamp.fromNs(a) <= other) == (a <= b)
-        assert (Stamp.fromNs(a) > other) == (a > b)
-        assert (Stamp.fromNs(a) >= other) == (a >= b)
-        assert (other < Stamp.fromNs(a)) == (b < a)
-        assert (other >= Stamp.fromNs(a)) == (b >= a)
+    for other in (Stamp.from_ns(b), genpy.Time(0, b), b):
+        assert (Stamp.from_ns(a) < other) == (a < b)
+        assert (Stamp.from_ns(a) <= other) == (a <= b)
+        assert (Stamp.from_ns(a) > other) == (a > b)
+        assert (Stamp.from_ns(a) >= other) == (a >= b)
+        assert (other < Stamp.from_ns(a)) == (b < a)
+        assert (other >= Stamp.from_ns(a)) == (b >= a)
 
 
 def test_order_against_floats_means_seconds():
@@ -58,7 +58,7 @@ def test_order_against_floats_means_seconds():
 
 def test_equality_is_genpys():
     assert Stamp(1, 5) != 1_000_000_005
-    assert Stamp.fromNs(5, node="a", seq=1, table="x") == Stamp.fromNs(5, node="b")
+    assert Stamp.from_ns(5, node="a", seq=1, table="x") == Stamp.from_ns(5, node="b")
 
 
 @given(NS, st.floats(0, 1e6))
@@ -66,10 +66,10 @@ def test_adding_seconds_rounds_their_shortest_text(ns, seconds):
     exact = ns + int((Decimal(repr(seconds)) * 10**9).to_integral_value())
     if exact > MAX_NS:
         with pytest.raises(InvalidKey):
-            Stamp.fromNs(ns) + seconds
+            Stamp.from_ns(ns) + seconds
     else:
-        assert (Stamp.fromNs(ns) + seconds).ns == exact
-        assert (seconds + Stamp.fromNs(ns)).ns == exact
+        assert (Stamp.from_ns(ns) + seconds).ns == exact
+        assert (seconds + Stamp.from_ns(ns)).ns == exact
 
 
 def test_arithmetic():
@@ -103,15 +103,15 @@ def test_seconds_of_any_kind():
 
 @pytest.mark.parametrize("ns", [-1, MAX_NS + 1])
 def test_limits(ns):
-    assert Stamp.fromNs(MAX_NS).secs == 2**32 - 1
+    assert Stamp.from_ns(MAX_NS).secs == 2**32 - 1
     with pytest.raises(InvalidKey, match="2106"):
-        Stamp.fromNs(ns)
+        Stamp.from_ns(ns)
     with pytest.raises(InvalidKey, match="2106"):
-        toNs(ns)
+        to_ns(ns)
 
 
 def test_row_is_kept_by_copies_but_not_by_arithmetic():
-    stamp = Stamp.fromNs(7, node="r1", seq=3, table="t_1")
+    stamp = Stamp.from_ns(7, node="r1", seq=3, table="t_1")
     for twin in (copy.copy(stamp), copy.deepcopy(stamp), pickle.loads(pickle.dumps(stamp))):  # noqa: S301
         assert (twin.ns, twin.node, twin.seq, twin.table) == (7, "r1", 3, "t_1")
     later = stamp + 1
@@ -140,7 +140,7 @@ def test_row_is_kept_by_copies_but_not_by_arithmetic():
     ],
 )
 def test_forms_of_a_time(value, ns):
-    assert toNs(value) == ns
+    assert to_ns(value) == ns
 
 
 @pytest.mark.parametrize(
@@ -172,12 +172,12 @@ def test_forms_of_a_time(value, ns):
 )
 def test_no_times(value):
     with pytest.raises(InvalidKey):
-        toNs(value)
+        to_ns(value)
 
 
 @given(st.text(max_size=40))
 def test_any_text_is_a_time_or_an_error_of_ours(text):
     try:
-        assert 0 <= toNs(text) <= MAX_NS
+        assert 0 <= to_ns(text) <= MAX_NS
     except InvalidKey:
         pass

@@ -14,14 +14,14 @@ from messages.random_wire import SEPARATOR, DefinitionMaker, WireMaker, installe
 from cassandra_ros.errors import CorruptMessage, DefinitionError
 from cassandra_ros.messages.classes import (
     deserialize,
-    installedDefinition,
-    messageClass,
+    installed_definition,
+    message_class,
     serialize,
 )
-from cassandra_ros.messages.definition import parseDefinition
-from cassandra_ros.messages.tree.build import treeBuilder
-from cassandra_ros.messages.tree.echo import echoPrinter
-from cassandra_ros.messages.tree.read import Budget, treeReader
+from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.tree.build import tree_builder
+from cassandra_ros.messages.tree.echo import echo_printer
+from cassandra_ros.messages.tree.read import Budget, tree_reader
 
 SEEDS = st.integers(0, 2**32)
 
@@ -33,7 +33,7 @@ class Found(NamedTuple):
 
 def read(definition, wire, characters=1 << 24, byte=1, elements=1 << 24, text=1 << 24):
     budget = Budget(characters, byte, elements, text)
-    tree = treeReader(definition).read(wire, budget)
+    tree = tree_reader(definition).read(wire, budget)
     return None if tree is None else Found(tree, budget.shortened)
 
 
@@ -47,10 +47,10 @@ def check(definition, seed):
     """The tree builds the message, and prints as genpy prints it."""
     wire = WireMaker(definition, seed, signalling=False).make()
     tree = treeOf(definition, wire)
-    assert treeBuilder(definition)(tree) == wire
-    printed = echoPrinter(definition)(tree)
+    assert tree_builder(definition)(tree) == wire
+    printed = echo_printer(definition)(tree)
     try:
-        cls = messageClass(definition)
+        cls = message_class(definition)
     except DefinitionError:
         return
     assert printed == str(deserialize(cls, wire))
@@ -58,25 +58,25 @@ def check(definition, seed):
 
 def test_every_installed_type_is_built_and_printed():
     for seed, msg_type in enumerate(installedTypes()):
-        check(installedDefinition(msg_type), seed)
+        check(installed_definition(msg_type), seed)
 
 
 @settings(deadline=None)
 @given(msg_type=st.sampled_from(installedTypes()), seed=SEEDS)
 def test_installed_types(msg_type, seed):
-    check(installedDefinition(msg_type), seed)
+    check(installed_definition(msg_type), seed)
 
 
 @settings(deadline=None)
 @given(seed=SEEDS)
 def test_random_types(seed):
-    check(parseDefinition(*DefinitionMaker(seed).make()), seed)
+    check(parse_definition(*DefinitionMaker(seed).make()), seed)
 
 
 @settings(deadline=None)
 @given(seed=SEEDS, cut=st.integers(0, 400), surplus=st.binary(max_size=5), data=st.data())
 def test_broken_messages_are_corrupt_or_read(seed, cut, surplus, data):
-    definition = parseDefinition(*DefinitionMaker(seed).make())
+    definition = parse_definition(*DefinitionMaker(seed).make())
     wire = bytearray(WireMaker(definition, seed, odd=True).make())
     if wire:
         wire[data.draw(st.integers(0, len(wire) - 1))] ^= 1 << data.draw(st.integers(0, 7))
@@ -89,9 +89,9 @@ def test_broken_messages_are_corrupt_or_read(seed, cut, surplus, data):
                 continue
             if found is None:
                 continue
-            echoPrinter(definition)(found.tree)
+            echo_printer(definition)(found.tree)
             try:
-                assert len(treeBuilder(definition)(found.tree)) <= len(broken) * 4 or found[1]
+                assert len(tree_builder(definition)(found.tree)) <= len(broken) * 4 or found[1]
             except CorruptMessage:
                 pass
 
@@ -111,8 +111,8 @@ VALUES = st.recursive(
 @settings(deadline=None)
 @given(seed=SEEDS, value=VALUES, data=st.data())
 def test_trees_that_are_no_message_are_corrupt(seed, value, data):
-    definition = parseDefinition(*DefinitionMaker(seed).make())
-    build = treeBuilder(definition)
+    definition = parse_definition(*DefinitionMaker(seed).make())
+    build = tree_builder(definition)
     tree = treeOf(definition, WireMaker(definition, seed, signalling=False).make())
     place, key = None, None
     inner = tree
@@ -134,7 +134,7 @@ def test_trees_that_are_no_message_are_corrupt(seed, value, data):
 
 
 def test_a_tree_is_plain_values_by_the_definitions_names():
-    definition = parseDefinition(
+    definition = parse_definition(
         "p/T", "time t\nduration[] d\nuint8[] b\nchar[2] c\nint8[] from\nstring[1] s\nbool f"
     )
     wire = (
@@ -156,8 +156,8 @@ def test_a_tree_is_plain_values_by_the_definitions_names():
         "f": True,
     }
     assert treeOf(definition, wire) == tree
-    assert treeBuilder(definition)(tree) == wire
-    assert "from_: [-1]\n" in echoPrinter(definition)(tree)
+    assert tree_builder(definition)(tree) == wire
+    assert "from_: [-1]\n" in echo_printer(definition)(tree)
 
 
 @pytest.mark.parametrize(
@@ -187,8 +187,8 @@ def test_a_tree_is_plain_values_by_the_definitions_names():
     ],
 )
 def test_values_of_a_field(text, good, bad):
-    definition = parseDefinition("p/T", text)
-    build = treeBuilder(definition)
+    definition = parse_definition("p/T", text)
+    build = tree_builder(definition)
     for value in good:
         build({"x": value})
     for value in bad:
@@ -200,17 +200,17 @@ def test_values_of_a_field(text, good, bad):
 
 
 def test_a_budget_bounds_what_is_read():
-    definition = parseDefinition("p/T", "P[] a" + SEPARATOR + "MSG: p/P\nfloat64 x\nfloat64[3] y")
+    definition = parse_definition("p/T", "P[] a" + SEPARATOR + "MSG: p/P\nfloat64 x\nfloat64[3] y")
     wire = struct.pack("<I", 5000) + struct.pack("<4d", 0, 0, 0, 0) * 5000
     tree = treeOf(definition, wire)
     least = len("{'x':0,'y':[0,0,0]},") * 5000
     assert read(definition, wire, characters=least) is not None
-    assert len(echoPrinter(definition)(tree)) > least
+    assert len(echo_printer(definition)(tree)) > least
     assert read(definition, wire, characters=20_000) is None
 
 
 def test_long_arrays_and_strings_become_rostopics_words():
-    definition = parseDefinition(
+    definition = parse_definition(
         "p/T",
         "P[] a\nstring s\nuint8[] b\nfloat64[9] f\nstring[] n" + SEPARATOR + "MSG: p/P\ntime[] t",
     )
@@ -241,20 +241,20 @@ def test_long_arrays_and_strings_become_rostopics_words():
 def test_rostopic_prints_long_arrays_alike():
     from rostopic import create_value_transform
 
-    definition = installedDefinition("sensor_msgs/JointState")
-    message = messageClass(definition)(name=["a", "b"], position=[1.0, 2.0])
+    definition = installed_definition("sensor_msgs/JointState")
+    message = message_class(definition)(name=["a", "b"], position=[1.0, 2.0])
     message.header.frame_id = "Zoë"
     found = read(definition, serialize(message), elements=0, text=0)
     expected = str(create_value_transform(True, True)(message))
     # rostopic also replaces what is empty.
     expected = expected.replace('"<array type: float64, length: 0>"', "[]")
-    assert echoPrinter(definition)(found.tree) == expected
+    assert echo_printer(definition)(found.tree) == expected
 
 
 @pytest.mark.parametrize("count", [1000, 2**32 - 1])
 def test_messages_without_bytes_are_not_counted_into_memory(count):
     inner = "MSG: p/I\nE[] e" + SEPARATOR + "MSG: p/E\n"
-    definition = parseDefinition("p/T", "I[] i" + SEPARATOR + inner)
+    definition = parse_definition("p/T", "I[] i" + SEPARATOR + inner)
     wire = struct.pack("<I", 3000) + struct.pack("<I", count) * 3000
     tracemalloc.start()
     try:
@@ -267,7 +267,7 @@ def test_messages_without_bytes_are_not_counted_into_memory(count):
 
 
 def test_fixed_arrays_are_counted_before_they_are_read():
-    definition = parseDefinition("p/T", "P[4000] p" + SEPARATOR + "MSG: p/P\nuint8[4000] x")
+    definition = parse_definition("p/T", "P[4000] p" + SEPARATOR + "MSG: p/P\nuint8[4000] x")
     wire = bytes(16_000_000)
     assert read(definition, wire, characters=65536, elements=65536) is None
     assert read(definition, wire, elements=3999).tree == {"p": "<array type: p/P, length: 4000>"}
@@ -275,11 +275,11 @@ def test_fixed_arrays_are_counted_before_they_are_read():
 
 def test_a_definition_of_64_levels():
     names = [f"MSG: p/T{i}\nT{i + 1}[] a" for i in range(1, 63)]
-    definition = parseDefinition("p/T", SEPARATOR.join(["T1[] a", *names, "MSG: p/T63\nint8 x"]))
+    definition = parse_definition("p/T", SEPARATOR.join(["T1[] a", *names, "MSG: p/T63\nint8 x"]))
     wire = struct.pack("<I", 1) * 63 + b"\5"
     tree = treeOf(definition, wire)
-    assert treeBuilder(definition)(tree) == wire
-    assert echoPrinter(definition)(tree).endswith("\n" + 250 * " " + "- \n" + 252 * " " + "x: 5")
+    assert tree_builder(definition)(tree) == wire
+    assert echo_printer(definition)(tree).endswith("\n" + 250 * " " + "- \n" + 252 * " " + "x: 5")
 
 
 @settings(deadline=None)
@@ -288,9 +288,9 @@ def test_a_definition_of_64_levels():
     | st.text("aB1~ ", min_size=66, max_size=90)  # yaml breaks lines at 80
 )
 def test_strings_are_quoted_as_by_genpy(text):
-    definition = installedDefinition("diagnostic_msgs/DiagnosticStatus")
-    message = messageClass(definition)(name=text, message=text[:9])
-    definitions = installedDefinition("sensor_msgs/JointState")
-    names = messageClass(definitions)(name=[text[:30], text, ""])
+    definition = installed_definition("diagnostic_msgs/DiagnosticStatus")
+    message = message_class(definition)(name=text, message=text[:9])
+    definitions = installed_definition("sensor_msgs/JointState")
+    names = message_class(definitions)(name=[text[:30], text, ""])
     for one, known in ((message, definition), (names, definitions)):
-        assert echoPrinter(known)(treeOf(known, serialize(one))) == str(one)
+        assert echo_printer(known)(treeOf(known, serialize(one))) == str(one)

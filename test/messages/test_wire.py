@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from messages.random_wire import SEPARATOR, DefinitionMaker, WireMaker, installedTypes
 
 from cassandra_ros.errors import CorruptMessage, InvalidExpression
-from cassandra_ros.messages.classes import deserialize, installedDefinition, messageClass
-from cassandra_ros.messages.definition import parseDefinition
-from cassandra_ros.messages.wire.plan import WirePlan, wirePlan
+from cassandra_ros.messages.classes import deserialize, installed_definition, message_class
+from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.wire.plan import WirePlan, wire_plan
 
 SEEDS = st.integers(0, 2**32)
 
@@ -32,7 +32,7 @@ def checkExact(plan, wire, may_be_odd=False):
     for i, column in enumerate(columns):
         if column is not None:
             plan.value(i, column)
-    scalars, _ = plan.walkScalars(wire)
+    scalars, _ = plan.walk_scalars(wire)
     for column, scalar, found in zip(plan.columns, scalars, columns):
         assert scalar == (found if column.is_scalar else None)
     return columns, odd
@@ -41,7 +41,7 @@ def checkExact(plan, wire, may_be_odd=False):
 def test_every_installed_type():
     names = installedTypes()
     for number, name in enumerate(names):
-        plan = wirePlan(installedDefinition(name))
+        plan = wire_plan(installed_definition(name))
         for seed in range(number, number + 12):
             checkExact(plan, WireMaker(plan.definition, seed).make())
             checkExact(plan, WireMaker(plan.definition, seed, odd=True).make(), may_be_odd=True)
@@ -50,7 +50,7 @@ def test_every_installed_type():
 @campaign(300)
 @given(SEEDS)
 def test_random_definitions(seed):
-    plan = WirePlan(parseDefinition(*DefinitionMaker(seed).make()))
+    plan = WirePlan(parse_definition(*DefinitionMaker(seed).make()))
     checkExact(plan, WireMaker(plan.definition, seed).make())
     checkExact(plan, WireMaker(plan.definition, seed, odd=True).make(), may_be_odd=True)
 
@@ -60,9 +60,9 @@ def test_random_definitions(seed):
 def test_fuzzed_buffers_are_exact_or_odd(seed, data):
     if data.draw(st.booleans(), "installed type"):
         names = installedTypes()
-        plan = wirePlan(installedDefinition(names[seed % len(names)]))
+        plan = wire_plan(installed_definition(names[seed % len(names)]))
     else:
-        plan = WirePlan(parseDefinition(*DefinitionMaker(seed).make()))
+        plan = WirePlan(parse_definition(*DefinitionMaker(seed).make()))
     wire = bytearray(WireMaker(plan.definition, seed).make())
     for _ in range(data.draw(st.integers(0, 4), "bits") if wire else 0):
         wire[data.draw(st.integers(0, len(wire) - 1))] ^= 1 << data.draw(st.integers(0, 7))
@@ -70,7 +70,7 @@ def test_fuzzed_buffers_are_exact_or_odd(seed, data):
     fuzzed = bytes(wire[:cut]) + data.draw(st.binary(max_size=9), "surplus")
     checkExact(plan, fuzzed, may_be_odd=True)
     read = plan.reader([c.name for c in plan.all_columns])
-    for action in (read, lambda raw: deserialize(messageClass(plan.definition), raw)):
+    for action in (read, lambda raw: deserialize(message_class(plan.definition), raw)):
         try:
             action(fuzzed)
         except CorruptMessage:
@@ -80,7 +80,7 @@ def test_fuzzed_buffers_are_exact_or_odd(seed, data):
 @campaign(200)
 @given(SEEDS, st.data())
 def test_fuzzed_columns_build_or_are_corrupt(seed, data):
-    plan = WirePlan(parseDefinition(*DefinitionMaker(seed).make()))
+    plan = WirePlan(parse_definition(*DefinitionMaker(seed).make()))
     columns, _ = plan.walk(WireMaker(plan.definition, seed).make())
     if columns:
         i = data.draw(st.integers(0, len(columns) - 1))
@@ -102,11 +102,11 @@ def test_fuzzed_columns_build_or_are_corrupt(seed, data):
 def test_counts_that_lie_cost_nothing():
     others = ["MSG: pkg/E\nstring s\nint8 x", "MSG: pkg/N", "MSG: pkg/F\nint32 a\nint32 b"]
     for text in ("E[] x", "N[] x", "F[] x", "string[] x", "float64[] x", "string x", "uint8[] x"):
-        plan = WirePlan(parseDefinition("pkg/T", SEPARATOR.join([text, *others])))
+        plan = WirePlan(parse_definition("pkg/T", SEPARATOR.join([text, *others])))
         wire = b"\xff\xff\xff\xff" + b"\0" * 50
         tracemalloc.start()
         plan.walk(wire)
-        plan.walkScalars(wire)
+        plan.walk_scalars(wire)
         try:
             plan.reader(["x"])(wire)
         except (CorruptMessage, InvalidExpression):
@@ -115,8 +115,8 @@ def test_counts_that_lie_cost_nothing():
         tracemalloc.stop()
 
 
-def columnTypes(text, *others):
-    plan = WirePlan(parseDefinition("pkg/T", SEPARATOR.join([text, *others])))
+def column_types(text, *others):
+    plan = WirePlan(parse_definition("pkg/T", SEPARATOR.join([text, *others])))
     return {column.name: column.cql_type for column in plan.columns}
 
 
@@ -127,13 +127,13 @@ def test_types_of_columns():
         + "float32 float64 string time duration".split()
     )
     assert (
-        list(columnTypes(text).values())
+        list(column_types(text).values())
         == (
             "boolean tinyint tinyint smallint smallint smallint int int bigint bigint varint "
             "float double text bigint bigint"
         ).split()
     )
-    assert columnTypes("float64[9] a\nuint8[] b\nbool[] c\ntime[2] d\nstring[] e\nint8[0] f") == {
+    assert column_types("float64[9] a\nuint8[] b\nbool[] c\ntime[2] d\nstring[] e\nint8[0] f") == {
         "a": "blob",
         "b": "blob",
         "c": "blob",
@@ -145,7 +145,7 @@ def test_types_of_columns():
 def test_arrays_of_messages_are_structs_of_lists():
     inner = "MSG: pkg/E\nint32 x\nstring s\nuint64 u\nP p\nfloat32[] f\nstring[] t\nP[] q\nN[] n"
     others = [inner, "MSG: pkg/P\nfloat64 y", "MSG: pkg/N"]
-    assert columnTypes("E[] es\nN[] ns\nN n\nN[3] m\nE e", *others) == {
+    assert column_types("E[] es\nN[] ns\nN n\nN[3] m\nE e", *others) == {
         "es.x": "frozen<list<int>>",
         "es.s": "frozen<list<text>>",
         "es.u": "frozen<list<varint>>",
@@ -167,7 +167,7 @@ def test_arrays_of_messages_are_structs_of_lists():
 
 
 def test_arrays_and_lists_are_described():
-    plan = wirePlan(installedDefinition("tf2_msgs/TFMessage"))
+    plan = wire_plan(installed_definition("tf2_msgs/TFMessage"))
     column = next(c for c in plan.columns if c.name == "transforms.header.stamp")
     assert (column.kind, column.field_type, column.array) == ("time", "time", "transforms")
     assert column.is_list
@@ -185,7 +185,7 @@ ODD = {
 @pytest.mark.parametrize("type_", ODD)
 def test_what_no_column_can_hold(type_):
     wire, value = ODD[type_]
-    plan = WirePlan(parseDefinition("pkg/T", f"int8 a\n{type_} b\nint8 c"))
+    plan = WirePlan(parse_definition("pkg/T", f"int8 a\n{type_} b\nint8 c"))
     wire = b"\1" + wire + b"\2"
     columns, odd = plan.walk(wire)
     assert odd
@@ -199,7 +199,7 @@ def test_what_no_column_can_hold(type_):
 def test_what_no_list_can_hold(type_):
     wire, value = ODD[type_]
     for fields in (f"{type_} b", f"{type_} b\nstring s"):
-        plan = WirePlan(parseDefinition("pkg/T", "E[] e" + SEPARATOR + "MSG: pkg/E\n" + fields))
+        plan = WirePlan(parse_definition("pkg/T", "E[] e" + SEPARATOR + "MSG: pkg/E\n" + fields))
         element = wire + b"\0\0\0\0" * fields.endswith("\nstring s")
         whole = b"\2\0\0\0" + element * 2
         columns, odd = plan.walk(whole)
@@ -210,14 +210,14 @@ def test_what_no_list_can_hold(type_):
 
 
 def test_surplus_bytes_keep_the_columns():
-    plan = WirePlan(parseDefinition("pkg/T", "int8 a\nstring s"))
+    plan = WirePlan(parse_definition("pkg/T", "int8 a\nstring s"))
     assert plan.walk(b"\1\1\0\0\0xyz") == ([b"\1", b"x"], True)
     assert plan.walk(b"\1\1\0\0") == ([None, None], True)
     assert plan.walk(b"") == ([None, None], True)
 
 
 def test_empty_messages():
-    plan = wirePlan(installedDefinition("std_msgs/Empty"))
+    plan = wire_plan(installed_definition("std_msgs/Empty"))
     assert plan.columns == ()
     assert plan.walk(b"") == ([], False)
     assert plan.build([]) == b""
@@ -226,7 +226,7 @@ def test_empty_messages():
 
 def test_floats_keep_every_bit():
     plan = WirePlan(
-        parseDefinition(
+        parse_definition(
             "pkg/T", "float32 a\nfloat64 b\nP[] p" + SEPARATOR + "MSG: pkg/P\nfloat32 x"
         )
     )
@@ -239,7 +239,7 @@ def test_floats_keep_every_bit():
 
 def test_more_fields_than_columns():
     fields = "\n".join(f"int32 x{i}\nfloat32[] a{i}" for i in range(40))
-    plan = WirePlan(parseDefinition("pkg/T", fields + "\nstring s"))
+    plan = WirePlan(parse_definition("pkg/T", fields + "\nstring s"))
     assert not plan.complete
     assert [c.name for c in plan.columns] == [*(f"x{i}" for i in range(40)), "s"]
     assert [c.name for c in plan.all_columns if c not in plan.columns] == [
@@ -251,17 +251,17 @@ def test_more_fields_than_columns():
     assert plan.reader(["s"])(wire) == [plan.value(40, columns[40])]
     with pytest.raises(CorruptMessage):
         plan.build(columns)
-    many = WirePlan(parseDefinition("pkg/T", "\n".join(f"int32 x{i}" for i in range(65))))
+    many = WirePlan(parse_definition("pkg/T", "\n".join(f"int32 x{i}" for i in range(65))))
     assert [c.name for c in many.all_columns if c not in many.columns] == ["x64"]
-    assert WirePlan(parseDefinition("pkg/T", "\n".join(f"int8 x{i}" for i in range(64)))).complete
+    assert WirePlan(parse_definition("pkg/T", "\n".join(f"int8 x{i}" for i in range(64)))).complete
 
 
 def test_a_field_that_does_not_exist():
     with pytest.raises(InvalidExpression, match="no field 'y'"):
-        wirePlan(installedDefinition("std_msgs/String")).reader(["y"])
+        wire_plan(installed_definition("std_msgs/String")).reader(["y"])
 
 
 def test_plans_are_compiled_once():
-    assert wirePlan(installedDefinition("std_msgs/String")) is wirePlan(
-        installedDefinition("std_msgs/String")
+    assert wire_plan(installed_definition("std_msgs/String")) is wire_plan(
+        installed_definition("std_msgs/String")
     )

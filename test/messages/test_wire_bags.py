@@ -8,8 +8,8 @@ import pytest
 import rosbag
 
 from cassandra_ros.errors import DefinitionError
-from cassandra_ros.messages.definition import parseDefinition
-from cassandra_ros.messages.wire.plan import wirePlan
+from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.wire.plan import wire_plan
 
 # Counted with the rosbag module; every one of them is exactly held in its columns.
 MESSAGES = {
@@ -31,7 +31,7 @@ def test_messages_of_a_bag(bags, name):
         texts = {info.id: info.msg_def for info in bag._get_connections()}
         types = {info.datatype: texts[info.id] for info in bag._get_connections()}
         for _, (type_, wire, md5sum, _, _), _ in bag.read_messages(raw=True):
-            plan = wirePlan(parseDefinition(type_, types[type_], md5sum))
+            plan = wire_plan(parse_definition(type_, types[type_], md5sum))
             columns, odd = plan.walk(wire)
             assert not odd
             assert plan.build(columns) == wire
@@ -43,4 +43,4 @@ def test_the_bag_whose_definition_is_missing(bags):
     with rosbag.Bag(str(bags / "empty_message_definition.bag")) as bag:
         for info in bag._get_connections():
             with pytest.raises(DefinitionError, match="led_array_msgs/Status"):
-                parseDefinition(info.datatype, info.msg_def, info.md5sum)
+                parse_definition(info.datatype, info.msg_def, info.md5sum)

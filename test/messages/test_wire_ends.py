@@ -7,12 +7,12 @@ from __future__ import annotations
 import struct
 
 import pytest
-from cassandra_ros.messages.wire_count import MAX_SURPLUS, compileObjectCheck
-from cassandra_ros.messages.wire_lists import packEqual, packList, splitEqual, splitList
-from cassandra_ros.messages.wire_skip import compileSkip
+from cassandra_ros.messages.wire_count import MAX_SURPLUS, compile_object_check
+from cassandra_ros.messages.wire_lists import pack_equal, pack_list, split_equal, split_list
+from cassandra_ros.messages.wire_skip import compile_skip
 from messages.random_wire import WireMaker
 
-from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.definition import parse_definition
 
 FIELDS = [
     "uint8[] x",
@@ -39,8 +39,8 @@ REST = (
 
 @pytest.mark.parametrize("field", FIELDS)
 def test_a_message_ends_where_its_last_byte_is(field):
-    definition = parseDefinition("a/Test", field + REST)
-    skip = compileSkip(definition.type, definition.specs)
+    definition = parse_definition("a/Test", field + REST)
+    skip = compile_skip(definition.type, definition.specs)
     for seed in range(6):
         wire = WireMaker(definition, seed, odd=True).make()
         assert skip(wire, 0) == len(wire)
@@ -52,19 +52,19 @@ def test_a_message_ends_where_its_last_byte_is(field):
 
 @pytest.mark.parametrize("values", [[b""], [b"a"], [b"", b"bc", b""], [b"abc", b"d"] * 100])
 def test_a_list_ends_where_its_last_byte_is(values):
-    raw = packList(values)
-    assert splitList(raw) == values
+    raw = pack_list(values)
+    assert split_list(raw) == values
     for damaged in (*(raw[:end] for end in range(len(raw))), raw + b"\0", raw + raw):
         with pytest.raises(struct.error):
-            splitList(damaged)
+            split_list(damaged)
 
 
 @pytest.mark.parametrize("count", [1, 2, 50])
 def test_a_list_of_equal_sizes_ends_where_its_last_byte_is(count):
     values = [bytes([n, n, n]) for n in range(count)]
-    raw = packEqual(3)(values)
-    assert raw == packList(values)
-    split = splitEqual(3)
+    raw = pack_equal(3)(values)
+    assert raw == pack_list(values)
+    split = split_equal(3)
     assert split(raw) == values
     for damaged in (*(raw[:end] for end in range(len(raw))), raw + b"\0", raw + raw[4:11]):
         with pytest.raises(struct.error):
@@ -72,12 +72,12 @@ def test_a_list_of_equal_sizes_ends_where_its_last_byte_is(count):
 
 
 def test_an_empty_list():
-    assert splitList(packList([])) == splitEqual(3)(packList([])) == []
+    assert split_list(pack_list([])) == split_equal(3)(pack_list([])) == []
 
 
 def test_as_many_objects_as_a_message_may_have_and_one_more():
-    definition = parseDefinition("a/Test", "Empty[] x\nEmpty[] y" + REST)
-    check = compileObjectCheck(definition.type, definition.specs)
+    definition = parse_definition("a/Test", "Empty[] x\nEmpty[] y" + REST)
+    check = compile_object_check(definition.type, definition.specs)
     most = 8 + MAX_SURPLUS
     check(struct.pack("<II", most - 5, 5))
     for counts in ((most - 5, 6), (most + 1, 0), (0, 2**32 - 1)):

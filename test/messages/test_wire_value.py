@@ -9,9 +9,14 @@ from functools import reduce
 import pytest
 from messages.random_wire import SEPARATOR, WireMaker, installedTypes
 
-from cassandra_ros.messages.classes import deserialize, installedDefinition, messageClass, serialize
-from cassandra_ros.messages.definition import parseDefinition
-from cassandra_ros.messages.wire.plan import WirePlan, wirePlan
+from cassandra_ros.messages.classes import (
+    deserialize,
+    installed_definition,
+    message_class,
+    serialize,
+)
+from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.wire.plan import WirePlan, wire_plan
 
 
 def attribute(message, path):
@@ -33,12 +38,12 @@ def plain(value):
 
 @pytest.mark.parametrize("name", installedTypes())
 def test_values_are_those_of_the_message(name):
-    definition = installedDefinition(name)
-    plan = wirePlan(definition)
+    definition = installed_definition(name)
+    plan = wire_plan(definition)
     read = plan.reader([c.name for c in plan.all_columns])
     for seed in range(4):
         wire = WireMaker(definition, seed, signalling=False).make()
-        message = deserialize(messageClass(definition), wire)
+        message = deserialize(message_class(definition), wire)
         for column, value in zip(plan.all_columns, read(wire)):
             if column.array:
                 inner = column.name[len(column.array) + 1 :].split(".")
@@ -54,8 +59,8 @@ def test_values_are_those_of_the_message(name):
 def test_arrays_in_arrays():
     inner = "MSG: pkg/E\nstring[] s\nP[] p\nint16[2] i\ntime[] t\nN[] n\nP[1] one"
     text = SEPARATOR.join(["E[] e", inner, "MSG: pkg/P\nuint8 x\nbool[] b", "MSG: pkg/N"])
-    definition = parseDefinition("pkg/T", text)
-    cls = messageClass(definition)
+    definition = parse_definition("pkg/T", text)
+    cls = message_class(definition)
     messages = (deserialize(cls, WireMaker(definition, seed).make()) for seed in range(99))
     message = next(m for m in messages if any(element.p and element.n for element in m.e))
     plan = WirePlan(definition)

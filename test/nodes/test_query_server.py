@@ -22,7 +22,7 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import KeyspaceNotFound
 from cassandra_ros.local_server import free_port
-from cassandra_ros.messages.connection import liveConnection
+from cassandra_ros.messages.connection import live_connection
 
 SEC = 10**9
 T0 = 1_405_015_391 * SEC + 123_456_789
@@ -56,11 +56,11 @@ def store(cassandra, cql):
         for n in range(3):
             numbers.addData(Int64(data=n))
         writer = rosCas.messageWriter()
-        broken = writer.connect(liveConnection("/broken", {"type": "a/B", "md5sum": "1" * 32}))
+        broken = writer.connect(live_connection("/broken", {"type": "a/B", "md5sum": "1" * 32}))
         writer.write(broken, T0, 0, b"\1\2\3")
         short = {"type": String._type, "md5sum": String._md5sum}
         short["message_definition"] = String._full_text
-        writer.write(writer.connect(liveConnection("/short", short)), T0, 1, b"\xff\xff\xff\xff")
+        writer.write(writer.connect(live_connection("/short", short)), T0, 1, b"\xff\xff\xff\xff")
         writer.close()
         yield rosCas
     cql.execute(f"DROP KEYSPACE {name}")

@@ -21,9 +21,9 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Int32, String
 
 from cassandra_ros.formats.table import FORMATS
-from cassandra_ros.messages.classes import messageClass
-from cassandra_ros.messages.connection import liveConnection
-from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.classes import message_class
+from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.definition import parse_definition
 
 
 def text(n):
@@ -192,9 +192,9 @@ def test_a_type_that_is_not_installed(roscore, recorder, rosCas, form):
     text_ = "Header header\nfloat32[] ranges\nlost_msgs/Part part\n" + "=" * 80 + "\n"
     text_ += "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n" + "=" * 80 + "\n"
     text_ += "MSG: lost_msgs/Part\nstring name\n"
-    definition = parseDefinition("lost_msgs/Thing", text_)
+    definition = parse_definition("lost_msgs/Thing", text_)
     other = {"type": definition.type, "md5sum": definition.md5sum, "message_definition": text_}
-    thing = messageClass(definition)(ranges=[1.5, float("inf")])
+    thing = message_class(definition)(ranges=[1.5, float("inf")])
     thing.part.name = "wheel"
     with publisher(roscore, "/lost", **other) as one:
         one.await_subscribers().publish(message(thing))
@@ -435,4 +435,4 @@ def test_scripts_are_thin():
     for script in (Path(__file__).parents[2] / "scripts").iterdir():
         assert len(script.read_text().splitlines()) < 10
         assert not script.stat().st_mode & 0o111
-    assert liveConnection("/x", {}).header == b""
+    assert live_connection("/x", {}).header == b""

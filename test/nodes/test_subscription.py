@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from cassandra_ros.nodes.subscription import _hasHungUp, _isRead, _received, readHeader
+from cassandra_ros.nodes.subscription import _has_hung_up, _is_read, _received, read_header
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def pair():
 
 
 def hung_up(sock):
-    return _hasHungUp(SimpleNamespace(socket=sock))
+    return _has_hung_up(SimpleNamespace(socket=sock))
 
 
 def test_one_that_is_being_connected_has_not_hung_up():
@@ -66,19 +66,19 @@ def test_messages_that_come_with_the_header_are_not_handed_on_yet(pair):
     """A recording that ends just then must wait for them."""
     ours, theirs = pair
     connection = SimpleNamespace(socket=ours, done=False, handled=0)
-    assert _isRead(connection)
+    assert _is_read(connection)
     field = b"callerid=/x"
     header = struct.pack("<II", len(field) + 4, len(field)) + field
     with ThreadPoolExecutor(1) as other:
         behind = io.BytesIO()
-        reading = other.submit(readHeader, ours, behind, 4096)
+        reading = other.submit(read_header, ours, behind, 4096)
         theirs.sendall(header[:9])
         while _received.get(ours, 0) == 0:
             time.sleep(0.001)
-        assert not _isRead(connection)
+        assert not _is_read(connection)
         theirs.sendall(header[9:] + b"12345")
         assert reading.result() == {"callerid": "/x"}
     assert behind.getvalue() == b"12345"
-    assert not _isRead(connection)
+    assert not _is_read(connection)
     connection.handled = 5
-    assert _isRead(connection)
+    assert _is_read(connection)

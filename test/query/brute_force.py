@@ -293,7 +293,7 @@ def plain(value):
     return value
 
 
-def rowsOf(message, operands):
+def rows_of(message, operands):
     """Yield the rows of a message in a statement that names these operands."""
     if message.value is None:
         yield Row(message, {})
@@ -338,7 +338,7 @@ class Statement:
         rows = [
             row
             for message in ordered
-            for row in rowsOf(message, self.operands)
+            for row in rows_of(message, self.operands)
             if row.holds(self.condition) is True
         ]
         if self.aggregated:

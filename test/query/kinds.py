@@ -25,8 +25,8 @@ import tf2_msgs.msg
 from messages.random_wire import SEPARATOR, WireMaker
 from query.brute_force import Message, Types
 
-from cassandra_ros.messages.connection import liveConnection
-from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.stamps import Stamp
 
 SECOND = 10**9
@@ -299,7 +299,7 @@ class Stored:
             found += [(kind.types[0], wire, True) for wire in real[:: len(real) // kind.real + 1]]
         for number in range(kind.count):
             types = kind.types[number % len(kind.types)]
-            definition = parseDefinition(types.name, types.text)
+            definition = parse_definition(types.name, types.text)
             maker = EdgeMaker(definition, self._numbers.random(), odd=number % 7 == 3)
             found.append((types, maker.make(), True))
         for types in kind.types:
@@ -340,9 +340,9 @@ class Stored:
     def _connect(self, writer, message, format):
         types = message.types
         header = {"type": types.name, "md5sum": types.md5sum, "message_definition": types.text}
-        connection = liveConnection(self.topic(format), header)
+        connection = live_connection(self.topic(format), header)
         return writer.connect(connection, BUCKET, node=message.node)
 
     @staticmethod
     def _remove(topic, low, high):
-        topic.removeData(Stamp.fromNs(low), Stamp.fromNs(high))
+        topic.removeData(Stamp.from_ns(low), Stamp.from_ns(high))

@@ -23,7 +23,7 @@ from query.brute_force import (
     Statement,
     Value,
     canonical,
-    rowsOf,
+    rows_of,
 )
 
 SECOND = 10**9
@@ -325,7 +325,7 @@ class Asker:
         return st.one_of(found)
 
     def _stored(self, operand):
-        rows = [row for message in self._messages for row in rowsOf(message, [operand])]
+        rows = [row for message in self._messages for row in rows_of(message, [operand])]
         found = [value for value in (row.value(operand) for row in rows) if value is not MISSING]
         if self._isArray(operand):
             found = [element for array in found for element in array[:50]]

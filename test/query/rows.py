@@ -9,7 +9,7 @@ from io import BytesIO
 
 import genpy
 
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.definition import definition_of
 
 Row = namedtuple("Row", "t node wire table odd columns key topic")
 Table = namedtuple("Table", "name definition topic by_field named", defaults=[False, False])
@@ -26,7 +26,7 @@ def row_of(msg=None, t=1, node="", wire=None, table=None):
         msg.serialize(buffer)
         wire = buffer.getvalue()
     if table is None:
-        table = table_of(definitionOf(type(msg)))
+        table = table_of(definition_of(type(msg)))
     return Row(t, node, wire, table, False, (), t, table.topic)
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.aggregates import Aggregation
-from cassandra_ros.query.parse import parseSelect
+from cassandra_ros.query.parse import parse_select
 
 NAMES = ("count", "min", "max", "sum", "avg")
 ODD = st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, -0.0])
@@ -22,7 +22,7 @@ ODD = st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, -0.
 
 def totals(values, names=NAMES):
     """Each aggregate of the values, in two goes."""
-    found = Aggregation(parseSelect(f"select {', '.join(f'{n}(x)' for n in names)} from t"))
+    found = Aggregation(parse_select(f"select {', '.join(f'{n}(x)' for n in names)} from t"))
     rows = [(value,) * len(names) for value in values]
     found.add(rows[: len(rows) // 2])
     found.add(rows[len(rows) // 2 :])

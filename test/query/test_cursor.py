@@ -9,32 +9,32 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidKey
-from cassandra_ros.keys import Position, encodeCursor
-from cassandra_ros.query.run import START, Place, readPlace
+from cassandra_ros.keys import Position, encode_cursor
+from cassandra_ros.query.run import START, Place, read_place
 
 POSITION = Position(5, "röbot", 1 << 40, "t_0")
 
 
 def test_round_trip():
     for place in (START, Place(7, 0, POSITION), Place(10**15, 3, POSITION)):
-        assert readPlace(place.text) == place
-    assert readPlace(POSITION) == Place(0, 0, POSITION)
-    assert readPlace(None) == readPlace("") == START
+        assert read_place(place.text) == place
+    assert read_place(POSITION) == Place(0, 0, POSITION)
+    assert read_place(None) == read_place("") == START
 
 
 @pytest.mark.parametrize(
     "text",
-    ["x", "1.2", "1.2.", "-1.0." + encodeCursor(POSITION), "1.x." + encodeCursor(POSITION),
-     "9" * 30 + ".0." + encodeCursor(POSITION), encodeCursor(POSITION), "1.0.!!!!"],
+    ["x", "1.2", "1.2.", "-1.0." + encode_cursor(POSITION), "1.x." + encode_cursor(POSITION),
+     "9" * 30 + ".0." + encode_cursor(POSITION), encode_cursor(POSITION), "1.0.!!!!"],
 )  # fmt: skip
 def test_other_text(text):
     with pytest.raises(InvalidKey):
-        readPlace(text)
+        read_place(text)
 
 
 @given(st.text())
 def test_any_text(text):
     try:
-        readPlace(text)
+        read_place(text)
     except InvalidKey as exc:
         assert str(exc)

@@ -23,7 +23,7 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import Stamp
 from cassandra_ros.errors import InvalidQuery
-from cassandra_ros.messages.definition import definitionOf, parseDefinition
+from cassandra_ros.messages.definition import definition_of, parse_definition
 from cassandra_ros.query.conditions import Condition
 
 OPERATORS = {
@@ -43,7 +43,7 @@ def matches(msg, text, params=(), **place):
 
 def fails(msg_class, text, params=()):
     with pytest.raises(InvalidQuery) as caught:
-        Condition(text, params).test([table_of(definitionOf(msg_class))])
+        Condition(text, params).test([table_of(definition_of(msg_class))])
     return caught.value
 
 
@@ -124,7 +124,7 @@ def test_bools():
 
 
 def test_times():
-    msg = TimeMsg(Stamp.fromNs(1_400_000_000_123_456_789))
+    msg = TimeMsg(Stamp.from_ns(1_400_000_000_123_456_789))
     for text in (
         "data = 1400000000123456789",
         "data = 1400000000.123456789",  # a float would miss it by 45 ns
@@ -135,7 +135,7 @@ def test_times():
         "KEY = 77 and KEY = 0.000000077 and KEY >= '1970-01-01'",
     ):
         assert matches(msg, text, t=77), text
-    assert matches(msg, "data = ?", [Stamp.fromNs(1_400_000_000_123_456_789)])
+    assert matches(msg, "data = ?", [Stamp.from_ns(1_400_000_000_123_456_789)])
 
 
 def test_durations():
@@ -218,7 +218,7 @@ def test_contains_in_arrays_of_other_types():
     joints = JointState(name=["elbow", "wrist"], position=[1.0, 2.0])
     assert matches(joints, "name contains 'wrist' and position contains 2")
     assert not matches(joints, "name contains 'Wrist' or name contains 'wris'")
-    definition = parseDefinition("pkg/T", "bool[] b\ntime[] t\nchar[2] c\nduration[] d", None)
+    definition = parse_definition("pkg/T", "bool[] b\ntime[] t\nchar[2] c\nduration[] d", None)
     table = table_of(definition)
     wire = struct.pack("<I??III2sIii", 2, True, True, 1, 7, 5, b"\1\2", 1, -1, 500_000_000)
     row = row_of(wire=wire, table=table)
@@ -231,7 +231,7 @@ def test_contains_in_arrays_of_other_types():
 
 def test_contains_inside_of_elements():
     text = "MSG: pkg/E"
-    definition = parseDefinition(
+    definition = parse_definition(
         "pkg/T", f"pkg/E[] e\n{'=' * 80}\n{text}\nint32 x\nint32[] many", None
     )
     table = table_of(definition)
@@ -251,10 +251,10 @@ def test_null_is_what_is_missing():
     assert matches(scan, "KEY is not null and NODE is not null and header.frame_id is not null")
     assert matches(scan, "ranges[2] = 0 or ranges[2] is null")
     assert not matches(scan, "ranges[0] is null")
-    broken = row_of(wire=b"\1\2", table=table_of(definitionOf(LaserScan)))
+    broken = row_of(wire=b"\1\2", table=table_of(definition_of(LaserScan)))
     assert Condition("range_min is null").test([broken.table])(broken)
     assert not Condition("KEY is null or range_min is not null").test([broken.table])(broken)
-    tables = [table_of(definitionOf(Float32)), table_of(definitionOf(NavSatFix))]
+    tables = [table_of(definition_of(Float32)), table_of(definition_of(NavSatFix))]
     older = Condition("latitude is null").test(tables)
     assert older(row_of(Float32(7)))
     assert not older(row_of(NavSatFix()))
@@ -278,7 +278,7 @@ def test_what_is_missing_never_matches():
 
 
 def test_bytes_that_are_no_message_have_no_fields():
-    row = row_of(wire=b"\1\2", table=table_of(definitionOf(LaserScan)))
+    row = row_of(wire=b"\1\2", table=table_of(definition_of(LaserScan)))
     for text in ("range_min = 0", "not range_min = 0"):
         assert not Condition(text).test([row.table])(row)
     assert Condition("KEY = 1").test([row.table])(row)
@@ -380,7 +380,7 @@ def test_parameters_of_any_type_are_refused_with_their_spot():
 
 def test_fields_of_two_arrays_are_not_paired():
     text = "MSG: pkg/E"
-    definition = parseDefinition(
+    definition = parse_definition(
         "pkg/T", f"pkg/E[] a\npkg/E[] b\n{'=' * 80}\n{text}\nint32 x", None
     )
     with pytest.raises(InvalidQuery, match="two arrays"):
@@ -396,13 +396,13 @@ def test_a_topic_without_definition_has_only_key_and_node():
 
 
 def test_a_field_that_one_definition_lacks_is_missing_there():
-    tables = [table_of(definitionOf(Float32)), table_of(definitionOf(NavSatFix))]
+    tables = [table_of(definition_of(Float32)), table_of(definition_of(NavSatFix))]
     test = Condition("latitude = 5 or data = 7").test(tables)
     assert test(row_of(NavSatFix(latitude=5)))
     assert test(row_of(Float32(7)))
     assert not test(row_of(Float32(5)))
     # data is a number here and text there: text never equals 7.
-    test = Condition("data != 7").test([*tables, table_of(definitionOf(String))])
+    test = Condition("data != 7").test([*tables, table_of(definition_of(String))])
     assert not test(row_of(String("x")))
     assert test(row_of(Float32(5)))
 
@@ -422,7 +422,7 @@ def test_in_means_equal_to_one_of_them_also_where_definitions_differ_in_kind():
 
 
 def test_names_that_are_keywords_of_python():
-    definition = parseDefinition("pkg/T", "int32 from\nint32 class\nint32 limit", None)
+    definition = parse_definition("pkg/T", "int32 from\nint32 class\nint32 limit", None)
     wire = struct.pack("<iii", 1, 2, 3)
     row = row_of(wire=wire, table=table_of(definition))
     assert Condition("from = 1 and class = 2 and limit = 3").test([row.table])(row)

@@ -20,7 +20,7 @@ from query.brute_force import KEY, Leaf, Message, Path, Statement, Types, Value,
 from query.kinds import KINDS, T0, Stored, serialized
 from query.random_statements import ORDERED, Asker, numbersBeside
 
-from cassandra_ros.messages.connection import liveConnection
+from cassandra_ros.messages.connection import live_connection
 
 FORMATS = ("ros", "binary", "json")
 PLANS = ("client", "filter", "index")
@@ -100,7 +100,7 @@ def test_every_operator_at_every_edge(rosCas):
     header = {"type": TYPES.name, "md5sum": TYPES.md5sum, "message_definition": TYPES.text}
     messages = []
     with rosCas.messageWriter(format="ros") as writer:
-        handle = writer.connect(liveConnection("/edge", header))
+        handle = writer.connect(live_connection("/edge", header))
         for n in range(max(map(len, EDGES.values())) + 1):
             wanted = {name: edges[n % len(edges)] for name, edges in EDGES.items()}
             wire = serialized(TYPES.root(**wanted))

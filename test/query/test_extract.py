@@ -10,10 +10,10 @@ import pytest
 import rosbag
 from query.rows import attribute, row_of, table_of
 
-from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.query.extract import Extractor
-from cassandra_ros.query.names import Findings, allFields
-from cassandra_ros.query.parse import parseSelect
+from cassandra_ros.query.names import Findings, all_fields
+from cassandra_ros.query.parse import parse_select
 from cassandra_ros.query.projection import Projection
 
 BAGS = (
@@ -40,7 +40,7 @@ def messages(path):
             seen[topic] = seen.get(topic, 0) + 1
             if seen[topic] <= EACH:
                 msg_type, wire, _, _, msg_class = raw
-                yield parseDefinition(*types[topic]), wire, msg_class().deserialize(wire)
+                yield parse_definition(*types[topic]), wire, msg_class().deserialize(wire)
 
 
 def same(left, right):
@@ -55,7 +55,7 @@ def same(left, right):
 def test_all_fields(bags, name):
     count = 0
     for definition, wire, msg in messages(bags / f"{name}.bag"):
-        fields = allFields(definition)
+        fields = all_fields(definition)
         row = row_of(wire=wire, table=table_of(definition))
         (values,) = Extractor(definition, fields, []).values(row)
         for ref, value in zip(fields, values):
@@ -74,7 +74,7 @@ def test_rows_per_element(bags):
             continue
         plan = plans.setdefault(
             definition.md5sum,
-            Projection.compile(parseSelect(text), table_of(definition), Findings(text)),
+            Projection.compile(parse_select(text), table_of(definition), Findings(text)),
         )
         found = plan.rows(row_of(wire=wire, t=5, table=table_of(definition)))
         expected = [(t.child_frame_id, t.transform.rotation.w, 5) for t in msg.transforms]
@@ -84,7 +84,7 @@ def test_rows_per_element(bags):
 
 
 def test_fixed_arrays_of_nothing_are_empty():
-    definition = parseDefinition("pkg/T", "int32[0] none\nint32 x", None)
+    definition = parse_definition("pkg/T", "int32[0] none\nint32 x", None)
     row = row_of(wire=b"\5\0\0\0", table=table_of(definition))
-    (values,) = Extractor(definition, allFields(definition), []).values(row)
+    (values,) = Extractor(definition, all_fields(definition), []).values(row)
     assert values == [[], 5]

@@ -12,7 +12,7 @@ import pytest
 
 from cassandra_ros import Stamp
 from cassandra_ros.errors import InvalidExpression
-from cassandra_ros.query.json_values import fromJson, toJson
+from cassandra_ros.query.json_values import from_json, to_json
 
 
 @pytest.mark.parametrize(
@@ -27,31 +27,31 @@ from cassandra_ros.query.json_values import fromJson, toJson
         (True, "true"),
         (None, "null"),
         ('quote " and \n ä \ud800', '"quote \\" and \\n \\u00e4 \\ud800"'),
-        (Stamp.fromNs(1_400_000_000_123_456_789), "1400000000123456789"),
+        (Stamp.from_ns(1_400_000_000_123_456_789), "1400000000123456789"),
         (genpy.Duration(-1, 500_000_000), "-500000000"),
         (b"\0\xff", '"AP8="'),
         ([b"a", [1.5, math.nan]], '["YQ==", [1.5, NaN]]'),
     ],
 )
 def test_written(value, text):
-    assert toJson(value) == text
+    assert to_json(value) == text
 
 
 def test_read():
-    assert fromJson("5") == 5
-    assert fromJson('"base_link"') == "base_link"
-    assert fromJson('[1, "x", true]') == [1, "x", True]
-    assert math.isnan(fromJson("NaN"))
-    assert fromJson("-Infinity") == -math.inf
-    number = fromJson("1400000000.123456789")
+    assert from_json("5") == 5
+    assert from_json('"base_link"') == "base_link"
+    assert from_json('[1, "x", true]') == [1, "x", True]
+    assert math.isnan(from_json("NaN"))
+    assert from_json("-Infinity") == -math.inf
+    number = from_json("1400000000.123456789")
     assert (number.text, number) == ("1400000000.123456789", 1400000000.123456789)
 
 
 @pytest.mark.parametrize("text", ["", "base_link", "{", '{"a": 1}', "null", "[" * 5000, "9" * 9999])
 def test_refused(text):
     with pytest.raises(InvalidExpression, match="params"):
-        fromJson(text, "params[0]")
+        from_json(text, "params[0]")
 
 
 def test_json_without_bare_words_is_plain_json():
-    assert json.loads(toJson([1, "x", None, 0.5])) == [1, "x", None, 0.5]
+    assert json.loads(to_json([1, "x", None, 0.5])) == [1, "x", None, 0.5]

@@ -11,8 +11,8 @@ import pytest
 from std_msgs.msg import Header
 
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store import writer
 
 SEC = 10**9
@@ -35,14 +35,14 @@ def test_what_no_column_holds_is_found(rosCas, monkeypatch, plan, closed):
     topic = rosCas.addTopic("/h", msg_type="std_msgs/Header", format="ros")
     topic.createIndex("stamp")
     target = rosCas.messageWriter()
-    handle = target.connect(apiConnection("/h", definitionOf(Header), "/x"))
+    handle = target.connect(api_connection("/h", definition_of(Header), "/x"))
     for number in range(40):
         target.write(handle, T0 + number, number, header(number))
     target.flush()
     if closed:
         target.close()
     (table,) = topic.tables
-    rows = rosCas.parts.directory.find(table.name, "", table.bucketOf(T0))
+    rows = rosCas.parts.directory.find(table.name, "", table.bucket_of(T0))
     assert [(row.closed, row.odd) for row in rows] == [(closed, 4 * closed)]
     statement = "select seq from /h where stamp >= ? and stamp <= ?"
     params = (T0 + 20 * SEC, T0 + 31 * SEC + SEC // 2)
@@ -57,7 +57,7 @@ def test_an_index_that_one_of_two_writers_fills_hides_no_row(rosCas, plan):
     """One has opened the bucket before the index was made: its rows go on without."""
     topic = rosCas.addTopic("/h", msg_type="std_msgs/Header", format="binary")
     early, late = (rosCas.messageWriter(writer_id=n, format="binary") for n in (1, 2))
-    connection = apiConnection("/h", definitionOf(Header), "/x")
+    connection = api_connection("/h", definition_of(Header), "/x")
     handle = early.connect(connection)
     early.write(handle, T0, 0, header(1))
     early.flush()
@@ -68,7 +68,7 @@ def test_an_index_that_one_of_two_writers_fills_hides_no_row(rosCas, plan):
             target.write(handle, T0 + number, number, header(1))
         target.flush()
     (table,) = topic.tables
-    rows = rosCas.parts.directory.find(table.name, "", table.bucketOf(T0))
+    rows = rosCas.parts.directory.find(table.name, "", table.bucket_of(T0))
     assert sorted(len(row.filled) for row in rows) == [0, 1]
     for _ in ("open", "closed"):
         result = rosCas.statements.select("select seq from /h where frame_id = '1'", plan=plan)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidQuery
-from cassandra_ros.query.parse import parseCondition, parseSelect, parseStatement
+from cassandra_ros.query.parse import parse_condition, parse_select, parse_statement
 from cassandra_ros.query.syntax import (
     All,
     Compare,
@@ -30,7 +30,7 @@ from cassandra_ros.query.syntax import (
 
 
 def columns(text):
-    found = parseSelect(text).columns
+    found = parse_select(text).columns
     return found if found is None else [column.text for column in found]
 
 
@@ -72,11 +72,11 @@ def test_columns(text, names):
     ],
 )
 def test_topics(text, topic):
-    assert parseSelect(text).topic == topic
+    assert parse_select(text).topic == topic
 
 
 def test_conditions_bind_as_they_read():
-    tree = parseCondition("a = 1 or b = 2 and not (c = 3 or KEY > 4)")
+    tree = parse_condition("a = 1 or b = 2 and not (c = 3 or KEY > 4)")
     assert isinstance(tree, Either)
     first, second = tree.items
     assert (first.operand.text, second.items[0].operand.text) == ("a", "b")
@@ -103,38 +103,38 @@ def test_conditions_bind_as_they_read():
     ],
 )
 def test_values(text, value):
-    found = parseCondition(text).value.value
+    found = parse_condition(text).value.value
     assert found == value
     assert isinstance(found, type(value))
 
 
 def test_operators_and_lists():
     for sign in ("=", "!=", "<", "<=", ">", ">="):
-        assert parseCondition(f"x {sign} 1").operator == sign
-        assert parseCondition(f"x{sign}1").operator == sign
-    assert parseCondition("x <> 1").operator == "!="
-    between = parseCondition("x between 1 and 2 and y = 3")
+        assert parse_condition(f"x {sign} 1").operator == sign
+        assert parse_condition(f"x{sign}1").operator == sign
+    assert parse_condition("x <> 1").operator == "!="
+    between = parse_condition("x between 1 and 2 and y = 3")
     assert [item.operator for item in between.items[0].items] == [">=", "<="]
-    assert isinstance(parseCondition("NODE in ('a', 'b')").operand, NodeOperand)
-    assert isinstance(parseCondition("x not in (1)"), Negation)
+    assert isinstance(parse_condition("NODE in ('a', 'b')").operand, NodeOperand)
+    assert isinstance(parse_condition("x not in (1)"), Negation)
 
 
 def test_patterns_arrays_and_null():
-    tree = parseCondition("a like 'x%' and b not like ? and c contains 5 and d.e is null", ["y"])
+    tree = parse_condition("a like 'x%' and b not like ? and c contains 5 and d.e is null", ["y"])
     like, unlike, contains, null = tree.items
     assert (like.operator, like.value.value) == ("LIKE", "x%")
     assert isinstance(unlike, Negation)
     assert (unlike.item.operator, unlike.item.value.value) == ("LIKE", "y")
     assert (contains.operator, contains.value.value) == ("CONTAINS", 5)
     assert isinstance(null, IsNull)
-    assert parseCondition("d is not null").item.operand.text == "d"
-    words = parseCondition("like like 'x' or is is null or contains contains 1 or min is null")
+    assert parse_condition("d is not null").item.operand.text == "d"
+    words = parse_condition("like like 'x' or is is null or contains contains 1 or min is null")
     assert [item.operand.text for item in words.items] == ["like", "is", "contains", "min"]
 
 
 def test_parameters_are_values():
     hostile = "'; drop keyspace ros; --"
-    select = parseSelect(
+    select = parse_select(
         "select a from t where a = ? and b in %s limit ?", [hostile, [1, 2.5, hostile], 7]
     )
     first, second = select.condition.items
@@ -145,9 +145,9 @@ def test_parameters_are_values():
 
 
 def test_limit_and_order():
-    select = parseSelect("select a from t order by KEY desc limit 10 allow filtering")
+    select = parse_select("select a from t order by KEY desc limit 10 allow filtering")
     assert (select.descending, select.limit) == (True, 10)
-    assert not parseSelect("select a from t order by KEY").descending
+    assert not parse_select("select a from t order by KEY").descending
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def test_limit_and_order():
 )
 def test_errors_point_at_the_spot(text, params, spot, word):
     with pytest.raises(InvalidQuery) as caught:
-        parseSelect(text, params)
+        parse_select(text, params)
     assert text[caught.value.position :].startswith(spot)
     assert word in caught.value.reason
     lines = str(caught.value).split("\n")
@@ -197,11 +197,11 @@ def test_errors_point_at_the_spot(text, params, spot, word):
 
 
 def test_statements_that_change_the_store():
-    deleted = parseStatement("DELETE FROM /tf WHERE KEY < ? AND NODE = %s;", [5, "a"])
+    deleted = parse_statement("DELETE FROM /tf WHERE KEY < ? AND NODE = %s;", [5, "a"])
     assert isinstance(deleted, Delete)
     assert deleted.topic == "/tf"
     assert [item.value.value for item in deleted.condition.items] == [5, "a"]
-    assert isinstance(parseStatement("select a from t"), Select)
+    assert isinstance(parse_statement("select a from t"), Select)
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,7 @@ def test_statements_that_change_the_store():
     ],
 )
 def test_truncate(text, topic):
-    found = parseStatement(text)
+    found = parse_statement(text)
     assert isinstance(found, Truncate)
     assert found.topic == topic
     assert text[found.topic_position :].startswith(topic[:1] if '"' not in text else '"')
@@ -234,7 +234,7 @@ def test_truncate(text, topic):
     ],
 )
 def test_create_index(text, topic, field, name, condition):
-    found = parseStatement(text)
+    found = parse_statement(text)
     assert isinstance(found, CreateIndex)
     assert (found.on.topic, found.on.field.text) == (topic, field)
     assert (found.name and found.name.text) == name
@@ -242,11 +242,11 @@ def test_create_index(text, topic, field, name, condition):
 
 
 def test_drop_index():
-    named = parseStatement("DROP INDEX IF EXISTS Imu_X")
+    named = parse_statement("DROP INDEX IF EXISTS Imu_X")
     assert isinstance(named, DropIndex)
     assert (named.index.text, named.if_exists) == ("imu_x", True)
-    assert parseStatement('drop index "if"').index.text == "if"
-    by_field = parseStatement("drop index on on (a.b)")
+    assert parse_statement('drop index "if"').index.text == "if"
+    by_field = parse_statement("drop index on on (a.b)")
     assert (by_field.index.topic, by_field.index.field.text) == ("on", "a.b")
     assert not by_field.if_exists
 
@@ -282,7 +282,7 @@ def test_drop_index():
 )
 def test_errors_of_other_statements_point_at_the_spot(text, spot, word):
     with pytest.raises(InvalidQuery) as caught:
-        parseStatement(text)
+        parse_statement(text)
     assert text[caught.value.position :].startswith(spot)
     assert word in caught.value.reason
 
@@ -290,7 +290,7 @@ def test_errors_of_other_statements_point_at_the_spot(text, spot, word):
 def test_no_parameters_where_nothing_takes_them():
     for text in ("truncate t", "create index on t (a)", "drop index a"):
         with pytest.raises(InvalidQuery, match="0 parameters, 1"):
-            parseStatement(text, [1])
+            parse_statement(text, [1])
 
 
 @pytest.mark.parametrize(
@@ -303,40 +303,40 @@ def test_no_parameters_where_nothing_takes_them():
     ],
 )
 def test_comments(text):
-    select = parseSelect(text)
+    select = parse_select(text)
     assert select.topic.lstrip("/") == "t"
     assert select.condition == Compare(select.condition.operand, "=", select.condition.value)
     assert columns(text) == ["a"]
 
 
 def test_what_looks_like_a_comment_is_text_where_it_is_quoted():
-    select = parseSelect('select "a--b" from "//t/*" where x = \'/* -- \'')
+    select = parse_select('select "a--b" from "//t/*" where x = \'/* -- \'')
     assert (select.topic, select.columns[0].text) == ("//t/*", "a--b")
     assert select.condition.value.value == "/* -- "
-    assert parseSelect("select a from /a//b").topic == "/a//b"
+    assert parse_select("select a from /a//b").topic == "/a//b"
 
 
 def test_lists_without_elements():
-    assert parseCondition("x in ()").values == ()
-    assert parseCondition("x not in ( )").item.values == ()
-    assert parseCondition("x in ?", [[]]).values == ()
+    assert parse_condition("x in ()").values == ()
+    assert parse_condition("x not in ( )").item.values == ()
+    assert parse_condition("x in ?", [[]]).values == ()
 
 
 @pytest.mark.parametrize("count", [10_000, 100_000])
 def test_depth_is_bounded(count):
-    assert isinstance(parseCondition("(" * 1000 + "x = 1" + ")" * 1000), Compare)
+    assert isinstance(parse_condition("(" * 1000 + "x = 1" + ")" * 1000), Compare)
     with pytest.raises(InvalidQuery, match="deeper than"):
-        parseCondition("not " * count + "x = 1")
-    wide = parseCondition(" or ".join(["x = 1"] * (count // 10)))
+        parse_condition("not " * count + "x = 1")
+    wide = parse_condition(" or ".join(["x = 1"] * (count // 10)))
     assert len(wide.items) == count // 10
 
 
 def test_text_that_is_no_text():
     for statement in (None, b"select * from t", 5, ["select"]):
         with pytest.raises(InvalidQuery):
-            parseSelect(statement)
+            parse_select(statement)
     with pytest.raises(InvalidQuery, match="not one value: give"):
-        parseSelect("select a from t where a = ?", "x")
+        parse_select("select a from t where a = ?", "x")
 
 
 def answers(parse, text, params=()):
@@ -359,21 +359,21 @@ WORDS = st.sampled_from(
 @campaign(600)
 @given(st.lists(WORDS, max_size=25), st.lists(st.integers() | st.text(), max_size=3))
 def test_fuzz_of_words(words, params):
-    answers(parseSelect, " ".join(words), params)
+    answers(parse_select, " ".join(words), params)
     for start in ("delete from t where", "truncate", "create index", "drop index", "delete"):
-        answers(parseStatement, f"{start} {' '.join(words)}", params)
-    answers(parseSelect, "select * from t where " + " ".join(words), params)
-    answers(parseCondition, "".join(words), params)
+        answers(parse_statement, f"{start} {' '.join(words)}", params)
+    answers(parse_select, "select * from t where " + " ".join(words), params)
+    answers(parse_condition, "".join(words), params)
 
 
 @campaign(400)
 @given(st.text())
 def test_fuzz_of_text(text):
-    answers(parseSelect, text)
-    answers(parseStatement, text)
-    answers(parseCondition, text)
-    answers(parseStatement, "drop index " + text)
-    answers(parseSelect, "select a from t where a = '" + text)
+    answers(parse_select, text)
+    answers(parse_statement, text)
+    answers(parse_condition, text)
+    answers(parse_statement, "drop index " + text)
+    answers(parse_select, "select a from t where a = '" + text)
 
 
 @campaign(200)
@@ -381,13 +381,13 @@ def test_fuzz_of_text(text):
 def test_quoted_text_stays_data(name, value):
     quoted = name.replace('"', '""')
     literal = value.replace("'", "''")
-    select = parseSelect(f'select "{quoted}" from "{quoted}" where "{quoted}" = \'{literal}\'')
+    select = parse_select(f'select "{quoted}" from "{quoted}" where "{quoted}" = \'{literal}\'')
     assert select.topic == name
     assert select.columns[0].text == name
     assert select.condition.value.value == value
-    deleted = parseStatement(f'delete from "{quoted}" where "{quoted}" = \'{literal}\'')
+    deleted = parse_statement(f'delete from "{quoted}" where "{quoted}" = \'{literal}\'')
     assert (deleted.topic, deleted.condition.value.value) == (name, value)
-    assert parseStatement(f'truncate "{quoted}"').topic == name
-    indexed = parseStatement(f'create index "{quoted}" on "{quoted}" ("{quoted}")')
+    assert parse_statement(f'truncate "{quoted}"').topic == name
+    indexed = parse_statement(f'create index "{quoted}" on "{quoted}" ("{quoted}")')
     assert (indexed.name.text, indexed.on.topic, indexed.on.field.text) == (name, name, name)
-    assert parseStatement(f'drop index "{quoted}"').index.text == name
+    assert parse_statement(f'drop index "{quoted}"').index.text == name

@@ -12,8 +12,8 @@ from topics.by_index import await_built
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -25,7 +25,7 @@ def rosCas(fresh):
     """Colours over 8 buckets of a second; r counts, g is r modulo 10, b has an index."""
     with fresh() as store:
         with store.messageWriter(format="ros") as writer:
-            connection = apiConnection("/c", definitionOf(ColorRGBA), "/x")
+            connection = api_connection("/c", definition_of(ColorRGBA), "/x")
             handle = writer.connect(connection, bucket_ns=SEC)
             for n in range(BUCKETS * ROWS):
                 wire = serialize(ColorRGBA(n, n % 10, n % 100, 0.5))

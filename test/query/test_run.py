@@ -16,7 +16,7 @@ from std_msgs.msg import Float32, String
 
 from cassandra_ros import RosCassandra, Stamp
 from cassandra_ros.errors import InvalidKey, InvalidQuery
-from cassandra_ros.messages.connection import liveConnection
+from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.query.conditions import Condition
 
 TOPICS = ("/diagnostics", "/encoder", "/fix", "/joy", "/tf")
@@ -24,7 +24,7 @@ T0 = 1_400_000_000 * 10**9
 
 
 def key(ns):
-    return Stamp.fromNs(ns)
+    return Stamp.from_ns(ns)
 
 
 class Recorded:
@@ -40,7 +40,7 @@ class Recorded:
                 bag.read_messages(TOPICS, raw=True, return_connection_header=True)
             ):
                 if topic not in handles:
-                    handles[topic] = writer.connect(liveConnection(topic, header))
+                    handles[topic] = writer.connect(live_connection(topic, header))
                 writer.write(handles[topic], t.to_nsec(), number, raw[1])
                 found = self.messages.setdefault(topic, [])
                 found.append((t.to_nsec(), raw[4]().deserialize(raw[1])))
@@ -83,7 +83,7 @@ def test_conditions(husky):
 def test_the_statement_of_the_paper(husky):
     """Listing of design 4: a stretch of time of one frame, min and max of a column."""
     times = [t for t, _ in husky.messages["/tf"]]
-    t1, t2 = Stamp.fromNs(times[1000]), Stamp.fromNs(times[1500])
+    t1, t2 = Stamp.from_ns(times[1000]), Stamp.from_ns(times[1500])
     statement = (
         "select transforms.transform.translation.x from tf where transforms.child_frame_id='"
         + "/base_link"
@@ -308,7 +308,7 @@ def test_definitions_are_united(rosCas):
         from cassandra_ros.messages.classes import serialize
 
         header = {"type": msg._type, "md5sum": msg._md5sum, "message_definition": msg._full_text}
-        writer.write(writer.connect(liveConnection("/x", header)), t, t - T0, serialize(msg))
+        writer.write(writer.connect(live_connection("/x", header)), t, t - T0, serialize(msg))
 
     write(Float32(1.5), T0)
     write(NavSatFix(latitude=5.0), T0 + 1)

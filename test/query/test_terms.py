@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassandra_ros.query.pushdown import NEVER, Held, spanOf, waysOf
+from cassandra_ros.query.pushdown import NEVER, Held, span_of, ways_of
 
 OPERATORS = {
     "=": operator.eq,
@@ -89,7 +89,7 @@ def comparisons(draw):
 @given(comparisons())
 def test_the_server_leaves_nothing_out_that_matches(case):
     cql_type, value, sign, asked = case
-    ways = waysOf(Held("c", cql_type), sign, [asked])
+    ways = ways_of(Held("c", cql_type), sign, [asked])
     if OPERATORS[sign](value, asked):
         assert serverSays(cql_type, value, ways)
 
@@ -100,9 +100,9 @@ def test_nor_what_is_one_of_many(case, others):
     values = [*others, asked]
     if value in [v for v in values if v == v]:
         held = Held("c", cql_type)
-        assert serverSays(cql_type, value, waysOf(held, "=", values))
-        assert serverSays(cql_type, value, spanOf(held, values))
-        assert serverSays(cql_type, value, waysOf(Held("c", cql_type, True), "CONTAINS", values))
+        assert serverSays(cql_type, value, ways_of(held, "=", values))
+        assert serverSays(cql_type, value, span_of(held, values))
+        assert serverSays(cql_type, value, ways_of(Held("c", cql_type, True), "CONTAINS", values))
 
 
 @pytest.mark.parametrize(
@@ -120,26 +120,26 @@ def test_nor_what_is_one_of_many(case, others):
     ],
 )
 def test_what_no_column_can_hold_is_not_looked_for(cql_type, sign, asked):
-    assert waysOf(Held("c", cql_type), sign, [asked]) == NEVER
+    assert ways_of(Held("c", cql_type), sign, [asked]) == NEVER
 
 
 def test_a_bound_is_pushed_as_narrow_as_the_column_allows():
-    ((term,),) = waysOf(Held("c", "int"), ">", [5.5])
+    ((term,),) = ways_of(Held("c", "int"), ">", [5.5])
     assert term == ("c", ">=", struct.pack(">i", 6))
-    ((term,),) = waysOf(Held("c", "float"), "<", [0.1])
+    ((term,),) = ways_of(Held("c", "float"), "<", [0.1])
     assert term == ("c", "<=", struct.pack(">f", 0.1))
     zeros = [struct.pack(">d", zero) for zero in (-0.0, 0.0)]
-    assert waysOf(Held("c", "double"), "=", [0]) == (
+    assert ways_of(Held("c", "double"), "=", [0]) == (
         (("c", ">=", zeros[0]), ("c", "<=", zeros[1])),
     )
-    assert waysOf(Held("c", "double", True), "CONTAINS", [0.0]) == tuple(
+    assert ways_of(Held("c", "double", True), "CONTAINS", [0.0]) == tuple(
         (("c", "CONTAINS", zero),) for zero in zeros
     )
 
 
 def test_a_text_that_may_be_missing_in_the_column_is_not_pushed():
     held = Held("c", "text", longest=4)
-    assert waysOf(held, "=", ["äb"]) == ((("c", "=", "äb".encode()),),)
-    assert waysOf(held, "=", ["äbcd"]) is None
-    assert waysOf(held, "=", ["\ud800"]) is None
-    assert waysOf(held, "<", ["b"]) is None
+    assert ways_of(held, "=", ["äb"]) == ((("c", "=", "äb".encode()),),)
+    assert ways_of(held, "=", ["äbcd"]) is None
+    assert ways_of(held, "=", ["\ud800"]) is None
+    assert ways_of(held, "<", ["b"]) is None

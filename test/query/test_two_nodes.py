@@ -12,7 +12,7 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import Stamp
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import liveConnection
+from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.query.conditions import Condition
 from cassandra_ros.query.pushdown import PLANS
 
@@ -37,7 +37,7 @@ class Fleet:
     def _write(self, writer, topic, t, robot, n, message):
         header = {"type": message._type, "md5sum": message._md5sum}
         header["message_definition"] = message._full_text
-        handle = writer.connect(liveConnection(topic, header), bucket_ns=60 * SECOND)
+        handle = writer.connect(live_connection(topic, header), bucket_ns=60 * SECOND)
         writer.write(handle, t, n, serialize(message))
         self.messages[topic].append((t, robot, message))
 
@@ -143,13 +143,13 @@ def test_deleted_apart(fleet):
     topic = fleet.store.getTopic("point")
     low, high = T0 + 100 * SECOND, T0 + 200 * SECOND
     gone = fleet.keys("/point", lambda t, robot, m: low <= t <= high, ["husky"])
-    ends = (Stamp.fromNs(low), Stamp.fromNs(high))
+    ends = (Stamp.from_ns(low), Stamp.from_ns(high))
     assert topic.removeData(*ends, nodeID="husky") == len(gone) > 10
     # A bare time that both have, of one of them; and of the two.
     shared = T0 + 250 * SECOND
-    assert topic.removeData(Stamp.fromNs(shared), nodeID="turtle") == 1
+    assert topic.removeData(Stamp.from_ns(shared), nodeID="turtle") == 1
     gone.append((shared, "turtle"))
-    first = Stamp.fromNs(T0)
+    first = Stamp.from_ns(T0)
     assert topic.removeData(first) == 2
     gone += [(T0, robot) for robot in ROBOTS]
     left = [key for key in fleet.keys("/point") if key not in gone]
@@ -162,8 +162,8 @@ def test_deleted_apart(fleet):
     for robot in ROBOTS:
         own = [key for key in left if key[1] == robot]
         assert topic.countTopicData(nodeID=robot) == len(own)
-        rows = Condition("point.x >= 0", nodeID=robot).rows(topic)
+        rows = Condition("point.x >= 0", node=robot).rows(topic)
         assert [(row.t, row.node) for row in rows] == own
     # The other topic is as it was.
     assert fleet.store.getTopic("tf").countTopicData() == 2 * COUNT
-    assert topic.removeData(Stamp.fromNs(0), Stamp.fromNs(high * 2), nodeID="nobody") == 0
+    assert topic.removeData(Stamp.from_ns(0), Stamp.from_ns(high * 2), nodeID="nobody") == 0

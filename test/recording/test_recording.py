@@ -15,8 +15,15 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Header, String
 
 from cassandra_ros.errors import ClockNotSet
-from cassandra_ros.messages.connection import liveConnection
-from cassandra_ros.recording.buffer import ITEM_BYTES, Buffer, Feed, Item, Source, startsWithHeader
+from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.recording.buffer import (
+    ITEM_BYTES,
+    Buffer,
+    Feed,
+    Item,
+    Source,
+    starts_with_header,
+)
 from cassandra_ros.recording.counts import Counts
 from cassandra_ros.recording.recording import Recording
 
@@ -85,7 +92,7 @@ def test_buffer_ends():
 def gaps(*runs):
     """Gaps after runs of sequence numbers, each over a connection of its own."""
     counts = Counts()
-    source = Source(liveConnection("/t", header_of(Imu)))
+    source = Source(live_connection("/t", header_of(Imu)))
     for run in runs:
         feed = Feed({}, source)
         for number in run:
@@ -106,16 +113,16 @@ def test_gaps_before_us():
 
 
 def test_only_a_header_that_comes_first_is_read():
-    assert startsWithHeader("# comment\n\nint32 A=5\nHeader header  # x\nint32 x")
-    assert startsWithHeader("std_msgs/Header h")
-    assert not startsWithHeader("int32 x\nHeader header")
-    assert not startsWithHeader("")
-    assert not startsWithHeader("=" * 80 + "\nMSG: std_msgs/Header\nHeader h")
+    assert starts_with_header("# comment\n\nint32 A=5\nHeader header  # x\nint32 x")
+    assert starts_with_header("std_msgs/Header h")
+    assert not starts_with_header("int32 x\nHeader header")
+    assert not starts_with_header("")
+    assert not starts_with_header("=" * 80 + "\nMSG: std_msgs/Header\nHeader h")
 
 
 @given(st.text())
 def test_any_definition_text(definition):
-    startsWithHeader(definition)
+    starts_with_header(definition)
 
 
 # -------------------------------------------------------------------- the whole
@@ -133,7 +140,7 @@ def test_messages_are_stored_as_they_came(rosCas):
     assert [row.wire for row in rows] == [text(n) for n in range(500)]
     assert before <= rows[0].t <= rows[-1].t <= time.time_ns()
     assert {row.node for row in rows} == {"husky"}
-    assert rows[0].connection == liveConnection("/text", header)
+    assert rows[0].connection == live_connection("/text", header)
     assert report.types == ("std_msgs/String",)
     (run,) = rosCas.runs()
     assert (run.kind, run.node, run.stored) == ("recording", "husky", {"/text": 500})
@@ -187,8 +194,8 @@ def test_the_limit(rosCas):
     for n in range(10):
         recorder.received("/a", header_of(String), text(n))
     recorder.received("/b", header_of(String), text(0))
-    assert recorder.isComplete("/a")
-    assert not recorder.isComplete("/b")
+    assert recorder.is_complete("/a")
+    assert not recorder.is_complete("/b")
     reports = by_topic(recorder.close())
     assert (reports["/a"].stored, reports["/b"].stored) == (3, 1)
     assert [row.wire for row in rosCas.getTopic("/a").rows()] == [text(n) for n in range(3)]
@@ -227,7 +234,7 @@ def test_headers_that_lack_or_lie(rosCas, header):
     assert reports["/good"].stored == 1
     rows = list(rosCas.getTopic("/text").rows())
     assert [row.wire for row in rows] == wires
-    assert rows[0].connection == liveConnection("/text", header)
+    assert rows[0].connection == live_connection("/text", header)
 
 
 def test_a_topic_that_cannot_have_a_table(rosCas):

@@ -21,8 +21,8 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros import RosCassandra
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection, liveConnection
-from cassandra_ros.messages.definition import definitionOf, parseDefinition
+from cassandra_ros.messages.connection import api_connection, live_connection
+from cassandra_ros.messages.definition import definition_of, parse_definition
 
 FOLDER = Path(__file__).with_name("rows_v1")
 KEYSPACE = "rows_v1"
@@ -53,9 +53,9 @@ def fill(rosCas, form):
         counter = iter(range(1000))
 
         def write(topic, cls, wire, **header):
-            connection = apiConnection(f"/{form}/{topic}", definitionOf(cls), "/maker")
+            connection = api_connection(f"/{form}/{topic}", definition_of(cls), "/maker")
             if header:
-                connection = liveConnection(connection.topic, header)
+                connection = live_connection(connection.topic, header)
             number = next(counter)
             writer.write(writer.connect(connection), T0 + number * 10**8, number, wire)
 
@@ -74,11 +74,11 @@ def fill(rosCas, form):
         old_name = other("tf/tfMessage", TFMessage._md5sum, TFMessage._full_text)
         write("tf", TFMessage, tf, **old_name)
         write("big", UInt8MultiArray, serialize(UInt8MultiArray(data=bytes(600_000))))
-        md5sum = parseDefinition("lost_msgs/Thing", THING).md5sum
+        md5sum = parse_definition("lost_msgs/Thing", THING).md5sum
         write("thing", String, THING_WIRE, **other("lost_msgs/Thing", md5sum, THING))
         # An installed type that had other fields when it was recorded.
         old = "string data\nint8 level\n"
-        md5sum = parseDefinition("std_msgs/String", old).md5sum
+        md5sum = parse_definition("std_msgs/String", old).md5sum
         old_string = other("std_msgs/String", md5sum, old)
         write("text", String, serialize(String(data="old")) + b"\5", **old_string)
 
@@ -133,7 +133,7 @@ def dump(rosCas, table, comment):
     statements, names = table_text(rosCas, table)
     listing = ", ".join(f'"{name}"' for name in names)
     statement = rosCas.cassandra.prepare(f'SELECT {listing} FROM {KEYSPACE}."{table}"')
-    rows = rosCas.cassandra.sendRaw(statement.bind(())).result()
+    rows = rosCas.cassandra.send_raw(statement.bind(())).result()
     return {
         **{"table": table, "comment": comment, "statements": statements, "columns": names},
         "rows": [[short(value) for value in row] for row in rows],

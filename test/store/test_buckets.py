@@ -13,8 +13,8 @@ from cassandra_ros.store.directory import (
     MAX_BUCKET_BYTES,
     MAX_BUCKET_ROWS,
     SECOND_NS,
-    bucketFor,
-    limitForTtl,
+    bucket_for,
+    limit_for_ttl,
 )
 
 LONGEST = BUCKET_LENGTHS[-1]
@@ -24,30 +24,30 @@ PAIRS = list(zip(BUCKET_LENGTHS, BUCKET_LENGTHS[1:]))
 @pytest.mark.parametrize(("shorter", "length"), PAIRS)
 def test_a_bucket_may_be_filled_to_its_bounds(shorter, length):
     seconds = length // SECOND_NS
-    assert bucketFor(MAX_BUCKET_ROWS / seconds, 0.0) == length
-    assert bucketFor((MAX_BUCKET_ROWS + 1) / seconds, 0.0) == shorter
-    assert bucketFor(0.0, (MAX_BUCKET_BYTES - 1) / seconds) == length
-    assert bucketFor(0.0, (MAX_BUCKET_BYTES + 1) / seconds) == shorter
-    assert bucketFor(0.0, 0.0, length) == length
-    assert bucketFor(0.0, 0.0, length - 1) == shorter
+    assert bucket_for(MAX_BUCKET_ROWS / seconds, 0.0) == length
+    assert bucket_for((MAX_BUCKET_ROWS + 1) / seconds, 0.0) == shorter
+    assert bucket_for(0.0, (MAX_BUCKET_BYTES - 1) / seconds) == length
+    assert bucket_for(0.0, (MAX_BUCKET_BYTES + 1) / seconds) == shorter
+    assert bucket_for(0.0, 0.0, length) == length
+    assert bucket_for(0.0, 0.0, length - 1) == shorter
 
 
 def test_what_fits_no_bucket_has_the_shortest():
-    assert bucketFor(1e9, 1e12) == BUCKET_LENGTHS[0]
-    assert bucketFor(0.0, 0.0) == LONGEST
+    assert bucket_for(1e9, 1e12) == BUCKET_LENGTHS[0]
+    assert bucket_for(0.0, 0.0) == LONGEST
 
 
 @pytest.mark.parametrize(("shorter", "length"), PAIRS)
 def test_24_buckets_fit_into_a_ttl(shorter, length):
     ttl_sec = 24 * length // SECOND_NS
-    assert limitForTtl(LONGEST, ttl_sec) == length
-    assert limitForTtl(LONGEST, ttl_sec - 1) == shorter
-    assert limitForTtl(shorter, ttl_sec) == shorter
-    assert limitForTtl(length, 0) == length
+    assert limit_for_ttl(LONGEST, ttl_sec) == length
+    assert limit_for_ttl(LONGEST, ttl_sec - 1) == shorter
+    assert limit_for_ttl(shorter, ttl_sec) == shorter
+    assert limit_for_ttl(length, 0) == length
 
 
 def test_the_shortest_ttl_has_the_shortest_buckets():
-    assert limitForTtl(LONGEST, 1) == BUCKET_LENGTHS[0]
+    assert limit_for_ttl(LONGEST, 1) == BUCKET_LENGTHS[0]
 
 
 def test_ends_of_a_ttl():

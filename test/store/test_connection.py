@@ -9,8 +9,8 @@ from std_msgs.msg import String
 
 from cassandra_ros import Cassandra, RosCassandra
 from cassandra_ros.errors import ConnectionFailed, InvalidOption, WriteFailed
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 
 SEC = 10**9
 
@@ -86,7 +86,7 @@ def test_a_closed_connection_says_so_at_once(stored, caplog):
         lambda: store.connectToKeyspace(store.keyspace),
         lambda: store.connectToKeyspace(store.keyspace, make=False),
         lambda: store.messageWriter(),
-        lambda: writer.connect(apiConnection("/a", definitionOf(String), "")),
+        lambda: writer.connect(api_connection("/a", definition_of(String), "")),
         lambda: topic.getMeta["type"],
         lambda: topic.getData(0),
         lambda: topic.getData(0, nearest="before"),
@@ -97,7 +97,7 @@ def test_a_closed_connection_says_so_at_once(stored, caplog):
         lambda: topic.setMeta(site="lab"),
         lambda: list(topic.items()),
         lambda: store.cassandra.execute("SELECT * FROM system.local"),
-        lambda: store.cassandra.schemaChange("DROP TABLE none.none", what="a test"),
+        lambda: store.cassandra.schema_change("DROP TABLE none.none", what="a test"),
         *(lambda one=one: next(one) for one in begun),
     ]
     for use in uses:
@@ -112,7 +112,7 @@ def test_a_closed_connection_says_so_at_once(stored, caplog):
 def test_what_a_writer_has_not_sent_when_the_connection_is_closed_is_lost(connect, keyspace):
     lost = []
     store = connect(keyspace=keyspace)
-    connection = apiConnection("/a", definitionOf(String), "")
+    connection = api_connection("/a", definition_of(String), "")
     loud = store.messageWriter(linger_sec=3600)
     quiet = store.messageWriter(linger_sec=3600, on_loss=lambda *what: lost.append(what[:2]))
     for writer in (loud, quiet):

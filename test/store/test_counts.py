@@ -9,8 +9,8 @@ from nodes.children import await_true
 from std_msgs.msg import String
 
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store import counting, directory, writer
 
 SEC = 10**9
@@ -22,7 +22,7 @@ def wire_of(number):
 
 
 def write(target, numbers):
-    handle = target.connect(apiConnection("/a", definitionOf(String), "/x"), bucket_ns=600 * SEC)
+    handle = target.connect(api_connection("/a", definition_of(String), "/x"), bucket_ns=600 * SEC)
     for number in numbers:
         target.write(handle, T0 + number, number, wire_of(number))
 
@@ -30,7 +30,7 @@ def write(target, numbers):
 def listed(rosCas):
     """What the directory says of the one bucket: writer → its row."""
     (table,) = rosCas.getTopic("/a").tables
-    rows = rosCas.parts.directory.find(table.name, "", table.bucketOf(T0))
+    rows = rosCas.parts.directory.find(table.name, "", table.bucket_of(T0))
     return {row.writer: row for row in rows}
 
 
@@ -193,7 +193,7 @@ def test_a_recount_gives_what_the_writer_has_counted(rosCas):
     large = serialize(String(data="x" * 600_000))
     with rosCas.messageWriter(writer_id=9) as target:
         write(target, range(10))
-        handle = target.connect(apiConnection("/a", definitionOf(String), "/x"))
+        handle = target.connect(api_connection("/a", definition_of(String), "/x"))
         for number, wire in ((20, odd), (30, large), (31, odd)):
             target.write(handle, T0 + number, number, wire)
     told = listed(rosCas)[9]
@@ -223,7 +223,7 @@ def test_a_count_ends_where_its_times_end(rosCas):
     borders = [T0 + number * SEC for number in range(4)]
     times = [border + more for border in borders for more in (-1, 0, 1)]
     with rosCas.messageWriter() as target:
-        connection = apiConnection("/a", definitionOf(String), "/x")
+        connection = api_connection("/a", definition_of(String), "/x")
         handle = target.connect(connection, bucket_ns=SEC)
         for number, t in enumerate(times):
             target.write(handle, t, number, wire_of(number))
@@ -297,13 +297,13 @@ def test_rows_that_are_written_and_deleted_at_once_are_not_counted(
 
 def test_the_note_of_a_node_outlives_the_rows_that_rely_on_it(rosCas, monkeypatch):
     noted, ttl = [], 1000
-    add_node = directory.Directory.addNode
+    add_node = directory.Directory.add_node
 
     def adding(self, table, slot, node, ttl=0):
         noted.append(ttl)
         add_node(self, table, slot, node, ttl)
 
-    monkeypatch.setattr(directory.Directory, "addNode", adding)
+    monkeypatch.setattr(directory.Directory, "add_node", adding)
     with rosCas.messageWriter(ttl=ttl) as target:
         write(target, range(3))
         # A row that is written right before the note is renewed lives for its ttl from then on.

@@ -17,8 +17,8 @@ from std_msgs.msg import Header, String, UInt8MultiArray
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store import counting, fetch, flight, reader
 from cassandra_ros.store import writer as writing
 from cassandra_ros.store.index import backfill
@@ -43,7 +43,7 @@ def far(proxy, keyspace):
 
 
 def connect(writer, topic, cls, **options):
-    return writer.connect(apiConnection(topic, definitionOf(cls), "/x"), **options)
+    return writer.connect(api_connection(topic, definition_of(cls), "/x"), **options)
 
 
 # ------------------------------------------------------------------ chunks and their row
@@ -103,7 +103,7 @@ def write(writer, numbers, **options):
 def directory_of(rosCas, node=""):
     """What each writer says of the one bucket of /a: writer → its row."""
     (table,) = rosCas.getTopic("/a").tables
-    rows = rosCas.parts.directory.find(table.name, node, table.bucketOf(T0))
+    rows = rosCas.parts.directory.find(table.name, node, table.bucket_of(T0))
     return {row.writer: row for row in rows}
 
 
@@ -175,7 +175,7 @@ def test_the_time_of_a_request_begins_when_its_turn_comes(far, proxy, monkeypatc
     )
     first = proxy.catch(marked(b"the first"), failed=False).hold()
     second = proxy.catch(marked(b"the second"), most=1)
-    requests = flight.Flight(far.cassandra.sendRaw)
+    requests = flight.Flight(far.cassandra.send_raw)
     requests.submit(bind(statement, (b"a", b"a", b"the first")), 10, outcomes.append)
     first.wait()
     sending = threading.Thread(

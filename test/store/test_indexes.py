@@ -17,9 +17,9 @@ from cassandra_ros import RosCassandra
 from cassandra_ros.arguments import MAX_TTL_SEC, check_ttl
 from cassandra_ros.errors import InvalidOption, SchemaConflict, StoreUnavailable, TopicNotFound
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
-from cassandra_ros.metadata import TopicMetadata, fromComment
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.metadata import TopicMetadata, from_comment
 from cassandra_ros.store import schema as schema_module
 from cassandra_ros.store.directory import BucketTotals
 from cassandra_ros.store.index import changes as index_changes
@@ -34,7 +34,9 @@ T0 = 1_500_000_000 * SEC
 def store(rosCas, name, count, cls=String, **options):
     """Store texts '0', '1', … in one bucket, as a recording that has ended; return the table."""
     with rosCas.messageWriter(**options) as writer:
-        handle = writer.connect(apiConnection(name, definitionOf(cls), "/w"), bucket_ns=3600 * SEC)
+        handle = writer.connect(
+            api_connection(name, definition_of(cls), "/w"), bucket_ns=3600 * SEC
+        )
         for number in range(count):
             message = cls(str(number) if cls is String else float(number))
             writer.write(handle, T0 + number, number, serialize(message))
@@ -44,7 +46,7 @@ def store(rosCas, name, count, cls=String, **options):
 def add(rosCas, table, cql_type="text", field="data"):
     """Make an index that nobody fills; return its column."""
     rosCas.parts.indexes.add(table.metadata.topic, field, lambda metadata: cql_type)
-    return rosCas.parts.tables.byName(table.name).metadata.indexes[field]
+    return rosCas.parts.tables.by_name(table.name).metadata.indexes[field]
 
 
 def select(cql, table, what):
@@ -65,7 +67,7 @@ def index_names(cql, rosCas, table):
 def test_a_row_deleted_between_read_and_write_stays_deleted(rosCas, cql):
     table = store(rosCas, "/t", 20)
     backfill = Backfill(table, add(rosCas, table))
-    (page,) = backfill.pages("", table.bucketOf(T0), 10)
+    (page,) = backfill.pages("", table.bucket_of(T0), 10)
     assert rosCas.getTopic("/t").removeData(T0 + 3, T0 + 9) == 7
     backfill.write(
         [Update(written, None if n % 5 == 4 else b"v") for n, written in enumerate(page)]
@@ -82,11 +84,11 @@ def test_a_row_written_anew_keeps_its_new_value(rosCas, cql):
     table = store(rosCas, "/t", 2, writer_id=9)
     shadow = add(rosCas, table)
     backfill = Backfill(table, shadow)
-    (page,) = backfill.pages("", table.bucketOf(T0), 10)
+    (page,) = backfill.pages("", table.bucket_of(T0), 10)
     cql.execute(
         f'UPDATE {table.qualified} SET "_ix0" = \'newer\' WHERE "_node" = \'\' AND "_bucket" = %s '
         'AND "_t" = %s AND "_seq" = %s',
-        (table.bucketOf(T0), T0, page[0].row.seq),
+        (table.bucket_of(T0), T0, page[0].row.seq),
     )
     backfill.write([Update(written, b"older") for written in page])
     assert select(cql, table, '"_ix0"') == [("newer",), ("older",)]
@@ -96,10 +98,10 @@ def test_pages_are_small_where_messages_are_large(rosCas):
     table = store(rosCas, "/t", 2500)
     backfill = Backfill(table, add(rosCas, table))
     for largest, most in ((10, 1000), (2 * 1024 * 1024 // 7, 6), (10**8, 1)):
-        pages = backfill.pages("", table.bucketOf(T0), largest)
+        pages = backfill.pages("", table.bucket_of(T0), largest)
         sizes = [len(page) for _, page in zip(range(4), pages)]
         assert max(sizes) == sizes[0] == most
-    every = [w.row.seq for page in backfill.pages("", table.bucketOf(T0), 10) for w in page]
+    every = [w.row.seq for page in backfill.pages("", table.bucket_of(T0), 10) for w in page]
     assert len(every) == len(set(every)) == 2500
 
 
@@ -118,7 +120,7 @@ def test_what_is_left_of_a_row_when_it_expires_is_no_row(rosCas, cql):
         topic_name = f"/t{ttl}"
         table = store(rosCas, topic_name, 20, ttl=ttl)
         backfill = Backfill(table, add(rosCas, table))
-        pages = list(backfill.pages("", table.bucketOf(T0), 10))
+        pages = list(backfill.pages("", table.bucket_of(T0), 10))
         for page in pages:
             # As if the server had been slow: the values stay much longer.
             backfill.write([Update(written._replace(ttl=600), b"v") for written in page])
@@ -133,7 +135,7 @@ def test_what_is_left_of_a_row_when_it_expires_is_no_row(rosCas, cql):
     assert list(topic.rows()) == list(topic.rows(reverse=True)) == []
     assert topic.getData(T0, default=None) is None and topic.first() is None
     assert topic.countTopicData(T0, T0 + 3) == 0
-    assert [page for page in backfill.pages("", table.bucketOf(T0), 10) if page] == []
+    assert [page for page in backfill.pages("", table.bucket_of(T0), 10) if page] == []
 
 
 def test_without_a_ttl_a_value_stays(rosCas, cql):
@@ -150,19 +152,19 @@ def test_without_a_ttl_a_value_stays(rosCas, cql):
 def test_what_a_recount_says_fails_where_something_changed(rosCas):
     table = store(rosCas, "/t", 5, writer_id=7)
     directory = rosCas.parts.directory
-    place = (table.name, "", table.bucketOf(T0), 7)
+    place = (table.name, "", table.bucket_of(T0), 7)
     (row,) = directory.find(*place[:3])
     assert row.closed and row.filled == frozenset()
     time.sleep(0.005)
     directory.mark(place, 0, {"_ix0"})
     wanted = row._replace(filled=frozenset({"_ix1"}))
-    assert directory.putRecount(table.name, wanted, BucketTotals(), 0) is False
+    assert directory.put_recount(table.name, wanted, BucketTotals(), 0) is False
     (row,) = directory.find(*place[:3])
     assert not row.closed and row.filled == {"_ix0"} and row.rows == 5
     wanted = row._replace(filled=row.filled | {"_ix1"})
     totals = BucketTotals(5, 50, 10, T0, T0 + 4, 3)
-    assert directory.putRecount(table.name, wanted, totals, 0) is True
-    (row,) = directory.buckets(table.name, *(table.bucketOf(T0),) * 2)
+    assert directory.put_recount(table.name, wanted, totals, 0) is True
+    (row,) = directory.buckets(table.name, *(table.bucket_of(T0),) * 2)
     assert row.closed and row.filled == {"_ix0", "_ix1"} and (row.rows, row.odd) == (5, 3)
     directory.mark(place, 0, (), totals, closed=True)
     assert directory.find(*place[:3])[0].filled == frozenset()
@@ -170,13 +172,13 @@ def test_what_a_recount_says_fails_where_something_changed(rosCas):
 
 def test_rows_of_an_earlier_release_fill_nothing(rosCas, cql):
     table = store(rosCas, "/t", 5)
-    (row,) = rosCas.parts.directory.buckets(table.name, *(table.bucketOf(T0),) * 2)
+    (row,) = rosCas.parts.directory.buckets(table.name, *(table.bucket_of(T0),) * 2)
     cql.execute(
         f"DELETE filled FROM {rosCas.keyspace}.cr_bucket "
         "WHERE tbl = %s AND node = '' AND slot = %s AND bucket = %s AND writer = %s",
         (table.name, row.bucket // 4096, row.bucket, row.writer),
     )
-    (row,) = rosCas.parts.directory.buckets(table.name, *(table.bucketOf(T0),) * 2)
+    (row,) = rosCas.parts.directory.buckets(table.name, *(table.bucket_of(T0),) * 2)
     assert row.filled == frozenset() and row.closed
     assert rosCas.getTopic("/t").createIndex("data") == 5
 
@@ -186,7 +188,7 @@ def test_a_writer_does_not_list_what_its_earlier_rows_lack(rosCas):
     assert add(rosCas, table) == "_ix0"
     store(rosCas, "/t", 5, writer_id=9)
     store(rosCas, "/t", 5, writer_id=10)
-    ends = (table.bucketOf(T0),) * 2
+    ends = (table.bucket_of(T0),) * 2
     rows = {row.writer: row.filled for row in rosCas.parts.directory.buckets(table.name, *ends)}
     assert rows == {9: frozenset(), 10: {"_ix0"}}
     assert rosCas.getTopic("/t").createIndex("data") == 10
@@ -199,7 +201,7 @@ class Crash(Exception):
     pass
 
 
-@pytest.mark.parametrize("step", ["createIndex", "setComment"])
+@pytest.mark.parametrize("step", ["createIndex", "set_comment"])
 def test_a_crash_between_the_steps_is_completed(rosCas, cql, monkeypatch, step):
     table = store(rosCas, "/t", 5)
     topic, schema = rosCas.getTopic("/t"), rosCas.parts.schema
@@ -271,7 +273,7 @@ def test_no_index_is_made_while_files_are_merged(rosCas, cql, monkeypatch):
     assert topic.createIndex("data") == 5
 
 
-@pytest.mark.parametrize("step", ["_alter", "_awaitQuiet"])
+@pytest.mark.parametrize("step", ["_alter", "_await_quiet"])
 def test_a_pause_that_fails_is_told(rosCas, cql, monkeypatch, caplog, step):
     table = store(rosCas, "/t", 5)
     topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
@@ -346,7 +348,7 @@ def test_the_first_error_is_told(rosCas, cql, monkeypatch, caplog):
         raise StoreUnavailable("the server is gone for good")
 
     def first(*args):
-        monkeypatch.setattr(rosCas.cassandra, "executeOnce", gone)
+        monkeypatch.setattr(rosCas.cassandra, "execute_once", gone)
         raise StoreUnavailable("the server is gone")
 
     monkeypatch.setattr(rosCas.parts.schema, "createIndex", first)
@@ -410,13 +412,13 @@ def test_an_index_that_was_made_while_files_were_merged_is_made_anew(rosCas, cql
     topic, cassandra, sent = rosCas.getTopic("/t"), rosCas.cassandra, []
     cql.execute(f'ALTER TABLE {table.qualified} ADD "_ix0" text')
     rosCas.parts.schema.createIndex(table.name, "_ix0")
-    change = cassandra.schemaChange
+    change = cassandra.schema_change
 
     def look(statement, *, what):
         sent.append(statement)
         change(statement, what=what)
 
-    monkeypatch.setattr(cassandra, "schemaChange", look)
+    monkeypatch.setattr(cassandra, "schema_change", look)
     assert topic.createIndex("data") == 5
     steps = [" ".join(statement.split()[:2]) for statement in sent]
     assert steps == ["DROP INDEX", "ALTER TABLE", "CREATE INDEX", "ALTER TABLE", "ALTER TABLE"]
@@ -464,9 +466,9 @@ def watch_a_build(rosCas, monkeypatch, topic, rows):
             index = f'{table.name}{column} ON {table.qualified} ("{column}")'
             # The statement ends when all agree upon the schema, perhaps after the build.
             made = other.submit(
-                cassandra.schemaChange, f"CREATE INDEX {index} USING 'sai'", what="making an index"
+                cassandra.schema_change, f"CREATE INDEX {index} USING 'sai'", what="making an index"
             )
-            files.awaitBuilds(names, 60)
+            files.await_builds(names, 60)
             made.result()
     monkeypatch.undo()
     return [look for look in seen if any(look[1].values())]
@@ -539,7 +541,7 @@ def test_a_column_that_was_left_of_another_type_is_passed_over(rosCas, cql):
     cql.execute(f'ALTER TABLE {table.qualified} ADD "_ix0" text')
     rosCas.getTopic("/t").createIndex("data")
     metadata = rosCas.getTopic("/t").tables[0].metadata
-    assert (dict(metadata.indexes), metadata.nextShadow) == ({"data": "_ix1"}, 2)
+    assert (dict(metadata.indexes), metadata.next_shadow) == ({"data": "_ix1"}, 2)
 
 
 def test_an_index_that_its_comment_lists_is_made_where_it_is_missing(rosCas, cql):
@@ -568,7 +570,7 @@ def test_a_crash_while_removing_is_completed(rosCas, cql, monkeypatch):
     table = store(rosCas, "/t", 5)
     topic, cassandra = rosCas.getTopic("/t"), rosCas.cassandra
     topic.createIndex("data")
-    change = cassandra.schemaChange
+    change = cassandra.schema_change
 
     def crash(statement, *, what):
         if statement.startswith("DROP INDEX"):
@@ -576,7 +578,7 @@ def test_a_crash_while_removing_is_completed(rosCas, cql, monkeypatch):
         change(statement, what=what)
 
     with monkeypatch.context() as broken:
-        broken.setattr(cassandra, "schemaChange", crash)
+        broken.setattr(cassandra, "schema_change", crash)
         with pytest.raises(Crash):
             topic.removeIndex("data")
     rosCas.parts.schema.tables(fresh=True)
@@ -597,13 +599,13 @@ def test_a_topic_that_is_gone(rosCas):
 
 def test_comments_of_earlier_releases_are_read():
     old = TopicMetadata("/t", "a/B", "0" * 32, "ros", SEC, indexes={"data": "_ix0"})
-    comment = old.toComment().replace('"index_count": 0, ', "")
+    comment = old.to_comment().replace('"index_count": 0, ', "")
     assert "index_count" not in comment
-    read = fromComment(comment, "t")
-    assert read == old and read.nextShadow == 1
-    assert read.withoutIndex("data").nextShadow == 1
-    assert read.withoutIndex("data").withIndex("x", 1).indexes == {"x": "_ix1"}
-    assert TopicMetadata("/t", "a/B", "", "ros", SEC).nextShadow == 0
+    read = from_comment(comment, "t")
+    assert read == old and read.next_shadow == 1
+    assert read.without_index("data").next_shadow == 1
+    assert read.without_index("data").with_index("x", 1).indexes == {"x": "_ix1"}
+    assert TopicMetadata("/t", "a/B", "", "ros", SEC).next_shadow == 0
 
 
 # ---------------------------------------------------------------- times to live
@@ -627,17 +629,17 @@ def test_a_slot_is_noted_again_while_it_is_written(rosCas, monkeypatch):
     from cassandra_ros.store import directory as listing
 
     writer = rosCas.messageWriter(ttl=500)
-    handle = writer.connect(apiConnection("/t", definitionOf(String), "/w"), bucket_ns=600 * SEC)
+    handle = writer.connect(api_connection("/t", definition_of(String), "/w"), bucket_ns=600 * SEC)
 
     noted = []
     directory = writer._rows._directory
-    add_node = directory.addNode
+    add_node = directory.add_node
 
     def counting(table, slot, node, ttl=0):
         noted.append(ttl)
         add_node(table, slot, node, ttl)
 
-    monkeypatch.setattr(directory, "addNode", counting)
+    monkeypatch.setattr(directory, "add_node", counting)
     clock = [time.monotonic()]
     monkeypatch.setattr(listing, "time", SimpleNamespace(monotonic=lambda: clock[0]))
     wire = serialize(String(data="x"))

@@ -16,13 +16,13 @@ from cassandra.query import SimpleStatement
 from std_msgs.msg import UInt8MultiArray
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.importer import importBag
+from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
 from cassandra_ros.local_server import LocalCluster, free_port
 from cassandra_ros.local_server.settings import OWN_HEAP_MB
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store.row_table import CHUNK_BYTES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -47,7 +47,7 @@ def messageOf(size):
 
 
 def connect(writer):
-    return writer.connect(apiConnection("/big", definitionOf(UInt8MultiArray), "/x"))
+    return writer.connect(api_connection("/big", definition_of(UInt8MultiArray), "/x"))
 
 
 def chunksOf(cql, rosCas):
@@ -101,8 +101,8 @@ HALF_WRITTEN = """
 import os, signal, sys
 from cassandra_ros import RosCassandra
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store.flight import Flight
 from cassandra_ros.store.large import LargeMessages
 from std_msgs.msg import UInt8MultiArray
@@ -110,7 +110,7 @@ from std_msgs.msg import UInt8MultiArray
 host, port, keyspace, where = sys.argv[1:]
 rosCas = RosCassandra(host, int(port), keyspace=keyspace)
 writer = rosCas.messageWriter(writer_id=77)
-handle = writer.connect(apiConnection("/big", definitionOf(UInt8MultiArray), "/x"))
+handle = writer.connect(api_connection("/big", definition_of(UInt8MultiArray), "/x"))
 wires = [serialize(UInt8MultiArray(data=bytes([n]) * 3_000_000)) for n in range(2)]
 writer.write(handle, 10**18, 0, wires[0])
 writer.flush()
@@ -183,7 +183,7 @@ def test_what_was_changed_is_corrupt_and_the_others_are_not(rosCas, cql):
 
     def change(n, statement):
         where = (
-            f'"_node" = \'\' AND "_bucket" = {table.bucketOf(T0 + n)} AND "_t" = {T0 + n} '
+            f'"_node" = \'\' AND "_bucket" = {table.bucket_of(T0 + n)} AND "_t" = {T0 + n} '
             f'AND "_seq" = {keys[n].seq}'
         )
         if "$" in statement:
@@ -209,8 +209,8 @@ def test_what_was_changed_is_corrupt_and_the_others_are_not(rosCas, cql):
 HUGE = """
 import hashlib, resource, sys
 from cassandra_ros import RosCassandra
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 from std_msgs.msg import UInt8MultiArray
 
 host, port, keyspace, verb = sys.argv[1:]
@@ -225,7 +225,7 @@ with RosCassandra(host, int(port), keyspace=keyspace) as rosCas:
         wire = b"".join([head] + [block] * (size // len(block)) + last)
         before = peak()
         with rosCas.messageWriter(format="binary") as writer:
-            handle = writer.connect(apiConnection("/big", definitionOf(UInt8MultiArray), "/x"))
+            handle = writer.connect(api_connection("/big", definition_of(UInt8MultiArray), "/x"))
             writer.write(handle, 10**18, 0, wire)
     else:
         wire = rosCas.getTopic("/big").getRow(10**18).wire
@@ -248,7 +248,7 @@ def test_200_megabytes_after_other_work(smallest_server, bags):
     (server,) = smallest_server.status()
     host, port = server.node.address, smallest_server.settings.port
     with RosCassandra(host, port, keyspace="robot") as rosCas:
-        importBag(rosCas, bags / "turtlesim_tf.bag", format="ros")
+        import_bag(rosCas, bags / "turtlesim_tf.bag", format="ros")
         _huge(rosCas, host, port)
     assert smallest_server.status() == [server]  # and not one that was started anew
 

@@ -57,7 +57,7 @@ def test_all_rows_are_read(cassandra, new_keyspace, cql):
                 [*facts, long(wire)] for *facts, wire in messages
             ]
             for row in rows:
-                cls = row.messageClass()
+                cls = row.message_class()
                 assert (cls._type, cls._md5sum) == (row.type, row.md5sum)
                 # An installed type only where it is the one that was recorded.
                 assert (cls is String) == (row.md5sum == String._md5sum)

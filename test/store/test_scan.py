@@ -11,8 +11,8 @@ from std_msgs.msg import UInt32
 
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store import reader
 
 SEC = 10**9
@@ -54,7 +54,7 @@ def filled(rosCas):
     for node, writer_id in (("", 5), ("r1", 3)):
         with rosCas.messageWriter(format="ros", writer_id=writer_id, nodeID=node) as writer:
             handle = writer.connect(
-                apiConnection("/n", definitionOf(UInt32), "/x"), bucket_ns=SEC, format="ros"
+                api_connection("/n", definition_of(UInt32), "/x"), bucket_ns=SEC, format="ros"
             )
             for n in range(300):
                 writer.write(handle, T0 + n // 2 * SEC // 5, n, serialize(UInt32(data=n)))

@@ -11,8 +11,8 @@ from std_msgs.msg import UInt8MultiArray
 
 from cassandra_ros.errors import MessageNotFound
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -20,7 +20,7 @@ DAY_SEC = 86_400
 
 
 def fill(writer, count, size=10):
-    handle = writer.connect(apiConnection("/a", definitionOf(UInt8MultiArray), "/x"))
+    handle = writer.connect(api_connection("/a", definition_of(UInt8MultiArray), "/x"))
     for n in range(count):
         writer.write(handle, T0 + n * SEC, n, serialize(UInt8MultiArray(data=bytes(size))))
 
@@ -103,13 +103,13 @@ def test_what_has_expired_is_not_there(rosCas, cql):
 @pytest.fixture
 def asked(rosCas, monkeypatch):
     """The partitions that were asked for since the list was cleared."""
-    found, send = [], rosCas.cassandra.sendRaw
+    found, send = [], rosCas.cassandra.send_raw
 
     def noting(statement, *rest):
         found.append(statement)
         return send(statement, *rest)
 
-    monkeypatch.setattr(rosCas.cassandra, "sendRaw", noting)
+    monkeypatch.setattr(rosCas.cassandra, "send_raw", noting)
     return found
 
 

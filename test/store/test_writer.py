@@ -13,10 +13,10 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import String, UInt8MultiArray
 
 from cassandra_ros.errors import CorruptMessage, WriteFailed
-from cassandra_ros.keys import splitSeq
+from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store.directory import BucketTotals
 from cassandra_ros.store.row_table import CHUNK_BYTES
 
@@ -25,7 +25,7 @@ T0 = 1_500_000_000 * SEC
 
 
 def connection(topic, cls):
-    return apiConnection(topic, definitionOf(cls), "/test")
+    return api_connection(topic, definition_of(cls), "/test")
 
 
 def wireOf(number, size=20):
@@ -49,7 +49,7 @@ def test_equal_stamps_are_two_messages(rosCas, format_name):
             writer.write(handle, T0, number, wireOf(number))
     rows = list(rosCas.getTopic("/a").rows())
     assert [row.wire for row in rows] == [wireOf(number) for number in range(500)]
-    assert [splitSeq(row.seq)[1] for row in rows] == list(range(500))
+    assert [split_seq(row.seq)[1] for row in rows] == list(range(500))
 
 
 def test_counts_come_from_the_directory(rosCas, cql):
@@ -113,7 +113,7 @@ def test_a_stale_open_bucket_is_recounted_and_closed(rosCas, monkeypatch):
         writer.write(handle, T0 + number, number, wireOf(number))
     writer.flush()
     directory, name = rosCas.parts.directory, handle.table.name
-    bucket = handle.table.bucketOf(T0)
+    bucket = handle.table.bucket_of(T0)
     assert rosCas.info(["/a"])[0].count == 10
     assert not directory.find(name, "", bucket)[0].closed
     monkeypatch.setattr(counting, "STALE_SEC", -1.0)
@@ -122,7 +122,7 @@ def test_a_stale_open_bucket_is_recounted_and_closed(rosCas, monkeypatch):
     assert row.closed and row.rows == 10
     # A writer that came back meanwhile is not overridden.
     directory.mark((name, "", bucket, 99), 0)
-    directory.putRecount(name, row._replace(closed=False), BucketTotals(), 0)
+    directory.put_recount(name, row._replace(closed=False), BucketTotals(), 0)
     assert not directory.find(name, "", bucket)[0].closed
     writer.close()
 
@@ -148,7 +148,7 @@ def test_no_torn_message_is_ever_read(rosCas, cql):
     cql.execute(
         f'DELETE FROM {rosCas.keyspace}."{table.name}_c" WHERE "_node" = %s AND "_bucket" = %s '
         'AND "_t" = %s AND "_seq" = %s AND "_chunk" = 2',
-        ("", table.bucketOf(key.ns), key.ns, key.seq),
+        ("", table.bucket_of(key.ns), key.ns, key.seq),
     )
     with pytest.raises(CorruptMessage, match=r"2 of 4 chunks"):
         topic.getData(key)
@@ -256,7 +256,7 @@ def test_an_interrupt_while_chunks_are_sent_hangs_nobody(rosCas, monkeypatch):
     writer = rosCas.messageWriter()
     handle = writer.connect(connection("/big", UInt8MultiArray))
     wire = serialize(UInt8MultiArray(data=bytes(5_000_000)))
-    send, calls = rosCas.cassandra.sendRaw, []
+    send, calls = rosCas.cassandra.send_raw, []
 
     def interrupted(statement, *rest):
         calls.append(statement)

@@ -31,7 +31,7 @@ def await_built(rosCas):
     deadline = time.monotonic() + 120
     query = "SELECT is_queryable FROM system_views.sai_column_indexes WHERE keyspace_name = ?"
     while True:
-        nodes = rosCas.cassandra.executeOnEach(query, (rosCas.keyspace,), what="asking for them")
+        nodes = rosCas.cassandra.execute_on_each(query, (rosCas.keyspace,), what="asking for them")
         if all(built for rows in nodes.values() for (built,) in rows):
             return nodes
         assert time.monotonic() < deadline, nodes
@@ -78,7 +78,7 @@ def by_index(rosCas, topic, field, of, values):
 
 def _indexed(rosCas, table, index, place, values):
     operator = "CONTAINS" if index.many else "="
-    answers = rosCas.cassandra.executeMany(
+    answers = rosCas.cassandra.execute_many(
         f'SELECT "_t", "_seq" FROM {table.qualified} WHERE "_node" = ? AND "_bucket" = ? '
         f'AND "{index.shadow}" {operator} ?',
         [(*place, value) for value in values],

@@ -106,7 +106,7 @@ def test_keys(rosCas, format_name):
         genpy.Time(1500000000, 123456789),
         1500000000123456789,
         "2017-07-14T02:40:00.123456789Z",
-        Stamp.fromNs(1500000000123456789),
+        Stamp.from_ns(1500000000123456789),
     ):
         assert topic.getData(same).data == "x"
     with pytest.raises(KeyError, match=r"no message at 2017-07-14T02:40:00\.123456790"):
@@ -375,10 +375,10 @@ class TestAnotherClient:
         topic.addData(String(data="1"), key=T0)
         with other.messageWriter() as writer:
             from cassandra_ros.messages.classes import serialize
-            from cassandra_ros.messages.connection import apiConnection
-            from cassandra_ros.messages.definition import definitionOf
+            from cassandra_ros.messages.connection import api_connection
+            from cassandra_ros.messages.definition import definition_of
 
-            handle = writer.connect(apiConnection("/a", definitionOf(Twist), "/x"))
+            handle = writer.connect(api_connection("/a", definition_of(Twist), "/x"))
             writer.write(handle, T0 + 1, 0, serialize(Twist()))
         assert [type(m) for _, m in topic.items()] == [String, Twist]
         other.removeTopic("/a")

@@ -21,8 +21,8 @@ from topics.writing_process import T0, VALUES
 from cassandra_ros.errors import InvalidName, InvalidOption, StoreUnavailable, TopicNotFound
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store import writer as writer_module
 from cassandra_ros.store.directory import Directory
 from cassandra_ros.topics import indexes
@@ -35,7 +35,7 @@ def store(rosCas, name, messages, bucket_ns=SEC, step_ns=100_000_000, **options)
     """Store messages one after the other, as a recording that has ended."""
     with rosCas.messageWriter(**options) as writer:
         handle = writer.connect(
-            apiConnection(name, definitionOf(type(messages[0])), "/w"), bucket_ns=bucket_ns
+            api_connection(name, definition_of(type(messages[0])), "/w"), bucket_ns=bucket_ns
         )
         for number, message in enumerate(messages):
             writer.write(handle, T0 + number * step_ns, number, serialize(message))
@@ -161,7 +161,7 @@ def unhurried(monkeypatch):
 def test_a_writer_in_this_process_takes_it_up_with_the_next_bucket(rosCas, unhurried):
     topic = store(rosCas, "/t", texts(5))
     writer = rosCas.messageWriter(writer_id=5)
-    handle = writer.connect(apiConnection("/t", definitionOf(String), "/w"))
+    handle = writer.connect(api_connection("/t", definition_of(String), "/w"))
     wire = [serialize(message) for message in texts(40)]
     for number in range(20):
         writer.write(handle, T0 + SEC * 50 + number, number, wire[number])
@@ -172,7 +172,7 @@ def test_a_writer_in_this_process_takes_it_up_with_the_next_bucket(rosCas, unhur
         writer.write(handle, T0 + SEC * 60 + number, number, wire[number])
     writer.flush()
     rows = {row.bucket: row for row in directory_rows(rosCas, handle.table) if row.writer == 5}
-    bucket = handle.table.bucketOf(T0)
+    bucket = handle.table.bucket_of(T0)
     assert rows[bucket + 50].filled == frozenset()
     assert rows[bucket + 60].filled == {"_ix0"}
     assert check_texts(rosCas, topic) == 45
@@ -195,7 +195,7 @@ def test_an_import_that_is_repeated_fills_only_what_it_filled_before(rosCas):
     listed = table.metadata
     topic.removeIndex("data")
     schema._tables = {**schema._tables, table.name: listed}
-    schema.setComment(table.name, listed)
+    schema.set_comment(table.name, listed)
     schema._tables = {table.name: listed.with_(indexes={})}
     schema._read_at = time.monotonic() + 60
     store(rosCas, "/t", texts(10), **again)
@@ -220,7 +220,7 @@ def test_deleting_meanwhile_leaves_the_bucket_to_the_next_time(rosCas):
 @pytest.mark.parametrize("applied", [True, False])
 def test_a_bucket_is_marked_whose_transaction_has_no_answer(rosCas, monkeypatch, applied):
     topic = store(rosCas, "/t", texts(30))
-    put, answers = Directory.putRecount, []
+    put, answers = Directory.put_recount, []
 
     def lost(*arguments):
         answers.append(len(answers) % 2 and put(*arguments))
@@ -230,7 +230,7 @@ def test_a_bucket_is_marked_whose_transaction_has_no_answer(rosCas, monkeypatch,
             raise StoreUnavailable("no answer")
         return answers[-1]
 
-    monkeypatch.setattr(Directory, "putRecount", lost)
+    monkeypatch.setattr(Directory, "put_recount", lost)
     assert topic.createIndex("data") == 30
     assert answers == [0, not applied] * 3
     assert filled(rosCas, topic, "data") == (3, 3)
@@ -239,7 +239,7 @@ def test_a_bucket_is_marked_whose_transaction_has_no_answer(rosCas, monkeypatch,
 
 def test_a_writer_that_died_is_filled_and_may_come_back(rosCas, unhurried, monkeypatch):
     writer = rosCas.messageWriter(writer_id=5)
-    handle = writer.connect(apiConnection("/t", definitionOf(String), "/w"))
+    handle = writer.connect(api_connection("/t", definition_of(String), "/w"))
     wire = [serialize(message) for message in texts(20)]
     for number in range(10):
         writer.write(handle, T0 + number, number, wire[number])
@@ -381,7 +381,7 @@ def test_a_truncated_topic_keeps_its_indexes(rosCas):
     topic.createIndex("data")
     rosCas.truncateTopic("/t")
     (table,) = topic.tables
-    assert dict(table.metadata.indexes) == {"data": "_ix1"} and table.metadata.nextShadow == 2
+    assert dict(table.metadata.indexes) == {"data": "_ix1"} and table.metadata.next_shadow == 2
     shadows = [c for c in rosCas.parts.schema.columns(table.name) if c.startswith("_ix")]
     assert shadows == ["_ix1"]
     store(rosCas, "/t", texts(20))

@@ -38,9 +38,9 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.keys import MAX_NS, RowName
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
-from cassandra_ros.messages.stamps import isoTime
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.topics.selection import TopicKeys
 
 SEC = 10**9
@@ -84,7 +84,7 @@ class TestTimeField:
         for node, writer_id in (("a", 9), ("b", 5)):
             with rosCas.messageWriter(writer_id=writer_id, nodeID=node) as writer:
                 for name in ("/imu", "/other"):
-                    handle = writer.connect(apiConnection(name, definitionOf(Imu), "/x"))
+                    handle = writer.connect(api_connection(name, definition_of(Imu), "/x"))
                     for number in range(2):
                         wire = serialize(imu((9 - number) * SEC, number))
                         writer.write(handle, T0, number + 10 * (name == "/imu"), wire)
@@ -107,7 +107,7 @@ class TestTimeField:
         ]
         with rosCas.messageWriter() as writer:
             definition = topic.tables[0].definition
-            handle = writer.connect(apiConnection("/imu", definition, "/x"))
+            handle = writer.connect(api_connection("/imu", definition, "/x"))
             for number, wire in enumerate(wires):
                 writer.write(handle, T0 + number, number, wire)
         assert sorted(row.wire for row in topic.rows()) == sorted(wires)
@@ -137,7 +137,7 @@ class TestTimeField:
     def test_a_second_definition_without_the_field_is_found_by_time(self, rosCas, caplog):
         rosCas.addTopic("/a", key_format="msg_part", key_part="header.stamp").addData(imu(SEC))
         with rosCas.messageWriter() as writer:
-            handle = writer.connect(apiConnection("/a", definitionOf(Twist), "/x"))
+            handle = writer.connect(api_connection("/a", definition_of(Twist), "/x"))
             writer.write(handle, 2 * SEC, 0, serialize(Twist()))
         assert "found by time" in caplog.text
         assert [type(m) for _, m in rosCas.getTopic("/a").items()] == [Imu, Twist]
@@ -230,7 +230,7 @@ def test_more_rows_of_a_value_than_are_put_in_order_at_once(rosCas, monkeypatch)
         "/a", key_format="msg_part", key_part="data", msg_type="std_msgs/String"
     )
     with rosCas.messageWriter() as writer:
-        handle = writer.connect(apiConnection("/a", definitionOf(String), "/x"))
+        handle = writer.connect(api_connection("/a", definition_of(String), "/x"))
         for number in range(40):
             wire = serialize(String(data="ab"[number % 2]))
             writer.write(handle, T0 + number * 600 * SEC, number, wire)
@@ -306,7 +306,7 @@ class TestNames:
     def test_recorded_messages_bear_the_name_of_the_topic(self, rosCas):
         topic = rosCas.addTopic("/map", "ros", key_format="manual", msg_type="std_msgs/String")
         with rosCas.messageWriter() as writer:
-            handle = writer.connect(apiConnection("/map", definitionOf(String), "/x"))
+            handle = writer.connect(api_connection("/map", definition_of(String), "/x"))
             for number in range(3):
                 writer.write(handle, T0 + number, number, serialize(String(data=str(number))))
         assert topic.getData("/map").data == "2"
@@ -406,7 +406,7 @@ def test_rename(rosCas):
     rosCas.renameTopic("/b", "/c")
     assert rosCas.existTopic("/c") and not rosCas.existTopic("/b")
     with rosCas.messageWriter() as writer:
-        handle = writer.connect(apiConnection("/a", definitionOf(Twist), "/x"))
+        handle = writer.connect(api_connection("/a", definition_of(Twist), "/x"))
         writer.write(handle, T0 + 1, 0, serialize(Twist()))
     rosCas.renameTopic("/a", "/it's")
     assert [type(m) for _, m in rosCas.getTopic("/it's").items()] == [String, Twist]
@@ -506,9 +506,9 @@ class TestQueries:
 def test_export_keeps_the_times_of_reception(cassandra, keyspace, tmp_path):
     import rosbag
 
-    from cassandra_ros.bag.exporter import exportBag
-    from cassandra_ros.bag.importer import importBag
-    from cassandra_ros.bag.verify import verifyBag
+    from cassandra_ros.bag.exporter import export_bag
+    from cassandra_ros.bag.importer import import_bag
+    from cassandra_ros.bag.verify import verify_bag
 
     now = [T0]
     with RosCassandra(
@@ -528,17 +528,17 @@ def test_export_keeps_the_times_of_reception(cassandra, keyspace, tmp_path):
             topic.addData(message, key="x" if topic.name == "/name" else None)
             wanted.append((topic.name, now[0], number))
         path = str(tmp_path / "all.bag")
-        exportBag(rosCas, path)
+        export_bag(rosCas, path)
         with rosbag.Bag(path) as bag:
             found = [(t, stamp.to_nsec(), m.header.seq) for t, m, stamp in bag.read_messages()]
         assert found == wanted
-        assert verifyBag(rosCas, path).equal
+        assert verify_bag(rosCas, path).equal
     with RosCassandra(cassandra.host, cassandra.port, keyspace=keyspace) as rosCas:
         for topic in list(topics):
             rosCas.truncateTopic(topic.name)
         for _ in range(2):
-            importBag(rosCas, path)
-            assert verifyBag(rosCas, path).equal
+            import_bag(rosCas, path)
+            assert verify_bag(rosCas, path).equal
         assert [rosCas.getTopic(t.name).countTopicData() for t in topics] == [3, 3, 3, 3]
         assert rosCas.getTopic("/part").first() == genpy.Time(92)
         assert rosCas.getTopic("/name").getData("/name").header.seq == 10
@@ -615,7 +615,7 @@ def test_several_definitions_with_a_key_field(rosCas, cassandra, keyspace):
     topic.addData(String(data="q"))
     with rosCas.messageWriter() as writer:
         for n, cls in enumerate((Empty, Int64)):
-            handle = writer.connect(apiConnection("p", definitionOf(cls), "/x"))
+            handle = writer.connect(api_connection("p", definition_of(cls), "/x"))
             writer.write(handle, T0 + n, n, serialize(cls()))
     topic = rosCas.addTopic("p", key_format="msg_part", key_part="data")
     assert len(topic.tables) == 3
@@ -637,11 +637,11 @@ def test_typed_keys(rosCas):
     texts = rosCas.addTopic("/t", key_format="msg_part", key_part="data")
     text_key = texts.addData(String(data="17"))
     assert numbers.getData(numbers.keyOfText(" 5 ")).data == 5
-    assert numbers.getData(numbers.keyOfText(isoTime(key.ns))).data == 5
+    assert numbers.getData(numbers.keyOfText(iso_time(key.ns))).data == 5
     with pytest.raises(MessageNotFound, match="the nearest lies at"):
         numbers.getData(genpy.Time(1))  # the time of reception, besides the field
     assert texts.getData(texts.keyOfText("17")).data == "17"
-    assert texts.getData(texts.keyOfText(isoTime(text_key.ns))).data == "17"
+    assert texts.getData(texts.keyOfText(iso_time(text_key.ns))).data == "17"
     assert rosCas.addTopic("/m", key_format="manual").keyOfText("17") == "17"
     assert rosCas.addTopic("/p").keyOfText("17") == 17
     for wrong in ("1e400", "x", "{"):
@@ -677,9 +677,9 @@ def test_the_longest_ttl(rosCas):
 def test_a_bag_of_equal_times_keeps_its_order(rosCas, tmp_path, key_format, key_part):
     import rosbag
 
-    from cassandra_ros.bag.exporter import exportBag
-    from cassandra_ros.bag.importer import importBag
-    from cassandra_ros.bag.verify import verifyBag
+    from cassandra_ros.bag.exporter import export_bag
+    from cassandra_ros.bag.importer import import_bag
+    from cassandra_ros.bag.verify import verify_bag
 
     path = str(tmp_path / "in.bag")
     with rosbag.Bag(path, "w") as bag:
@@ -689,10 +689,10 @@ def test_a_bag_of_equal_times_keeps_its_order(rosCas, tmp_path, key_format, key_
                 bag.write(topic, Header(seq=number, stamp=stamp), genpy.Time(1000))
     keys = {"key_format": key_format, "key_part": key_part}
     rosCas.addTopic("/keyed", msg_type="std_msgs/Header", **keys)
-    importBag(rosCas, path)
-    assert verifyBag(rosCas, path).equal
-    exportBag(rosCas, tmp_path / "out.bag")
-    assert verifyBag(rosCas, tmp_path / "out.bag").equal
+    import_bag(rosCas, path)
+    assert verify_bag(rosCas, path).equal
+    export_bag(rosCas, tmp_path / "out.bag")
+    assert verify_bag(rosCas, tmp_path / "out.bag").equal
 
     def told(which):
         with rosbag.Bag(which) as bag:
@@ -704,12 +704,12 @@ def test_a_bag_of_equal_times_keeps_its_order(rosCas, tmp_path, key_format, key_
 def test_an_export_has_the_names_of_now(rosCas, tmp_path):
     import rosbag
 
-    from cassandra_ros.bag.exporter import exportBag
+    from cassandra_ros.bag.exporter import export_bag
 
     rosCas.addTopic("/o").addData(String(data="first"), key=T0)
     rosCas.renameTopic("/o", "/n")
     rosCas.addTopic("/o").addData(String(data="second"), key=T0 + 1)
-    report = exportBag(rosCas, tmp_path / "out.bag")
+    report = export_bag(rosCas, tmp_path / "out.bag")
     assert report.messages == {"/n": 1, "/o": 1}
     with rosbag.Bag(str(tmp_path / "out.bag")) as bag:
         found = [(topic, m.data) for topic, m, _ in bag.read_messages()]

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from std_msgs.msg import Header, UInt32
 
 from cassandra_ros.errors import InvalidKey, InvalidOption, TopicNotFound
-from cassandra_ros.topics.across import nearestPairs
+from cassandra_ros.topics.across import nearest_pairs
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -44,9 +44,9 @@ def brute(first, second, tolerance):
 def test_pairs_are_those_of_brute_force(times_a, times_b, tolerance):
     first, second = rows(times_a), rows(times_b)
     wanted = list(brute(first, second, tolerance))
-    assert list(nearestPairs(iter(first), iter(second), tolerance, unpaired=True)) == wanted
+    assert list(nearest_pairs(iter(first), iter(second), tolerance, unpaired=True)) == wanted
     pairs = [pair for pair in wanted if pair[1] is not None]
-    assert list(nearestPairs(iter(first), iter(second), tolerance)) == pairs
+    assert list(nearest_pairs(iter(first), iter(second), tolerance)) == pairs
 
 
 def test_no_more_is_read_than_a_pair_needs():
@@ -57,7 +57,7 @@ def test_no_more_is_read_than_a_pair_needs():
             taken[which] = n + 1
             yield SimpleNamespace(t=n * step)
 
-    pairs = nearestPairs(endless(0, 10), endless(1, 1), 0)
+    pairs = nearest_pairs(endless(0, 10), endless(1, 1), 0)
     for n in range(100):
         row, partner = next(pairs)
         assert (row.t, partner.t) == (10 * n, 10 * n)
@@ -66,7 +66,7 @@ def test_no_more_is_read_than_a_pair_needs():
 
 def test_what_comes_after_the_last_partner_is_not_read():
     first = iter(rows(range(100)))
-    assert len(list(nearestPairs(first, iter(rows([3])), 5))) == 9
+    assert len(list(nearest_pairs(first, iter(rows([3])), 5))) == 9
     assert next(first).t == 10
 
 

@@ -10,10 +10,10 @@ import pytest
 from std_msgs.msg import String, UInt32
 
 from cassandra_ros.errors import InvalidKey
-from cassandra_ros.keys import Position, decodeCursor, encodeCursor
+from cassandra_ros.keys import Position, decode_cursor, encode_cursor
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store import reader
 
 SEC = 10**9
@@ -28,10 +28,10 @@ def filled(rosCas):
     for node, writer_id in (("", 5), ("r1", 3)):
         with rosCas.messageWriter(writer_id=writer_id, nodeID=node) as writer:
             handles = [
-                writer.connect(apiConnection(f"/t{n}", definitionOf(String), "/x"), bucket_ns=SEC)
+                writer.connect(api_connection(f"/t{n}", definition_of(String), "/x"), bucket_ns=SEC)
                 for n in range(2)
             ]
-            handles.append(writer.connect(apiConnection("/t0", definitionOf(UInt32), "/x")))
+            handles.append(writer.connect(api_connection("/t0", definition_of(UInt32), "/x")))
             for counter in range(500):
                 handle = rand.choice(handles)
                 t = T0 + rand.randrange(8) * SEC // 2
@@ -75,7 +75,7 @@ def test_cursors_go_on_anywhere(filled):
     mine = [entry for entry in wanted if entry[1] == "/t0"]
     topic = rosCas.getTopic("/t0")
     for number in range(0, len(mine), 23):
-        after = decodeCursor(encodeCursor(mine[number][0]))
+        after = decode_cursor(encode_cursor(mine[number][0]))
         rest = found(topic.rows(after=after, limit=40))
         assert rest == mine[number + 1 : number + 41]
         assert found(topic.rows(after=after, reverse=True)) == mine[:number][::-1]
@@ -87,21 +87,21 @@ def test_cursors_go_on_anywhere(filled):
         "",
         "x",
         "e30=",
-        encodeCursor(Position(10**40, "", 1, "t")),
-        encodeCursor(Position(1, "", 2**70, "t")),
-        encodeCursor(Position(-1, "", 0, "t")),
+        encode_cursor(Position(10**40, "", 1, "t")),
+        encode_cursor(Position(1, "", 2**70, "t")),
+        encode_cursor(Position(-1, "", 0, "t")),
     ],
 )
 def test_what_is_no_cursor_is_refused(text):
     with pytest.raises(InvalidKey):
-        decodeCursor(text)
+        decode_cursor(text)
 
 
 def test_reading_outlasts_a_server_that_stumbles(filled, monkeypatch):
     from cassandra import OperationTimedOut
 
     rosCas, wanted = filled
-    send, calls = rosCas.cassandra.sendRaw, []
+    send, calls = rosCas.cassandra.send_raw, []
 
     def stumbling(statement, *rest):
         future = send(statement, *rest)
@@ -110,7 +110,7 @@ def test_reading_outlasts_a_server_that_stumbles(filled, monkeypatch):
             future.result = lambda: (_ for _ in ()).throw(OperationTimedOut())
         return future
 
-    monkeypatch.setattr(rosCas.cassandra, "sendRaw", stumbling)
+    monkeypatch.setattr(rosCas.cassandra, "send_raw", stumbling)
     monkeypatch.setattr("cassandra_ros.store.paging.FIRST_PAUSE_SEC", 0.001)
     assert found(rosCas.readMessages()) == wanted
     assert sum(i.count for i in rosCas.info()) == len(wanted)

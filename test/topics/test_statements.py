@@ -17,7 +17,7 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import InvalidQuery
-from cassandra_ros.topics.statements import namesOfIndexes
+from cassandra_ros.topics.statements import names_of_indexes
 
 SEC = 10**9
 T0 = 1_400_000_000 * SEC
@@ -332,7 +332,7 @@ def test_what_cannot_have_an_index(rosCas):
         with pytest.raises(InvalidQuery, match=word) as caught:
             rosCas.executeCQL(statement)
         assert statement[caught.value.position :].startswith(spot)
-    assert "m" not in namesOfIndexes(rosCas.parts.schema)
+    assert "m" not in names_of_indexes(rosCas.parts.schema)
 
 
 def test_integers_of_simulated_time_are_nanoseconds(rosCas):

@@ -9,13 +9,13 @@ from bag.truth import STRING_MD5, string_connection, string_wire
 from cassandra_ros.bag.recorder import Recorder
 from std_msgs.msg import String
 
-from cassandra_ros.bag.importer import importBag
+from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.cli import cassandra_bag
 from cassandra_ros.cli import recorder as recorder_cli
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 
 HEADER = {"type": "std_msgs/String", "md5sum": STRING_MD5, "message_definition": "string data\n"}
 BROKEN = {**HEADER, "message_definition": "string data\nno_type\n"}
@@ -33,13 +33,13 @@ def bring_in(rosCas, folder, format):
     with BagWriter(path) as bag:
         number = bag.connection(string_connection("/scan"))
         bag.write(number, 10**18, string_wire("imported"))
-    report = importBag(rosCas, path, format=format)
+    report = import_bag(rosCas, path, format=format)
     assert report.topics["/scan"].messages == 1
 
 
 def write(rosCas, folder, format):
     with rosCas.messageWriter(format=format) as writer:
-        handle = writer.connect(apiConnection("/scan", definitionOf(String), "/x"))
+        handle = writer.connect(api_connection("/scan", definition_of(String), "/x"))
         writer.write(handle, 10**18, 0, serialize(String("written")))
 
 
@@ -91,7 +91,7 @@ def test_of_several_formats_the_newest_is_kept(rosCas, tmp_path, newest):
     def date(metadata):
         return metadata.with_(date=f"20{30 if metadata.format == newest else 29}-01-01T00:00:00")
 
-    rosCas.parts.schema.changeTopic("/scan", date)
+    rosCas.parts.schema.change_topic("/scan", date)
     for another in (record, write, add, add_to_found):
         another(rosCas, tmp_path, None)
     rosCas.getTopic("/scan").addData(String("added"))
@@ -113,7 +113,7 @@ def test_one_publisher_without_a_definition_does_not_decide_for_all(rosCas, tmp_
 def test_what_goes_on_after_it_was_removed_keeps_its_format(rosCas):
     with rosCas.messageWriter(format=None) as writer:
         rosCas.addTopic("/scan", "json").addData(String("first"), key=1)
-        handle = writer.connect(apiConnection("/scan", definitionOf(String), "/x"))
+        handle = writer.connect(api_connection("/scan", definition_of(String), "/x"))
         rosCas.removeTopic("/scan")
         writer.write(handle, 10**18, 0, serialize(String("second")))
     assert formats(rosCas) == ["json"]

@@ -16,9 +16,9 @@ from std_msgs.msg import Int64, String
 from cassandra_ros import Stamp
 from cassandra_ros.errors import InvalidKey, InvalidQuery
 from cassandra_ros.formats.table import FORMATS
-from cassandra_ros.messages.classes import messageClass
-from cassandra_ros.messages.connection import liveConnection
-from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.classes import message_class
+from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.definition import parse_definition
 
 T = 1_400_000_000_123_456_789
 TEXT = (
@@ -27,11 +27,11 @@ TEXT = (
     + "=" * 80
     + "\nMSG: pkg/E\nstring name\nfloat64 x\nuint64 n\n"
 )
-KINDS = parseDefinition("pkg/Kinds", TEXT, None)
+KINDS = parse_definition("pkg/Kinds", TEXT, None)
 
 
 def kinds(n):
-    message = messageClass(KINDS)()
+    message = message_class(KINDS)()
     message.big, message.low = 2**64 - 1 - n, -(2**63) + n
     message.small = [math.nan, math.inf, 0.1, -0.0][n % 4]
     message.wide = [1e300, -math.inf, math.nan, 0.1][n % 4]
@@ -41,7 +41,7 @@ def kinds(n):
     message.word = ["", "Zoë ☃", "a,b"][n % 3]
     message.raw, message.pair, message.some = bytes(range(n)), [n, n / 8, -n], [n] * (n % 3)
     for i in range(n % 3):
-        part = messageClass(parseDefinition("pkg/E", "string name\nfloat64 x\nuint64 n", None))()
+        part = message_class(parse_definition("pkg/E", "string name\nfloat64 x\nuint64 n", None))()
         part.name, part.x, part.n = f"part{i}", n + i / 4, 2**64 - 1 - i
         message.parts.append(part)
     return message
@@ -55,7 +55,7 @@ def store(rosCas, topic, messages, node="", **options):
             header["message_definition"] = message._full_text
             wire = io.BytesIO()
             message.serialize(wire)
-            handle = writer.connect(liveConnection(topic, header))
+            handle = writer.connect(live_connection(topic, header))
             writer.write(handle, T + n, n, wire.getvalue())
     return rosCas.getTopic(topic)
 
@@ -126,7 +126,7 @@ def test_stretches_nodes_and_conditions(rosCas):
     assert topic.getArrays("NODE")["NODE"].tolist()[:3] == ["r1", "r2", "r1"]
     assert data(nodeID="r2") == [0, 1, 2, 3, 4]
     assert data(T + 8) == [8, 9]
-    assert data(None, Stamp.fromNs(T + 1)) == [0, 0, 1, 1]
+    assert data(None, Stamp.from_ns(T + 1)) == [0, 0, 1, 1]
     assert data(T + 3, T + 4, "data != 3", "r1") == [4]
     assert data(where=("data in ?", [[2, 9]])) == [2, 2, 9]
     assert data(where="data = 77") == []
@@ -190,8 +190,8 @@ def test_keys_that_are_no_times(rosCas):
 
 def test_large_messages(rosCas):
     """Of a message in chunks scalars come from its row, arrays from the chunks."""
-    definition = parseDefinition("pkg/Image", "time at\nuint8[] data\nint32 x", None)
-    message = messageClass(definition)()
+    definition = parse_definition("pkg/Image", "time at\nuint8[] data\nint32 x", None)
+    message = message_class(definition)()
     message.at.secs, message.x, message.data = 7, -5, bytes(range(256)) * 4096
     topic = store(rosCas, "/image", [message], format="ros")
     assert topic.getArrays(["at", "x"])["at"].tolist() == [7 * 10**9]
@@ -203,12 +203,12 @@ def test_large_messages(rosCas):
 @pytest.mark.parametrize("format_name", ["ros", "json"])
 def test_fields_that_are_called_as_our_own_words(rosCas, format_name):
     text = "float64 KEY\npkg/N NODE\n" + "=" * 80 + "\nMSG: pkg/N\nint32[] KEY\n"
-    message = messageClass(parseDefinition("pkg/Named", text, None))(KEY=0.5)
+    message = message_class(parse_definition("pkg/Named", text, None))(KEY=0.5)
     message.NODE.KEY = [1, 2]
     topic = store(rosCas, "/named", [message], node="r1", format=format_name)
     names = ["KEY", '"KEY"', '"NODE".KEY']
     found = rosCas.executeCQL("select * from named")
-    assert (list(found.columns), found) == (names, [(Stamp.fromNs(T), 0.5, [1, 2])])
+    assert (list(found.columns), found) == (names, [(Stamp.from_ns(T), 0.5, [1, 2])])
     assert rosCas.executeCQL(f"select {', '.join(names)}, NODE from named") == [(*found[0], "r1")]
     arrays = topic.getArrays(["KEY", '"NODE".KEY[1]', '"KEY"'])
     assert [values.tolist() for values in arrays.values()] == [[T], [2], [0.5]]

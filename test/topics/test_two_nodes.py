@@ -8,11 +8,11 @@ import genpy
 import pytest
 from std_msgs.msg import Header
 
-from cassandra_ros.bag.exporter import exportBag
+from cassandra_ros.bag.exporter import export_bag
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -48,7 +48,7 @@ def fill(rosCas, kind, name):
     for number, node in enumerate(NODES):
         # The later node has the lower counters: order is by node first.
         with rosCas.messageWriter(nodeID=node, writer_id=9 - number) as writer:
-            handle = writer.connect(apiConnection(name, definitionOf(Header), "/x"))
+            handle = writer.connect(api_connection(name, definition_of(Header), "/x"))
             for message in wanted():
                 given = {"name": message.frame_id} if kind == "manual" else {}
                 wire = serialize(message)
@@ -136,6 +136,6 @@ def test_several_topics_and_a_bag_of_one_node(rosCas, tmp_path):
         ("r1", "r1", 4, 5),
         ("r1", "r1", 5, 5),
     ]
-    exportBag(rosCas, tmp_path / "r1.bag", nodeID="r1", where=conditions)
+    export_bag(rosCas, tmp_path / "r1.bag", nodeID="r1", where=conditions)
     with BagReader(tmp_path / "r1.bag") as reader:
         assert reader.message_count == COUNT // 2 + 5

@@ -11,8 +11,8 @@ import pytest
 from std_msgs.msg import String
 from topics.clients import children
 
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 
 SEC = 10**9
 
@@ -53,7 +53,7 @@ def drop_and_make(rosCas, times):
             time.sleep(0.2)  # the writer makes it itself
         with rosCas.messageWriter(nodeID="other") as writer:
             handle = writer.connect(
-                apiConnection("/t", definitionOf(String), "/d"), bucket_ns=(number % 3 + 1) * SEC
+                api_connection("/t", definition_of(String), "/d"), bucket_ns=(number % 3 + 1) * SEC
             )
             writer.write(handle, 5 * SEC, number, b"\5\0\0\0other")
     return time.time_ns()

@@ -22,8 +22,8 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store import reader
 from cassandra_ros.topics import removal
 
@@ -54,7 +54,7 @@ def header(number):
 def fill(rosCas, kind, count=60, name="/h", fmt="ros"):
     """Sixty messages of two nodes, three at each time."""
     topic = rosCas.addTopic(name, fmt, msg_type="std_msgs/Header", **KEYS[kind])
-    connection = apiConnection(name, definitionOf(Header), "/x")
+    connection = api_connection(name, definition_of(Header), "/x")
     for node in ("", "r1"):
         with rosCas.messageWriter(nodeID=node, writer_id=7) as writer:
             handle = writer.connect(connection, bucket_ns=SEC)
@@ -318,7 +318,7 @@ def test_several_topics_merged_by_time(rosCas, received):
     # Stamps in another order than the messages came.
     rosCas.addTopic("/late", msg_type="std_msgs/Header", **KEYS["stamp"])
     with rosCas.messageWriter() as writer:
-        handle = writer.connect(apiConnection("/late", definitionOf(Header), "/x"))
+        handle = writer.connect(api_connection("/late", definition_of(Header), "/x"))
         for number in range(60):
             writer.write(handle, T0 + number * SEC, number, serialize(header(59 - number)))
     conditions = {name: CONDITION for name in names if name != "/value"}
@@ -349,19 +349,21 @@ def test_reading_is_lazy_and_its_memory_bounded(rosCas, monkeypatch):
     monkeypatch.setattr(reader, "PAGE_BYTES", 32 * 1024)
     names = ("/a", "/b", "/c")
     with rosCas.messageWriter() as writer:
-        definition = definitionOf(String)
-        handles = [writer.connect(apiConnection(n, definition, "/x"), bucket_ns=SEC) for n in names]
+        definition = definition_of(String)
+        handles = [
+            writer.connect(api_connection(n, definition, "/x"), bucket_ns=SEC) for n in names
+        ]
         wire = serialize(String(data="x" * 2000))
         for number in range(6000):
             writer.write(handles[number % 3], T0 + number * SEC // 100, number, wire)
     conditions = dict.fromkeys(names[:2], "data LIKE 'x%'")
-    send, calls = rosCas.cassandra.sendRaw, []
+    send, calls = rosCas.cassandra.send_raw, []
 
     def counted(*arguments):
         calls.append(arguments)
         return send(*arguments)
 
-    monkeypatch.setattr(rosCas.cassandra, "sendRaw", counted)
+    monkeypatch.setattr(rosCas.cassandra, "send_raw", counted)
     rows = rosCas.readMessages(where=conditions)
     next(rows)
     at_first = len(calls)

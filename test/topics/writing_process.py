@@ -14,8 +14,8 @@ from std_msgs.msg import String
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import apiConnection
-from cassandra_ros.messages.definition import definitionOf
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
 
 T0 = 1_500_000_000 * 10**9
 STEP_NS = 2_000_000
@@ -71,7 +71,7 @@ class ByWriter(Writing):
     def __init__(self, rosCas, topic):
         self.losses = []
         self.writer = rosCas.messageWriter(on_loss=lambda *loss: self.losses.append(loss))
-        self.handle = self.writer.connect(apiConnection(topic, definitionOf(String), "/w"))
+        self.handle = self.writer.connect(api_connection(topic, definition_of(String), "/w"))
         super().__init__(rosCas, topic)
 
     def text(self, number):

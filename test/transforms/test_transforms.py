@@ -32,8 +32,8 @@ from cassandra_ros.errors import (
     TransformException,
     TypeMismatch,
 )
-from cassandra_ros.messages.connection import liveConnection
-from cassandra_ros.messages.stamps import isoTime
+from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.transforms import samples
 
 SEC = 10**9
@@ -96,9 +96,9 @@ def assert_same(store, whole, target, source, time, **options):
         expected = whole.lookup(target, source, time)
     except tf2_py.TransformException as exc:
         with pytest.raises(OURS[type(exc)]):
-            store.lookupTransform(target, source, Stamp.fromNs(time), **options)
+            store.lookupTransform(target, source, Stamp.from_ns(time), **options)
         return type(exc)
-    found = store.lookupTransform(target, source, Stamp.fromNs(time), **options)
+    found = store.lookupTransform(target, source, Stamp.from_ns(time), **options)
     assert numbers(found) == pytest.approx(numbers(expected), abs=1e-9)
     assert (found.header.frame_id, found.child_frame_id) == (target, source)
     if time:
@@ -125,7 +125,7 @@ class Recorded:
                 bag.read_messages(["/tf", "/tf_static"], raw=True, return_connection_header=True)
             ):
                 if (topic, raw[2]) not in handles:
-                    handles[topic, raw[2]] = writer.connect(liveConnection(topic, header))
+                    handles[topic, raw[2]] = writer.connect(live_connection(topic, header))
                 writer.write(handles[topic, raw[2]], t.to_nsec(), number, raw[1])
                 for made in raw[4]().deserialize(raw[1]).transforms:
                     (fixed if topic == "/tf_static" else moving).append(made)
@@ -199,7 +199,7 @@ def test_only_what_is_needed_is_read(stored, monkeypatch):
             take(self, nearest, low, high, **options),
         ),
     )
-    recorded.store.lookupTransform("base_link", "imu_link", Stamp.fromNs(middle))
+    recorded.store.lookupTransform("base_link", "imu_link", Stamp.from_ns(middle))
     assert read == [(middle - 2 * SEC, middle + 2 * SEC)]
 
 
@@ -410,7 +410,7 @@ def test_outside_of_what_was_recorded(store):
     assert "from base to map" in text
     assert f"({end + SEC // 2} ns)" in text
     assert (
-        f"last transform of frame base on topic /tf of node {store.nodeID} is at {isoTime(end)}"
+        f"last transform of frame base on topic /tf of node {store.nodeID} is at {iso_time(end)}"
         in text
     )
     assert "0.5 s before" in text

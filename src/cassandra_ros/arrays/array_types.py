@@ -53,7 +53,7 @@ class ArrayType:
         return self.depth > 1 or (self.depth == 1 and self.length is None)
 
 
-def typeOf(ref: FieldRef, definition: Definition, unnested: Sequence[Array]) -> ArrayType:
+def type_of(ref: FieldRef, definition: Definition, unnested: Sequence[Array]) -> ArrayType:
     """Return the type of a field, beside the arrays of messages that are unnested."""
     fields, msg_type = [], definition.type
     for step in ref.steps:
@@ -71,18 +71,18 @@ def typeOf(ref: FieldRef, definition: Definition, unnested: Sequence[Array]) -> 
     return ArrayType(kind, len(lengths), lengths[0] if len(lengths) == 1 else None)
 
 
-def groupTypes(projection: Projection, table: Table) -> list[list[Typed]]:
+def group_types(projection: Projection, table: Table) -> list[list[Typed]]:
     """Return name and type of what each selected path gives in a table."""
 
     def kind(of: str, ref: Optional[FieldRef]) -> ArrayType:
         if ref is None or table.definition is None:
             return ArrayType(of)
-        return typeOf(ref, table.definition, projection.unnested)
+        return type_of(ref, table.definition, projection.unnested)
 
     return [[(o.name, kind(o.kind, o.ref)) for o in group] for group in projection.groups]
 
 
-def columnTypes(select: Select, tables: Sequence[Table]) -> list[Typed]:
+def column_types(select: Select, tables: Sequence[Table]) -> list[Typed]:
     """Return name and type of each column of the result of a statement.
 
     Args:
@@ -90,10 +90,10 @@ def columnTypes(select: Select, tables: Sequence[Table]) -> list[Typed]:
         tables: The tables of its topic.
     """
     projections = Projections(select, tables)
-    return uniteColumns([groupTypes(projections.of(table), table) for table in tables])
+    return unite_columns([group_types(projections.of(table), table) for table in tables])
 
 
-def uniteColumns(tables: Sequence[Sequence[Sequence[Typed]]]) -> list[Typed]:
+def unite_columns(tables: Sequence[Sequence[Sequence[Typed]]]) -> list[Typed]:
     """Return name and type of all tables' columns, path by path."""
     united: list[Typed] = []
     for groups in zip(*tables):
@@ -101,11 +101,11 @@ def uniteColumns(tables: Sequence[Sequence[Sequence[Typed]]]) -> list[Typed]:
         for group in groups:
             for name, kind in group:
                 names.setdefault(name, []).append(kind)
-        united += [(name, uniteTypes(kinds)) for name, kinds in names.items()]
+        united += [(name, unite_types(kinds)) for name, kinds in names.items()]
     return united
 
 
-def uniteTypes(types: Sequence[ArrayType]) -> ArrayType:
+def unite_types(types: Sequence[ArrayType]) -> ArrayType:
     """Return a type that holds the values of all exactly."""
     united = types[0]
     for other in types[1:]:

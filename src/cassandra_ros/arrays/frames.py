@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from cassandra_ros.arguments import check_list
-from cassandra_ros.arrays.gather import FieldArray, Fields, ReadRows, Where, gatherFields
-from cassandra_ros.arrays.values import rowsOf
+from cassandra_ros.arrays.gather import FieldArray, Fields, ReadRows, Where, gather_fields
+from cassandra_ros.arrays.values import rows_of
 from cassandra_ros.errors import MissingDependency
 from cassandra_ros.query.protocols import Row, Source
 
@@ -28,17 +28,17 @@ VERSIONS = {
 _UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}
 
 
-def readFrame(topic: Source[Row], fields: Fields, where: Where, read: ReadRows) -> Any:
+def read_frame(topic: Source[Row], fields: Fields, where: Where, read: ReadRows) -> Any:
     """Return fields as a DataFrame, whose index is KEY.
 
-    Arguments and errors are those of gatherFields.
+    Arguments and errors are those of gather_fields.
 
     Raises:
         MissingDependency: pandas is not installed.
     """
-    pandas = optionalModule("pandas", "toDataFrame")
+    pandas = optional_module("pandas", "toDataFrame")
     asked = None if fields is None else ["KEY", *check_list("fields", fields, "['linear.x']")]
-    found = gatherFields(topic, asked, where, read)
+    found = gather_fields(topic, asked, where, read)
     key = found.pop("KEY")
     times = key.kind.kind == "time"
     index = pandas.Index(key.values.view("M8[ns]") if times else key.values, name="KEY")
@@ -50,7 +50,7 @@ def _series(pandas: Any, array: FieldArray) -> Any:
     """Return the values of one column, as pandas says best what is missing."""
     kind, values, missing = array
     if kind.depth:
-        return rowsOf(values, missing)
+        return rows_of(values, missing)
     if kind.kind in _UNITS:
         values = values.view(_UNITS[kind.kind])
         if missing is not None:
@@ -64,7 +64,7 @@ def _series(pandas: Any, array: FieldArray) -> Any:
     return values
 
 
-def optionalModule(name: str, purpose: str) -> Any:
+def optional_module(name: str, purpose: str) -> Any:
     """Import a module of an optional package.
 
     Args:

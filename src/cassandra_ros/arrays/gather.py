@@ -20,12 +20,12 @@ from typing import (
 import numpy as np
 
 from cassandra_ros.arguments import check_list
-from cassandra_ros.arrays.array_types import MIXED, ArrayType, uniteColumns
+from cassandra_ros.arrays.array_types import MIXED, ArrayType, unite_columns
 from cassandra_ros.arrays.table_values import TableValues
-from cassandra_ros.arrays.values import castValues, emptyValues, joinValues
+from cassandra_ros.arrays.values import cast_values, empty_values, join_values
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.names import Findings
-from cassandra_ros.query.parse import parseCondition, parseSelect
+from cassandra_ros.query.parse import parse_condition, parse_select
 from cassandra_ros.query.protocols import Row, Source, Table
 from cassandra_ros.query.syntax import Aggregate, KeyOperand, Operand, Select, Selected
 
@@ -53,7 +53,7 @@ class FieldArray(NamedTuple):
     """A bool for each row: the message has no such value. None where all have it."""
 
 
-def gatherFields(
+def gather_fields(
     topic: Source[Row], fields: Fields, where: Where, read: ReadRows
 ) -> dict[str, FieldArray]:
     """Gather fields from the rows of a topic.
@@ -73,7 +73,7 @@ def gatherFields(
     if isinstance(where, (tuple, list)) and len(where) == 2:
         text, params = where
     if text is not None:
-        parseCondition(text, params)  # by itself: it must not end before its end
+        parse_condition(text, params)  # by itself: it must not end before its end
     select = _statement(topic.name, fields, text, params)
     findings = Findings(select.text)
     tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
@@ -97,14 +97,16 @@ def gatherFields(
     return _united(select, list(tables.values()))
 
 
-def readArrays(
+def read_arrays(
     topic: Source[Row], fields: Fields, where: Where, read: ReadRows
 ) -> dict[str, AnyArray]:
     """Return fields as arrays, those of which values are missing as masked ones.
 
-    Arguments and errors are those of gatherFields.
+    Arguments and errors are those of gather_fields.
     """
-    return {name: _plain(array) for name, array in gatherFields(topic, fields, where, read).items()}
+    return {
+        name: _plain(array) for name, array in gather_fields(topic, fields, where, read).items()
+    }
 
 
 def _plain(array: FieldArray) -> AnyArray:
@@ -129,7 +131,7 @@ def _statement(
     shown = topic if _PLAIN_TOPIC.fullmatch(topic) else '"' + topic.replace('"', '""') + '"'
     # In lines of their own no comment hides what follows, and an error shows the one alone.
     text = f"SELECT {', '.join(names)}\nFROM {shown}"  # noqa: S608 (read by our own grammar)
-    select = parseSelect(text if where is None else f"{text} WHERE (\n{where}\n)", params)
+    select = parse_select(text if where is None else f"{text} WHERE (\n{where}\n)", params)
     called: dict[str, Operand] = {}
     for column in select.columns or ():
         what = column.what
@@ -151,7 +153,7 @@ def _united(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArr
     order = None
     if len(filled) > 1:
         order = np.argsort(np.concatenate([table.order for table in filled]), kind="stable")
-    kinds = dict(uniteColumns([table.groups for table in tables]))
+    kinds = dict(unite_columns([table.groups for table in tables]))
     return {name: _column(name, kind, filled, order) for name, kind in kinds.items()}
 
 
@@ -168,10 +170,10 @@ def _column(
     for table in tables:
         found = table.take(name)
         if found is None:
-            parts.append(emptyValues(kind, table.count))
+            parts.append(empty_values(kind, table.count))
         else:
-            parts.append(castValues(found[1], found[0], kind))
-    values, missing = joinValues(parts, kind)
+            parts.append(cast_values(found[1], found[0], kind))
+    values, missing = join_values(parts, kind)
     if order is not None:
         values, missing = values[order], None if missing is None else missing[order]
     return FieldArray(kind, values, missing)

@@ -16,19 +16,19 @@ from typing import TYPE_CHECKING, Callable, List, Mapping, NamedTuple, Optional,
 
 import numpy as np
 
-from cassandra_ros.arrays.array_types import ArrayType, groupTypes
+from cassandra_ros.arrays.array_types import ArrayType, group_types
 from cassandra_ros.arrays.values import (
     Convert,
     Values,
-    compileConvert,
-    countElements,
-    fromDecoded,
-    joinValues,
-    objectsOf,
+    compile_convert,
+    count_elements,
+    from_decoded,
+    join_values,
+    objects_of,
 )
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFound
 from cassandra_ros.messages.wire.layout import FieldColumn
-from cassandra_ros.messages.wire.plan import wirePlan
+from cassandra_ros.messages.wire.plan import wire_plan
 from cassandra_ros.query.names import FieldRef, Findings
 from cassandra_ros.query.projection import Projection
 from cassandra_ros.query.protocols import Row, Table
@@ -80,7 +80,7 @@ class TableColumns:
         self._places: dict[int, Optional[list[int]]] = {}
         known: Mapping[str, FieldColumn] = {}
         if table.definition is not None:
-            plan = wirePlan(table.definition)
+            plan = wire_plan(table.definition)
             known = {column.name: column for column in plan.all_columns}
         self.origins = [
             None if ref is None else self._origin(ref, kind, known, arrays) for ref, kind in fields
@@ -104,7 +104,7 @@ class TableColumns:
         if column is None:
             return None
         inside = column.array in arrays
-        convert = compileConvert(ref, column, kind, inside)
+        convert = compile_convert(ref, column, kind, inside)
         if convert is None:
             return None
         if column.name not in self.names:
@@ -170,7 +170,7 @@ class TableValues:
     def __init__(self, select: Select, table: Table, findings: Findings) -> None:
         self._projection = Projection.compile(select, table, findings)
         unnested = self._projection.unnested
-        self.groups = groupTypes(self._projection, table)
+        self.groups = group_types(self._projection, table)
         self._outputs = [output for group in self._projection.groups for output in group]
         self._kinds = [kind for group in self.groups for _, kind in group]
         fields = [(output.ref, kind) for output, kind in zip(self._outputs, self._kinds)]
@@ -241,7 +241,7 @@ class TableValues:
         columns = list(zip(*self._decoded))
         self._orders.append(_order(self._numbers))
         return [
-            fromDecoded(columns[output.place], kind)
+            from_decoded(columns[output.place], kind)
             for output, kind in zip(self._outputs, self._kinds)
         ]
 
@@ -252,11 +252,11 @@ class TableValues:
             counts = np.array([len(hits) for hits in self._hits])
             kept = np.array([hit for hits in self._hits for hit in hits], bool)
         elif self._columns.listed is not None:
-            counts = countElements(columns[self._columns.listed])
+            counts = count_elements(columns[self._columns.listed])
         chunks = []
         for output, kind, origin in zip(self._outputs, self._kinds, self._columns.origins):
             if origin is None:
-                chunk = self._ownValues(output.place, kind)
+                chunk = self._own_values(output.place, kind)
             else:
                 chunk = origin.convert(columns[origin.place])
             inside = origin is not None and origin.inside
@@ -264,9 +264,9 @@ class TableValues:
         self._orders.append(_chosen(Values(_order(self._numbers)), counts, kept).values)
         return chunks
 
-    def _ownValues(self, place: int, kind: ArrayType) -> Values:
+    def _own_values(self, place: int, kind: ArrayType) -> Values:
         own = [pair[place] for pair in self._own]
-        return Values(objectsOf(own) if kind.dtype.kind == "O" else np.array(own, np.int64))
+        return Values(objects_of(own) if kind.dtype.kind == "O" else np.array(own, np.int64))
 
     @property
     def needed(self) -> Sequence[str]:
@@ -288,7 +288,7 @@ class TableValues:
         for n, (output, kind) in enumerate(zip(self._outputs, self._kinds)):
             if output.name == name:
                 chunks, self._chunks[n] = self._chunks[n], []
-                return kind, joinValues(chunks, kind)
+                return kind, join_values(chunks, kind)
         return None
 
 

@@ -16,7 +16,7 @@ from cassandra_ros.arrays.array_types import ArrayType
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.wire.layout import FieldColumn
-from cassandra_ros.messages.wire.values import splitList
+from cassandra_ros.messages.wire.values import split_list
 from cassandra_ros.query.names import FieldRef
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Values(NamedTuple):
 Convert = Callable[[Raws], Values]
 
 
-def compileConvert(
+def compile_convert(
     ref: FieldRef, column: FieldColumn, kind: ArrayType, inside: bool
 ) -> Optional[Convert]:
     """Return the function from the columns of many rows to a field's values.
@@ -76,7 +76,7 @@ def compileConvert(
     return _part(convert, ref.part) if ref.part else convert
 
 
-def countElements(raws: Raws) -> AnyArray:
+def count_elements(raws: Raws) -> AnyArray:
     """Return how many elements the lists have; where one is missing, it stands for one."""
     return np.frombuffer(b"".join([raw[:4] if raw else _NO_LIST for raw in raws]), ">i4")
 
@@ -129,7 +129,7 @@ def _texts(raws: Raws) -> Values:
     return Values(values, _absent(raws))
 
 
-def numbersOf(kind: str, wire: bytes) -> AnyArray:
+def numbers_of(kind: str, wire: bytes) -> AnyArray:
     """Read the elements of a primitive array as on the wire."""
     if kind in ("time", "duration"):
         pairs = np.frombuffer(wire, "<u4" if kind == "time" else "<i4").reshape(-1, 2)
@@ -143,14 +143,14 @@ def _arrays(kind: ArrayType) -> Convert:
     length, unit = kind.length, 8 if kind.kind in ("time", "duration") else kind.dtype.itemsize
     if length is None:
         return lambda raws: Values(
-            objectsOf([None if raw is None else numbersOf(kind.kind, raw) for raw in raws]),
+            objects_of([None if raw is None else numbers_of(kind.kind, raw) for raw in raws]),
             _absent(raws),
         )
     size = length * unit
 
     def convert(raws: Raws) -> Values:
         joined = _joined(raws, np.dtype(f"V{size}"))
-        values = numbersOf(kind.kind, joined.tobytes())
+        values = numbers_of(kind.kind, joined.tobytes())
         return Values(values.reshape(len(raws), length), _absent(raws))
 
     return convert
@@ -163,7 +163,7 @@ def _element(index: int, kind: str) -> Convert:
     def convert(raws: Raws) -> Values:
         cut = [raw[low:high] if raw is not None and len(raw) >= high else None for raw in raws]
         joined = _joined(cut, np.dtype(f"V{unit}"))
-        return Values(numbersOf(kind, joined.tobytes()), _absent(cut))
+        return Values(numbers_of(kind, joined.tobytes()), _absent(cut))
 
     return convert
 
@@ -174,7 +174,7 @@ def _split(convert: Convert) -> Convert:
     def split(raws: Raws) -> Values:
         cut: List[Optional[bytes]] = []
         for raw in raws:
-            cut += [None] if raw is None else splitList(raw)
+            cut += [None] if raw is None else split_list(raw)
         return convert(cut)
 
     return split
@@ -188,7 +188,7 @@ def _elements(column: FieldColumn, kind: ArrayType) -> Convert:
 
     def convert(raws: Raws) -> Values:
         joined = b"".join([filler if raw is None else raw[4:] for raw in raws])
-        counts = countElements(raws)
+        counts = count_elements(raws)
         if len(joined) != int(counts.sum()) * element.itemsize:
             raise CorruptMessage(f"list column {column.name} is malformed")
         found = np.frombuffer(joined, element)
@@ -209,9 +209,9 @@ def _lists(ref: FieldRef, column: FieldColumn, kind: ArrayType) -> Convert:
 
     def convert(raws: Raws) -> Values:
         # Lists that are missing stand for one element.
-        every, ends = elements(raws).values, np.cumsum(countElements(raws))
+        every, ends = elements(raws).values, np.cumsum(count_elements(raws))
         cells = np.split(every, ends[:-1])
-        return arraysOf([None if raw is None else c for raw, c in zip(raws, cells)], kind)
+        return arrays_of([None if raw is None else c for raw, c in zip(raws, cells)], kind)
 
     return convert
 
@@ -220,7 +220,7 @@ def _listed(index: int) -> Convert:
     """One element of each string[]."""
 
     def convert(raws: Raws) -> Values:
-        lists = [[] if raw is None else splitList(raw) for raw in raws]
+        lists = [[] if raw is None else split_list(raw) for raw in raws]
         return _texts([found[index] if index < len(found) else None for found in lists])
 
     return convert
@@ -237,7 +237,7 @@ def _part(convert: Convert, part: str) -> Convert:
     return whole
 
 
-def objectsOf(cells: Sequence[object]) -> AnyArray:
+def objects_of(cells: Sequence[object]) -> AnyArray:
     """Return an array of objects, whatever they are."""
     values = np.empty(len(cells), object)
     for n, cell in enumerate(cells):
@@ -245,11 +245,11 @@ def objectsOf(cells: Sequence[object]) -> AnyArray:
     return values
 
 
-def arraysOf(cells: Sequence[Optional[AnyArray]], kind: ArrayType) -> Values:
+def arrays_of(cells: Sequence[Optional[AnyArray]], kind: ArrayType) -> Values:
     """Return arrays of one dimension as rows of one array, if their length is fixed."""
     missing = np.fromiter((cell is None for cell in cells), bool, len(cells))
     if kind.length is None:
-        return Values(objectsOf(cells), missing if missing.any() else None)
+        return Values(objects_of(cells), missing if missing.any() else None)
     filler = None if kind.dtype.kind == "O" else 0
     values = np.full((len(cells), kind.length), filler, kind.dtype)
     for n, cell in enumerate(cells):
@@ -258,28 +258,28 @@ def arraysOf(cells: Sequence[Optional[AnyArray]], kind: ArrayType) -> Values:
     return Values(values, missing if missing.any() else None)
 
 
-def fromDecoded(values: Sequence[Any], kind: ArrayType) -> Values:
+def from_decoded(values: Sequence[Any], kind: ArrayType) -> Values:
     """Make the arrays of values that were decoded one by one."""
     if kind.depth == 0:
         missing = np.fromiter((value is None for value in values), bool, len(values))
         if kind.dtype.kind == "O":
-            return Values(objectsOf(values), missing if missing.any() else None)
+            return Values(objects_of(values), missing if missing.any() else None)
         filled = np.array([0 if value is None else value for value in values], kind.dtype)
         return Values(filled, missing if missing.any() else None)
     if kind.depth > 1:
-        return Values(objectsOf(values), _absent(values))
-    return arraysOf([None if value is None else _cell(value, kind) for value in values], kind)
+        return Values(objects_of(values), _absent(values))
+    return arrays_of([None if value is None else _cell(value, kind) for value in values], kind)
 
 
 def _cell(value: Any, kind: ArrayType) -> AnyArray:
     if isinstance(value, bytes):
         return np.frombuffer(value, np.uint8).copy()
     if kind.dtype.kind == "O" or None in value:
-        return objectsOf(value)
+        return objects_of(value)
     return np.array(value, kind.dtype)
 
 
-def emptyValues(kind: ArrayType, count: int) -> Values:
+def empty_values(kind: ArrayType, count: int) -> Values:
     """Return values of which all are missing."""
     dtype = np.dtype(object) if kind.cells else kind.dtype
     shape = (count, kind.length) if kind.depth == 1 and kind.length is not None else (count,)
@@ -287,10 +287,10 @@ def emptyValues(kind: ArrayType, count: int) -> Values:
     return Values(values, np.ones(count, bool) if count else None)
 
 
-def joinValues(parts: Sequence[Values], kind: ArrayType) -> Values:
+def join_values(parts: Sequence[Values], kind: ArrayType) -> Values:
     """Lay values of one type after each other."""
     if not parts:
-        return emptyValues(kind, 0)
+        return empty_values(kind, 0)
     values = np.concatenate([part.values for part in parts])
     if all(part.missing is None for part in parts):
         return Values(values)
@@ -300,13 +300,13 @@ def joinValues(parts: Sequence[Values], kind: ArrayType) -> Values:
     return Values(values, np.concatenate(marks))
 
 
-def castValues(found: Values, own: ArrayType, kind: ArrayType) -> Values:
+def cast_values(found: Values, own: ArrayType, kind: ArrayType) -> Values:
     """Turn the values of one table into the type that holds those of all.
 
     Args:
         found: The values.
         own: Their type.
-        kind: What uniteTypes made of it and others.
+        kind: What unite_types made of it and others.
     """
     values, missing = found
     if own == kind or own.depth > 1:
@@ -317,15 +317,15 @@ def castValues(found: Values, own: ArrayType, kind: ArrayType) -> Values:
             values[missing] = None
         return Values(values, missing)
     if own.depth == 0:
-        return Values(rowsOf(values.astype(object), missing), missing)  # beside arrays
-    cells = rowsOf(values, missing)
+        return Values(rows_of(values.astype(object), missing), missing)  # beside arrays
+    cells = rows_of(values, missing)
     dtype = own.dtype if kind.depth == 0 else kind.dtype
-    return Values(objectsOf([c if c is None else c.astype(dtype) for c in cells]), missing)
+    return Values(objects_of([c if c is None else c.astype(dtype) for c in cells]), missing)
 
 
-def rowsOf(values: AnyArray, missing: Optional[AnyArray]) -> AnyArray:
+def rows_of(values: AnyArray, missing: Optional[AnyArray]) -> AnyArray:
     """Return an array of objects, one a row: the rows of an array, None where one is missing."""
-    rows = objectsOf(list(values))
+    rows = objects_of(list(values))
     if missing is not None:
         rows[missing] = None
     return rows

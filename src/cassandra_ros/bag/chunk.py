@@ -21,7 +21,7 @@ _FEED_BYTES = 1 << 16
 """Compressed bytes handed over at once, so that a bomb is noticed before it fills the memory."""
 
 
-def compressChunk(name: str, data: bytes) -> bytes:
+def compress_chunk(name: str, data: bytes) -> bytes:
     """Compress the records of a chunk with one of COMPRESSIONS.
 
     Raises:
@@ -32,7 +32,7 @@ def compressChunk(name: str, data: bytes) -> bytes:
     return bytes(_roslz4().compress(data)) if name == "lz4" else data
 
 
-def decompressChunk(name: str, data: bytes, size: int, where: str) -> bytes:
+def decompress_chunk(name: str, data: bytes, size: int, where: str) -> bytes:
     """Give back the content of a chunk.
 
     Args:
@@ -114,7 +114,7 @@ _FIXED_BYTES = _CPP.size
 _MESSAGE_HEAD = Struct(f"<{len(_PYTHON_HEAD)}sI{len(_PYTHON_MIDDLE)}sIII")
 
 
-def findMessages(content: bytes, where: str) -> list[ChunkMessage]:
+def find_messages(content: bytes, where: str) -> list[ChunkMessage]:
     """List the messages of a chunk in their order.
 
     Args:
@@ -144,11 +144,11 @@ def findMessages(content: bytes, where: str) -> list[ChunkMessage]:
                 found.append(ChunkMessage(file_id, t_ns, start, stop))
                 position = stop
                 continue
-        position = _otherRecord(content, position, where, found)
+        position = _other_record(content, position, where, found)
     return found
 
 
-def _otherRecord(content: bytes, position: int, where: str, found: list[ChunkMessage]) -> int:
+def _other_record(content: bytes, position: int, where: str, found: list[ChunkMessage]) -> int:
     """Read a connection record, or a message in another layout; return where it ends."""
     place = f"{where} (byte {position} of its content)"
     try:
@@ -159,11 +159,11 @@ def _otherRecord(content: bytes, position: int, where: str, found: list[ChunkMes
         stop = len(content) + 1
     if stop > len(content):
         raise BagError(f"{place} is damaged: a record runs over the end")
-    fields = bagformat.splitFields(content[position + 4 : data_size_at], place)
+    fields = bagformat.split_fields(content[position + 4 : data_size_at], place)
     op = bagformat.number(fields, b"op", bagformat.U8, place)
     if op == bagformat.OP_MESSAGE:
         file_id = bagformat.number(fields, b"conn", bagformat.U32, place)
-        t_ns = bagformat.timeNs(fields, b"time", place)
+        t_ns = bagformat.time_ns(fields, b"time", place)
         found.append(ChunkMessage(file_id, t_ns, start, stop))
     elif op != bagformat.OP_CONNECTION:
         # The index at the end holds the connections; their copies in the chunks repeat it.
@@ -171,7 +171,7 @@ def _otherRecord(content: bytes, position: int, where: str, found: list[ChunkMes
     return stop
 
 
-def messageHead(number: int, t_ns: int, size: int) -> bytes:
+def message_head(number: int, t_ns: int, size: int) -> bytes:
     """Build what stands before the bytes of a message in a chunk."""
     secs, nsecs = divmod(t_ns, SECOND_NS)
     return _MESSAGE_HEAD.pack(_PYTHON_HEAD, number, _PYTHON_MIDDLE, secs, nsecs, size)

@@ -11,9 +11,9 @@ from typing import Iterable, Sequence
 from cassandra_ros.bag.reader import Progress
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError, MessageNotFound
-from cassandra_ros.keys import splitSeq
+from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.messages.stamps import isoTime
+from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.topics.across import Conditions
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.selection import Time
@@ -34,8 +34,8 @@ class ExportReport:
     """Serialised bytes."""
 
 
-def exportBag(
-    rosCas: RosCassandra,
+def export_bag(
+    ros_cas: RosCassandra,
     path: str | os.PathLike[str],
     topics: Iterable[str] | None = None,
     start: Time | None = None,
@@ -54,7 +54,7 @@ def exportBag(
     time, connection, position.
 
     Args:
-        rosCas: Connected to a keyspace.
+        ros_cas: Connected to a keyspace.
         path: The bag to make; it has the name PATH.active until it is complete.
         topics: Only these; None = all.
         start: First time of reception (genpy.Time, int ns, float s or text); None = open.
@@ -77,8 +77,8 @@ def exportBag(
     if os.path.exists(path) and not force:
         raise BagError(f"{os.fspath(path)} exists; choose another name, or replace it with --force")
     # One topic may have been asked for in two spellings.
-    names = None if topics is None else sorted({rosCas.getTopic(name).name for name in topics})
-    rows = rosCas.readMessages(names, start, end, nodeID=nodeID, received=True, where=where)
+    names = None if topics is None else sorted({ros_cas.getTopic(name).name for name in topics})
+    rows = ros_cas.readMessages(names, start, end, nodeID=nodeID, received=True, where=where)
     report = ExportReport(os.fspath(path))
     with BagWriter(path, compression) as writer:
         numbers = ConnectionNumbers(writer)
@@ -91,24 +91,24 @@ def exportBag(
             if progress is not None:
                 progress(1, len(wire))
         if not report.messages and not empty:
-            raise MessageNotFound(_nothing(rosCas, report.path, names, nodeID))
+            raise MessageNotFound(_nothing(ros_cas, report.path, names, nodeID))
     return report
 
 
 def _nothing(
-    rosCas: RosCassandra, path: str, topics: Sequence[str] | None, node: str | None
+    ros_cas: RosCassandra, path: str, topics: Sequence[str] | None, node: str | None
 ) -> str:
     """Say why there is nothing to write."""
-    text, infos = f"{path} is not written, for there is no such message: ", rosCas.info(topics)
+    text, infos = f"{path} is not written, for there is no such message: ", ros_cas.info(topics)
     if not infos:
-        return text + f"keyspace {rosCas.keyspace} holds none of these topics"
+        return text + f"keyspace {ros_cas.keyspace} holds none of these topics"
     nodes = sorted({info.node for info in infos})
     if node is not None and node not in nodes:
         return text + f"none is of node {node!r}, but of {', '.join(map(repr, nodes))}"
     times = [ns for info in infos for ns in (info.first_ns, info.last_ns) if ns is not None]
     if not times:
         return text + "these topics are empty"
-    return text + f"these topics reach from {isoTime(min(times))} to {isoTime(max(times))}"
+    return text + f"these topics reach from {iso_time(min(times))} to {iso_time(max(times))}"
 
 
 class ConnectionNumbers:
@@ -130,7 +130,7 @@ class ConnectionNumbers:
 
     def of(self, row: StoredRow) -> int:
         """Return the number of a row's connection."""
-        run = splitSeq(row.seq)[0]
+        run = split_seq(row.seq)[0]
         key = (run, row.table.name, row.conn)
         number = self._numbers.get(key)
         if number is None:

@@ -45,7 +45,7 @@ class Record(NamedTuple):
     data_bytes: int
 
 
-def splitFields(header: bytes, where: str) -> Fields:
+def split_fields(header: bytes, where: str) -> Fields:
     """Take a header apart into its fields; of equal names the last one counts.
 
     Args:
@@ -68,16 +68,16 @@ def splitFields(header: bytes, where: str) -> Fields:
     return fields
 
 
-def packFields(fields: Iterable[Tuple[bytes, bytes]]) -> bytes:
+def pack_fields(fields: Iterable[Tuple[bytes, bytes]]) -> bytes:
     """Build a header (without its own length) from names and values."""
     return b"".join(
         U32.pack(len(name) + 1 + len(value)) + name + b"=" + value for name, value in fields
     )
 
 
-def packRecord(fields: Iterable[Tuple[bytes, bytes]], data: bytes) -> bytes:
+def pack_record(fields: Iterable[Tuple[bytes, bytes]], data: bytes) -> bytes:
     """Build a whole record."""
-    header = packFields(fields)
+    header = pack_fields(fields)
     return b"".join((U32.pack(len(header)), header, U32.pack(len(data)), data))
 
 
@@ -93,7 +93,7 @@ def number(fields: Fields, name: bytes, layout: Struct, where: str) -> int:
     return int(layout.unpack(value)[0])
 
 
-def timeNs(fields: Fields, name: bytes, where: str) -> int:
+def time_ns(fields: Fields, name: bytes, where: str) -> int:
     """Read a time out of a header, as nanoseconds.
 
     Raises:
@@ -106,12 +106,12 @@ def timeNs(fields: Fields, name: bytes, where: str) -> int:
     return t_ns
 
 
-def packTime(t_ns: int) -> bytes:
+def pack_time(t_ns: int) -> bytes:
     """Write nanoseconds as the seconds and nanoseconds of a ROS time."""
     return TIME.pack(*divmod(t_ns, SECOND_NS))
 
 
-def readRecord(file: BinaryIO, file_bytes: int, op: int, where: str) -> Record:
+def read_record(file: BinaryIO, file_bytes: int, op: int, where: str) -> Record:
     """Read the header of the record at the file's position, and stop before its data.
 
     Raises:
@@ -123,19 +123,19 @@ def readRecord(file: BinaryIO, file_bytes: int, op: int, where: str) -> Record:
     if header_bytes > MAX_HEADER_BYTES:
         raise BagError(f"{where} is damaged: a header of {header_bytes} bytes at byte {start}")
     if file_bytes - file.tell() < header_bytes:
-        raise cutShort(where, file_bytes)
-    fields = splitFields(file.read(header_bytes), where)
+        raise cut_short(where, file_bytes)
+    fields = split_fields(file.read(header_bytes), where)
     found = number(fields, b"op", U8, where)
     if found != op:
         raise BagError(f"{where} is damaged: at byte {start} stands a record of kind {found}")
     data_bytes = _length(file, file_bytes, where)
     position = file.tell()
     if file_bytes - position < data_bytes:
-        raise cutShort(where, file_bytes)
+        raise cut_short(where, file_bytes)
     return Record(fields, position, data_bytes)
 
 
-def cutShort(where: str, file_bytes: int) -> BagUnindexed:
+def cut_short(where: str, file_bytes: int) -> BagUnindexed:
     """Make the error for a file that ends too early."""
     return BagUnindexed(
         f"{where} does not fit into the file, which is cut short after {file_bytes} bytes; "
@@ -146,5 +146,5 @@ def cutShort(where: str, file_bytes: int) -> BagUnindexed:
 def _length(file: BinaryIO, file_bytes: int, where: str) -> int:
     raw = file.read(4)
     if len(raw) < 4:
-        raise cutShort(where, file_bytes)
+        raise cut_short(where, file_bytes)
     return int(U32.unpack(raw)[0])

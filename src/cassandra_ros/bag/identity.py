@@ -38,17 +38,17 @@ class BagContent(NamedTuple):
     sizes: dict[int, int]
     """Serialised bytes by number of the connection."""
 
-    def writerId(self, node: str = "") -> int:
+    def writer_id(self, node: str = "") -> int:
         """Return the writer id of an import for a node: an int in [1, 2**31 - 1]."""
         name = node.encode("utf-8", "surrogateescape")
         return _number(hashlib.sha256(self.digest.encode("ascii") + name))
 
-    def isOf(self, run: Run) -> bool:
+    def is_of(self, run: Run) -> bool:
         """Say whether a run is an import of this content."""
         return run.labels.get(CONTENT) == self.digest
 
 
-def readContent(reader: BagReader, reading: Progress | None = None) -> BagContent:
+def read_content(reader: BagReader, reading: Progress | None = None) -> BagContent:
     """Read all messages of a bag and hash them in the order of the file.
 
     A chunk that is damaged counts as such. Nothing of it can be stored: the import that reaches it
@@ -64,7 +64,7 @@ def readContent(reader: BagReader, reading: Progress | None = None) -> BagConten
     for chunk in range(reader.chunk_count):
         count = total = 0
         try:
-            for _, number, t_ns, data in reader.chunkMessages(chunk):
+            for _, number, t_ns, data in reader.chunk_messages(chunk):
                 size = len(data)
                 add(pack(rank[number], t_ns, size))
                 add(data)
@@ -78,12 +78,12 @@ def readContent(reader: BagReader, reading: Progress | None = None) -> BagConten
     return BagContent(digest.hexdigest(), sizes)
 
 
-def isEarlier(run: Run) -> bool:
+def is_earlier(run: Run) -> bool:
     """Say whether a run is an import by an earlier release, which did not note the content."""
     return run.kind == "import" and CONTENT not in run.labels
 
 
-def earlierWriterId(reader: BagReader, node: str) -> int:
+def earlier_writer_id(reader: BagReader, node: str) -> int:
     """Compute the writer id that an earlier release gave to a bag's import.
 
     Only the first and the last 1,000 messages counted: bags that differ in between share it.
@@ -92,7 +92,7 @@ def earlierWriterId(reader: BagReader, node: str) -> int:
         BagError: A chunk is damaged.
     """
     name = node.encode("utf-8", "surrogateescape")
-    digest, rank = _begin(b"cassandra_ros bag 1" + _withLength(name), reader)
+    digest, rank = _begin(b"cassandra_ros bag 1" + _with_length(name), reader)
     first = takewhile(lambda message: message.position < EARLIER_SAMPLE, reader.messages())
     last = reader.messages(start=max(0, reader.message_count - EARLIER_SAMPLE))
     for message in chain(first, last):
@@ -106,13 +106,13 @@ def _begin(head: bytes, reader: BagReader) -> tuple[hashlib._Hash, dict[int, int
     digest = hashlib.sha256(head)
     connections = reader.connections
     for connection in connections.values():
-        digest.update(_withLength(connection.topic.encode("utf-8")))
-        digest.update(_withLength(connection.header))
+        digest.update(_with_length(connection.topic.encode("utf-8")))
+        digest.update(_with_length(connection.header))
     digest.update(_SUMMARY.pack(reader.message_count, reader.start_ns, reader.end_ns))
     return digest, {number: place for place, number in enumerate(connections)}
 
 
-def _withLength(text: bytes) -> bytes:
+def _with_length(text: bytes) -> bytes:
     return len(text).to_bytes(8, "little") + text
 
 

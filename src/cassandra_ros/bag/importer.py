@@ -10,18 +10,24 @@ from dataclasses import dataclass, field
 from typing import AbstractSet, Iterable, Mapping
 
 from cassandra_ros.arguments import check_new_topic
-from cassandra_ros.bag.identity import CONTENT, BagContent, earlierWriterId, isEarlier, readContent
-from cassandra_ros.bag.reader import BagReader, Progress, chosenConnections
-from cassandra_ros.bag.verify import Import, holdsNothingElse
+from cassandra_ros.bag.identity import (
+    CONTENT,
+    BagContent,
+    earlier_writer_id,
+    is_earlier,
+    read_content,
+)
+from cassandra_ros.bag.reader import BagReader, Progress, chosen_connections
+from cassandra_ros.bag.verify import Import, holds_nothing_else
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_WRITER, SECOND_NS
-from cassandra_ros.store.directory import bucketFor
+from cassandra_ros.store.directory import bucket_for
 from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.message_writer import (
     Handle,
     MessageWriter,
-    usableDefinition,
+    usable_definition,
 )
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 
@@ -60,8 +66,8 @@ class ImportReport:
         return sum(topic.messages for topic in self.topics.values())
 
 
-def importBag(
-    rosCas: RosCassandra,
+def import_bag(
+    ros_cas: RosCassandra,
     path: str | os.PathLike[str],
     format: str | None = None,
     topics: Iterable[str] | None = None,
@@ -76,7 +82,7 @@ def importBag(
     not depend on the size of the bag (see BagReader for its share).
 
     Args:
-        rosCas: Connected to a keyspace.
+        ros_cas: Connected to a keyspace.
         path: The bag.
         format: As addTopic takes it, for all topics.
         topics: Only these, with or without leading slash; None = all.
@@ -97,11 +103,11 @@ def importBag(
         WriteFailed, StoreUnavailable: The store did not take all of it.
     """
     with BagReader(path) as reader:
-        numbers = chosenConnections(reader, topics)
-        content = readContent(reader, reading)
-        writer_id = _writerId(rosCas, reader, nodeID, content)
+        numbers = chosen_connections(reader, topics)
+        content = read_content(reader, reading)
+        writer_id = _writer_id(ros_cas, reader, nodeID, content)
         report = ImportReport(reader.path, writer_id, nodeID)
-        numbers = _refuseNames(reader, numbers, report)
+        numbers = _refuse_names(reader, numbers, report)
         run = Run(
             node=nodeID,
             writer=writer_id,
@@ -111,9 +117,9 @@ def importBag(
             format=format or "",
             labels={CONTENT: content.digest},
         )
-        _refuseSecondCopy(rosCas, reader, numbers, run)
-        lengths = bucketLengths(reader, content.sizes)
-        with rosCas.messageWriter(
+        _refuse_second_copy(ros_cas, reader, numbers, run)
+        lengths = bucket_lengths(reader, content.sizes)
+        with ros_cas.messageWriter(
             writer_id=writer_id, format=format, nodeID=nodeID, run=run
         ) as writer:
             handles = {
@@ -121,13 +127,13 @@ def importBag(
                 for number, connection in reader.connections.items()
                 if number in numbers
             }
-            _noteTopics(report, handles)
-            _writeMessages(reader, writer, handles, report, progress)
+            _note_topics(report, handles)
+            _write_messages(reader, writer, handles, report, progress)
             writer.close(lost=report.lost)
     return report
 
 
-def _refuseNames(reader: BagReader, numbers: AbstractSet[int], report: ImportReport) -> set[int]:
+def _refuse_names(reader: BagReader, numbers: AbstractSet[int], report: ImportReport) -> set[int]:
     """Note the topics whose names cannot be kept; return the other connections."""
     kept: set[int] = set()
     for number in sorted(numbers):
@@ -146,23 +152,23 @@ def _refuseNames(reader: BagReader, numbers: AbstractSet[int], report: ImportRep
     return kept
 
 
-def _writerId(rosCas: RosCassandra, reader: BagReader, node: str, content: BagContent) -> int:
+def _writer_id(ros_cas: RosCassandra, reader: BagReader, node: str, content: BagContent) -> int:
     """Return the writer id of this bag's import: that of an earlier one where there is one."""
-    runs = {run.writer: run for run in rosCas.runs() if run.node == node}
-    for run in filter(content.isOf, runs.values()):
+    runs = {run.writer: run for run in ros_cas.runs() if run.node == node}
+    for run in filter(content.is_of, runs.values()):
         return run.writer
     names = {connection.topic for connection in reader.connections.values()}
-    earlier = {n for n, run in runs.items() if isEarlier(run) and run.stored.keys() <= names}
-    writer_id = _earlierId(rosCas, reader, node, earlier) if earlier else None
+    earlier = {n for n, run in runs.items() if is_earlier(run) and run.stored.keys() <= names}
+    writer_id = _earlier_id(ros_cas, reader, node, earlier) if earlier else None
     if writer_id is None:
-        writer_id = content.writerId(node)
+        writer_id = content.writer_id(node)
         while writer_id in runs:  # of another bag: 31 bits may agree by chance
             writer_id = writer_id % MAX_WRITER + 1
     return writer_id
 
 
-def _earlierId(
-    rosCas: RosCassandra, reader: BagReader, node: str, writers: AbstractSet[int]
+def _earlier_id(
+    ros_cas: RosCassandra, reader: BagReader, node: str, writers: AbstractSet[int]
 ) -> int | None:
     """Return which of these imports, whose content nobody noted, is of this bag, if one is.
 
@@ -170,46 +176,48 @@ def _earlierId(
     it: we would replace the rows of another bag. So the rows themselves are compared.
     """
     try:
-        writer_id = earlierWriterId(reader, node)
+        writer_id = earlier_writer_id(reader, node)
         found = Import(node, writer_id)
-        if writer_id in writers and holdsNothingElse(rosCas, reader, found):
+        if writer_id in writers and holds_nothing_else(ros_cas, reader, found):
             return writer_id
     except BagError as exc:
         _log.debug("%s; its import goes as far", exc)  # and says so
     return None
 
 
-def _refuseSecondCopy(rosCas: RosCassandra, reader: BagReader, numbers: set[int], run: Run) -> None:
+def _refuse_second_copy(
+    ros_cas: RosCassandra, reader: BagReader, numbers: set[int], run: Run
+) -> None:
     """Raise where rows of this import lie in tables of another format: all would be double."""
-    parts = rosCas.parts
+    parts = ros_cas.parts
     for number in sorted(numbers):
         connection = reader.connections[number]
         wanted = parts.format_for(connection.topic, connection.md5sum, run.format)
-        usable, _ = usableDefinition(connection, wanted)
+        usable, _ = usable_definition(connection, wanted)
         wanted = wanted if usable is not None else FALLBACK_FORMAT
-        for table in parts.tables.ofTopic(connection.topic):
+        for table in parts.tables.of_topic(connection.topic):
             metadata = table.metadata
             if metadata.format == wanted or metadata.md5sum != connection.md5sum:
                 continue
-            first, last = table.bucketOf(reader.start_ns), table.bucketOf(reader.end_ns)
+            first, last = table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
             rows = parts.directory.buckets(table.name, first, last, (run.node,))
             if any(row.writer == run.writer for row in rows):
                 raise TopicExists(
-                    f"{reader.path} is stored in keyspace {rosCas.keyspace} already, topic "
+                    f"{reader.path} is stored in keyspace {ros_cas.keyspace} already, topic "
                     f"{connection.topic} in format {metadata.format}; in format {wanted} "
                     "every message would be there twice: remove the topics first, or import it "
                     "into another keyspace"
                 )
 
 
-def _noteTopics(report: ImportReport, handles: dict[int, Handle]) -> None:
+def _note_topics(report: ImportReport, handles: dict[int, Handle]) -> None:
     for handle in handles.values():
         report.topics.setdefault(handle.topic, ImportedTopic(handle.format))
         if handle.warning and handle.warning not in report.warnings:
             report.warnings.append(handle.warning)
 
 
-def _writeMessages(
+def _write_messages(
     reader: BagReader,
     writer: MessageWriter,
     handles: dict[int, Handle],
@@ -251,7 +259,7 @@ class _Rate:
         self.start_ns, self.count, self.bytes = start_ns, 0, 0.0
 
 
-def bucketLengths(reader: BagReader, sizes: Mapping[int, int]) -> dict[int, int]:
+def bucket_lengths(reader: BagReader, sizes: Mapping[int, int]) -> dict[int, int]:
     """Choose the bucket length of each connection's table.
 
     The highest rate over stretches of at least 10 s decides, as the counts of the chunks show
@@ -269,7 +277,7 @@ def bucketLengths(reader: BagReader, sizes: Mapping[int, int]) -> dict[int, int]
     means = {number: sizes[number] / count for number, count in reader.counts.items()}
     keys = {number: (c.topic, c.md5sum) for number, c in reader.connections.items()}
     for chunk in range(reader.chunk_count):
-        info = reader.chunkInfo(chunk)
+        info = reader.chunk_info(chunk)
         seen = set()
         for number, count in info.counts.items():
             rate = rates.setdefault(keys[number], _Rate(info.start_ns, info.end_ns))
@@ -281,4 +289,4 @@ def bucketLengths(reader: BagReader, sizes: Mapping[int, int]) -> dict[int, int]
             rate.bytes += count * means[number]
     for rate in rates.values():
         rate.finish(rate.end_ns, last=True)
-    return {n: bucketFor(rates[key].peak_hz, rates[key].peak_bytes) for n, key in keys.items()}
+    return {n: bucket_for(rates[key].peak_hz, rates[key].peak_bytes) for n, key in keys.items()}

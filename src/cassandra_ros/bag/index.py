@@ -51,16 +51,16 @@ class BagIndex:
         return len(self.chunks) // self.PER_CHUNK
 
 
-def _readFileHeader(file: BinaryIO, file_bytes: int, name: str) -> tuple[int, int, int]:
+def _read_file_header(file: BinaryIO, file_bytes: int, name: str) -> tuple[int, int, int]:
     """Read the magic line and the first record.
 
     Returns:
         Position of the index, number of connections, number of chunks.
     """
-    _checkMagic(file.readline(_LONGEST_MAGIC), file_bytes, name)
+    _check_magic(file.readline(_LONGEST_MAGIC), file_bytes, name)
     where = f"{name}: the header"
     try:
-        record = bagformat.readRecord(file, file_bytes, bagformat.OP_FILE_HEADER, where)
+        record = bagformat.read_record(file, file_bytes, bagformat.OP_FILE_HEADER, where)
     except BagUnindexed as exc:
         raise BagUnindexed(_reindex(name, f"is cut short after {file_bytes} bytes")) from exc
     fields = record.fields
@@ -85,7 +85,7 @@ def _readFileHeader(file: BinaryIO, file_bytes: int, name: str) -> tuple[int, in
     return index_pos, connections, chunks
 
 
-def _checkMagic(magic: bytes, file_bytes: int, name: str) -> None:
+def _check_magic(magic: bytes, file_bytes: int, name: str) -> None:
     if magic == bagformat.MAGIC:
         return
     if not file_bytes:
@@ -103,37 +103,37 @@ def _reindex(name: str, what: str) -> str:
     return f"{name} {what}; repair it with: rosbag reindex {name}"
 
 
-def readIndex(file: BinaryIO, file_bytes: int, name: str) -> BagIndex:
+def read_index(file: BinaryIO, file_bytes: int, name: str) -> BagIndex:
     """Read the header and the whole index of a bag, from the file's beginning.
 
     Raises:
         BagUnindexed: The bag was not closed, or is cut short: the index, or a part of it, lacks.
         BagError: It is no bag of format 2.0, it is encrypted, or its index contradicts itself.
     """
-    index_pos, connection_count, chunk_count = _readFileHeader(file, file_bytes, name)
+    index_pos, connection_count, chunk_count = _read_file_header(file, file_bytes, name)
     file.seek(index_pos)
     index = BagIndex()
     try:
-        _readConnections(file, file_bytes, connection_count, name, index)
-        _readChunkInfos(file, file_bytes, chunk_count, name, index)
+        _read_connections(file, file_bytes, connection_count, name, index)
+        _read_chunk_infos(file, file_bytes, chunk_count, name, index)
     except BagUnindexed as exc:
         what = f"is cut short: its index ends at byte {file_bytes}"
         raise BagUnindexed(_reindex(name, what)) from exc
-    _sortChunks(index, index_pos, name)
+    _sort_chunks(index, index_pos, name)
     return index
 
 
-def _readConnections(
+def _read_connections(
     file: BinaryIO, file_bytes: int, count: int, name: str, index: BagIndex
 ) -> None:
     found: dict[int, tuple[str, bytes]] = {}
     where = f"{name}: a connection in the index"
     for _ in range(count):
-        record = bagformat.readRecord(file, file_bytes, bagformat.OP_CONNECTION, where)
+        record = bagformat.read_record(file, file_bytes, bagformat.OP_CONNECTION, where)
         number = bagformat.number(record.fields, b"conn", bagformat.U32, where)
         header = file.read(record.data_bytes)
         topic = _topic(record.fields, number, name)
-        _checkHeader(header, f"{name}: connection {number} (topic {topic})")
+        _check_header(header, f"{name}: connection {number} (topic {topic})")
         if found.setdefault(number, (topic, header)) != (topic, header):
             raise BagError(f"{name} is damaged: it has two different connections {number}")
     # Number decides between equal times. Where the records stand in another order, that is
@@ -155,8 +155,8 @@ def _topic(fields: bagformat.Fields, number: int, name: str) -> str:
     raise BagError(f"{name} is damaged: connection {number} names no topic")
 
 
-def _checkHeader(header: bytes, where: str) -> None:
-    fields = bagformat.splitFields(header, where)
+def _check_header(header: bytes, where: str) -> None:
+    fields = bagformat.split_fields(header, where)
     for name in (b"type", b"md5sum"):
         try:
             present = bool(fields.get(name, b"").decode("utf-8"))
@@ -166,13 +166,13 @@ def _checkHeader(header: bytes, where: str) -> None:
             raise BagError(f"{where} is damaged: its header states no {name.decode()}")
 
 
-def _readChunkInfos(
+def _read_chunk_infos(
     file: BinaryIO, file_bytes: int, count: int, name: str, index: BagIndex
 ) -> None:
     where = f"{name}: a chunk info in the index"
     for _ in range(count):
         info_pos = file.tell()
-        info = readChunkInfo(file, file_bytes, index.numbers, where)
+        info = read_chunk_info(file, file_bytes, index.numbers, where)
         index.counts.update(info.counts)
         # The sum stands here until the chunks are in order.
         before = sum(info.counts.values())
@@ -180,7 +180,7 @@ def _readChunkInfos(
         index.chunks.extend((info.position, info.start_ns, info.end_ns, info_pos, before))
 
 
-def readChunkInfo(
+def read_chunk_info(
     file: BinaryIO, file_bytes: int, numbers: dict[int, int], where: str
 ) -> ChunkInfo:
     """Read the chunk info record at the file's position; its ``first`` is 0.
@@ -188,13 +188,13 @@ def readChunkInfo(
     Raises:
         BagError: The record is damaged or counts messages of an unknown connection.
     """
-    record = bagformat.readRecord(file, file_bytes, bagformat.OP_CHUNK_INFO, where)
+    record = bagformat.read_record(file, file_bytes, bagformat.OP_CHUNK_INFO, where)
     version = bagformat.number(record.fields, b"ver", bagformat.U32, where)
     if version != bagformat.INDEX_VERSION:
         raise BagError(f"{where} has the unknown version {version}")
     position = bagformat.number(record.fields, b"chunk_pos", bagformat.U64, where)
-    start_ns = bagformat.timeNs(record.fields, b"start_time", where)
-    end_ns = bagformat.timeNs(record.fields, b"end_time", where)
+    start_ns = bagformat.time_ns(record.fields, b"start_time", where)
+    end_ns = bagformat.time_ns(record.fields, b"end_time", where)
     count = bagformat.number(record.fields, b"count", bagformat.U32, where)
     data = file.read(record.data_bytes)
     if len(data) != count * _COUNT.size:
@@ -208,7 +208,7 @@ def readChunkInfo(
     return ChunkInfo(position, start_ns, end_ns, counts, 0)
 
 
-def _sortChunks(index: BagIndex, index_pos: int, name: str) -> None:
+def _sort_chunks(index: BagIndex, index_pos: int, name: str) -> None:
     width = index.PER_CHUNK
     rows = index.chunks
     order = sorted(range(len(index)), key=rows[::width].__getitem__)

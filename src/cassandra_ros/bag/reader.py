@@ -11,8 +11,8 @@ from difflib import get_close_matches
 from typing import AbstractSet, BinaryIO, Callable, Iterable, Iterator, Mapping, NamedTuple
 
 from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.chunk import ChunkMessage, decompressChunk, findMessages
-from cassandra_ros.bag.index import BagIndex, ChunkInfo, readChunkInfo, readIndex
+from cassandra_ros.bag.chunk import ChunkMessage, decompress_chunk, find_messages
+from cassandra_ros.bag.index import BagIndex, ChunkInfo, read_chunk_info, read_index
 from cassandra_ros.errors import BagError, TopicNotFound
 from cassandra_ros.messages.connection import Connection
 
@@ -57,7 +57,7 @@ class BagReader:
         except OSError as exc:
             raise BagError(f"{self.path} cannot be read: {exc.strerror}") from exc
         try:
-            self._index: BagIndex = readIndex(self._file, self.file_bytes, self.path)
+            self._index: BagIndex = read_index(self._file, self.file_bytes, self.path)
         except (OSError, BagError) as exc:
             self._file.close()
             if isinstance(exc, BagError):
@@ -109,9 +109,9 @@ class BagReader:
 
     def compressions(self) -> dict[str, int]:
         """Count the chunks of each compression (reads the header of every chunk)."""
-        return dict(Counter(self._chunkHeader(i)[0] for i in range(self.chunk_count)))
+        return dict(Counter(self._chunk_header(i)[0] for i in range(self.chunk_count)))
 
-    def chunkInfo(self, chunk: int) -> ChunkInfo:
+    def chunk_info(self, chunk: int) -> ChunkInfo:
         """Read what the index says about a chunk.
 
         Args:
@@ -121,10 +121,10 @@ class BagReader:
         info_pos, before = self._index.chunks[first + 3 : first + 5]
         where = f"{self.path}: the chunk info of chunk {chunk + 1}"
         self._file.seek(info_pos)
-        info = readChunkInfo(self._file, self.file_bytes, self._index.numbers, where)
+        info = read_chunk_info(self._file, self.file_bytes, self._index.numbers, where)
         return info._replace(first=before)
 
-    def chunkTimes(self, chunk: int) -> tuple[int, int]:
+    def chunk_times(self, chunk: int) -> tuple[int, int]:
         """Return the first and last time in a chunk as the index has them, ns."""
         first = chunk * BagIndex.PER_CHUNK
         start_ns, end_ns = self._index.chunks[first + 1 : first + 3]
@@ -149,15 +149,15 @@ class BagReader:
             return
         first = bisect_right(self._index.chunks[4 :: BagIndex.PER_CHUNK], start) - 1
         for chunk in range(first, self.chunk_count):
-            for message in self.chunkMessages(chunk, numbers):
+            for message in self.chunk_messages(chunk, numbers):
                 if message.position >= start:
                     yield message
 
-    def chunkMessages(
+    def chunk_messages(
         self, chunk: int, numbers: AbstractSet[int] | None = None
     ) -> Iterator[RawMessage]:
         """Read the messages of one chunk; see messages."""
-        info = self.chunkInfo(chunk)
+        info = self.chunk_info(chunk)
         if numbers is not None and numbers.isdisjoint(info.counts):
             return
         content, found = self._load(chunk, info)
@@ -168,7 +168,7 @@ class BagReader:
                 yield RawMessage(position, number, t_ns, content[start:stop])
 
     def _load(self, chunk: int, info: ChunkInfo) -> tuple[bytes, list[ChunkMessage]]:
-        compression, size, data_bytes = self._chunkHeader(chunk)
+        compression, size, data_bytes = self._chunk_header(chunk)
         where = self._where(chunk)
         if compression == "none" and size != data_bytes:
             raise BagError(f"{where} is damaged: it states both {size} and {data_bytes} bytes")
@@ -177,9 +177,9 @@ class BagReader:
         except OSError as exc:
             raise BagError(f"{where} cannot be read: {exc.strerror}") from exc
         if len(data) != data_bytes:
-            raise bagformat.cutShort(where, self.file_bytes)
-        content = decompressChunk(compression, data, size, where)
-        found = findMessages(content, where)
+            raise bagformat.cut_short(where, self.file_bytes)
+        content = decompress_chunk(compression, data, size, where)
+        found = find_messages(content, where)
         counted = Counter(message.file_id for message in found)
         mapping = self._index.numbers
         if {mapping.get(file_id, -1): n for file_id, n in counted.items()} != info.counts:
@@ -189,10 +189,10 @@ class BagReader:
             )
         return content, found
 
-    def _chunkHeader(self, chunk: int) -> tuple[str, int, int]:
+    def _chunk_header(self, chunk: int) -> tuple[str, int, int]:
         where = self._where(chunk)
         self._file.seek(self._index.chunks[chunk * BagIndex.PER_CHUNK])
-        record = bagformat.readRecord(self._file, self.file_bytes, bagformat.OP_CHUNK, where)
+        record = bagformat.read_record(self._file, self.file_bytes, bagformat.OP_CHUNK, where)
         compression = record.fields.get(b"compression", b"").decode("utf-8", "replace")
         size = bagformat.number(record.fields, b"size", bagformat.U32, where)
         return compression, size, record.data_bytes
@@ -212,7 +212,7 @@ class Ordered(NamedTuple):
     """What was asked to be kept of the message."""
 
 
-def readInOrder(
+def read_in_order(
     reader: BagReader,
     keep: Callable[[RawMessage], bytes],
     numbers: AbstractSet[int] | None = None,
@@ -232,11 +232,11 @@ def readInOrder(
         BagError: A chunk is damaged, or holds times that the index denies.
     """
     rank = {number: place for place, number in enumerate(reader.connections)}
-    order = sorted(range(reader.chunk_count), key=reader.chunkTimes)
+    order = sorted(range(reader.chunk_count), key=reader.chunk_times)
     waiting: list[Ordered] = []
     for place, chunk in enumerate(order):
-        start_ns, end_ns = reader.chunkTimes(chunk)
-        for message in reader.chunkMessages(chunk, numbers):
+        start_ns, end_ns = reader.chunk_times(chunk)
+        for message in reader.chunk_messages(chunk, numbers):
             if not start_ns <= message.t_ns <= end_ns:
                 raise BagError(
                     f"{reader.path}: chunk {chunk + 1} holds a message outside the times that "
@@ -246,7 +246,7 @@ def readInOrder(
             waiting.append(entry)
         waiting.sort()  # runs that are in order already cost one comparison a message
         if place + 1 < len(order):
-            next_ns = reader.chunkTimes(order[place + 1])[0]
+            next_ns = reader.chunk_times(order[place + 1])[0]
             ready = bisect_left(waiting, (next_ns,))
         else:
             ready = len(waiting)
@@ -254,7 +254,7 @@ def readInOrder(
         del waiting[:ready]
 
 
-def matchTopics(names: Iterable[str], present: AbstractSet[str], where: str) -> set[str]:
+def match_topics(names: Iterable[str], present: AbstractSet[str], where: str) -> set[str]:
     """Find topics by name, with or without the leading slash.
 
     Args:
@@ -283,7 +283,7 @@ def _listing(name: str, present: AbstractSet[str]) -> str:
     return f"it has {', '.join(every[:LISTED])}{more} ({len(every)} topics)"
 
 
-def chosenConnections(reader: BagReader, topics: Iterable[str] | None) -> set[int]:
+def chosen_connections(reader: BagReader, topics: Iterable[str] | None) -> set[int]:
     """Return the numbers of the connections of some topics of a bag (None = of all).
 
     Raises:
@@ -292,5 +292,5 @@ def chosenConnections(reader: BagReader, topics: Iterable[str] | None) -> set[in
     connections = reader.connections
     if topics is None:
         return set(connections)
-    names = matchTopics(topics, {c.topic for c in connections.values()}, reader.path)
+    names = match_topics(topics, {c.topic for c in connections.values()}, reader.path)
     return {number for number, c in connections.items() if c.topic in names}

@@ -11,12 +11,18 @@ from dataclasses import dataclass, field
 from itertools import groupby, islice
 from typing import AbstractSet, Iterable, Iterator, Mapping, NamedTuple
 
-from cassandra_ros.bag.identity import earlierWriterId, isEarlier, readContent
-from cassandra_ros.bag.reader import BagReader, Progress, RawMessage, chosenConnections, readInOrder
+from cassandra_ros.bag.identity import earlier_writer_id, is_earlier, read_content
+from cassandra_ros.bag.reader import (
+    BagReader,
+    Progress,
+    RawMessage,
+    chosen_connections,
+    read_in_order,
+)
 from cassandra_ros.errors import CorruptMessage, InvalidKey
-from cassandra_ros.keys import splitSeq
+from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.messages.stamps import isoTime
+from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.selection import Time
 from cassandra_ros.topics.stored_row import StoredRow
@@ -76,8 +82,8 @@ class VerifyReport:
             self.first.append(text)
 
 
-def verifyBag(
-    rosCas: RosCassandra,
+def verify_bag(
+    ros_cas: RosCassandra,
     path: str | os.PathLike[str],
     topics: Iterable[str] | None = None,
     nodeID: str | None = None,
@@ -92,7 +98,7 @@ def verifyBag(
     the same topics; else all rows of the bag's topics are.
 
     Args:
-        rosCas: Connected to a keyspace.
+        ros_cas: Connected to a keyspace.
         path: The bag.
         topics: Only these; None = all of the bag.
         nodeID: Compare what is stored for this node; None = whichever node it is.
@@ -105,23 +111,23 @@ def verifyBag(
         InvalidKey: The bag was imported for several nodes, and nodeID does not choose.
     """
     with BagReader(path) as reader:
-        numbers = chosenConnections(reader, topics)
+        numbers = chosen_connections(reader, topics)
         chosen = {n: reader.connections[n].topic for n in numbers}
-        stored = _storedTopics(rosCas, chosen.values())
-        found = _findImport(rosCas, reader, stored, nodeID, reading)
+        stored = _stored_topics(ros_cas, chosen.values())
+        found = _find_import(ros_cas, reader, stored, nodeID, reading)
         report = VerifyReport(reader.path, _describe(found, nodeID))
         for topic in sorted(set(chosen.values()) - stored):
             gone = {n for n in chosen if chosen[n] == topic}
             count = sum(reader.counts[n] for n in gone)
             report.add(f"{topic} is not stored: its {count} messages are missing", count)
             numbers -= gone
-        comparison = _byPlace(rosCas, reader, stored, found, nodeID, report)
+        comparison = _by_place(ros_cas, reader, stored, found, nodeID, report)
         _compare(reader, numbers, dict.fromkeys(stored, comparison), progress)
     return report
 
 
-def verifyContent(
-    rosCas: RosCassandra,
+def verify_content(
+    ros_cas: RosCassandra,
     path: str | os.PathLike[str],
     topics: Iterable[str] | None = None,
     nodeID: str | None = None,
@@ -133,11 +139,11 @@ def verifyContent(
     """Compare each topic's messages in their order by type, md5sum and bytes alone.
 
     Times and connections are not compared: they differ when a bag was played and recorded live.
-    Memory: two pages of rows for each topic, and what readInOrder needs; of a topic whose key is a
-    time in the message, all keys.
+    Memory: two pages of rows for each topic, and what read_in_order needs; of a topic whose key is
+    a time in the message, all keys.
 
     Args:
-        rosCas: Connected to a keyspace.
+        ros_cas: Connected to a keyspace.
         path: The bag.
         topics: Only these topics of the bag; None = all.
         nodeID: Only what this node recorded; None = all nodes.
@@ -152,22 +158,22 @@ def verifyContent(
     """
     renamed = dict(mapping or {})
     with BagReader(path) as reader:
-        numbers = chosenConnections(reader, topics)
+        numbers = chosen_connections(reader, topics)
         report = VerifyReport(reader.path, "all stored messages on its topics, by content")
         ranks = _Ranks((), positions=False)
         wanted = {reader.connections[n].topic for n in numbers}
-        stored = _storedTopics(rosCas, {renamed.get(topic, topic) for topic in wanted})
+        stored = _stored_topics(ros_cas, {renamed.get(topic, topic) for topic in wanted})
         comparisons: dict[str, Comparison] = {}
         for topic in wanted:
             names = stored & {renamed.get(topic, topic)}
             # In the order of the bag, whatever the topic's key is.
-            rows = rosCas.readMessages(names, start, end, nodeID=nodeID, received=True)
+            rows = ros_cas.readMessages(names, start, end, nodeID=nodeID, received=True)
             comparisons[topic] = Comparison(map(ranks.see, rows), report, _NO_ORDER)
         _compare(reader, numbers, comparisons, progress)
     return report
 
 
-def holdsNothingElse(rosCas: RosCassandra, reader: BagReader, found: Import) -> bool:
+def holds_nothing_else(ros_cas: RosCassandra, reader: BagReader, found: Import) -> bool:
     """Say whether an import has rows, and each of them is a message of this bag.
 
     Raises:
@@ -175,8 +181,8 @@ def holdsNothingElse(rosCas: RosCassandra, reader: BagReader, found: Import) -> 
     """
     topics = {c.topic for c in reader.connections.values()}
     report = VerifyReport(reader.path, "")
-    stored = _storedTopics(rosCas, topics)
-    comparison = _byPlace(rosCas, reader, stored, found, None, report)
+    stored = _stored_topics(ros_cas, topics)
+    comparison = _by_place(ros_cas, reader, stored, found, None, report)
     _compare(reader, reader.connections.keys(), dict.fromkeys(topics, comparison), None)
     return report.equal_messages > 0 and report.differences == report.missing
 
@@ -184,34 +190,34 @@ def holdsNothingElse(rosCas: RosCassandra, reader: BagReader, found: Import) -> 
 # ---------------------------------------------------------------- which rows
 
 
-def _storedTopics(rosCas: RosCassandra, names: Iterable[str]) -> AbstractSet[str]:
-    return {topic.name for topic in rosCas.getAllTopics()}.intersection(names)
+def _stored_topics(ros_cas: RosCassandra, names: Iterable[str]) -> AbstractSet[str]:
+    return {topic.name for topic in ros_cas.getAllTopics()}.intersection(names)
 
 
-def _findImport(
-    rosCas: RosCassandra,
+def _find_import(
+    ros_cas: RosCassandra,
     reader: BagReader,
     topics: AbstractSet[str],
     node: str | None,
     reading: Progress | None,
 ) -> Import | None:
     """Find the rows of an import of this bag, by the writer ids in the directory."""
-    parts = rosCas.parts
+    parts = ros_cas.parts
     nodes = None if node is None else (node,)
     writers = {
         Import(row.node, row.writer)
         for topic in topics
-        for table in parts.tables.ofTopic(topic)
-        for row in parts.directory.buckets(table.name, *_bucketsOf(table, reader), nodes)
+        for table in parts.tables.of_topic(topic)
+        for row in parts.directory.buckets(table.name, *_buckets_of(table, reader), nodes)
     }
-    runs = [run for run in rosCas.runs() if Import(run.node, run.writer) in writers]
+    runs = [run for run in ros_cas.runs() if Import(run.node, run.writer) in writers]
     runs = [run for run in runs if run.kind == "import"]
     if not runs:
         return None
-    content = readContent(reader, reading)
-    found = {run.node: run.writer for run in runs if content.isOf(run)}
-    for run in filter(isEarlier, runs):
-        if run.node not in found and run.writer == earlierWriterId(reader, run.node):
+    content = read_content(reader, reading)
+    found = {run.node: run.writer for run in runs if content.is_of(run)}
+    for run in filter(is_earlier, runs):
+        if run.node not in found and run.writer == earlier_writer_id(reader, run.node):
             found[run.node] = run.writer
     if len(found) > 1:
         names = ", ".join(map(repr, sorted(found)))
@@ -221,10 +227,10 @@ def _findImport(
     return next((Import(name, writer) for name, writer in found.items()), None)
 
 
-def _bucketsOf(table: TopicTable, reader: BagReader) -> tuple[int, int]:
+def _buckets_of(table: TopicTable, reader: BagReader) -> tuple[int, int]:
     if table.metadata.own_time:
         return -(2**63), 2**63 - 1  # the times of the bag are not those of the keys
-    return table.bucketOf(reader.start_ns), table.bucketOf(reader.end_ns)
+    return table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
 
 
 def _describe(found: Import | None, node: str | None) -> str:
@@ -234,8 +240,8 @@ def _describe(found: Import | None, node: str | None) -> str:
     return f"all stored messages{whose} on its topics"
 
 
-def _byPlace(
-    rosCas: RosCassandra,
+def _by_place(
+    ros_cas: RosCassandra,
     reader: BagReader,
     topics: AbstractSet[str],
     found: Import | None,
@@ -245,13 +251,13 @@ def _byPlace(
     """Compare the rows of an import, or all rows of the topics, by time and connection."""
     ranks = _Ranks(reader.connections.values(), positions=found is not None)
     if found is None:
-        rows = rosCas.readMessages(topics, nodeID=node, received=True)
-        return Comparison(_inOrder(rows, ranks), report, _BY_CONNECTION)
+        rows = ros_cas.readMessages(topics, nodeID=node, received=True)
+        return Comparison(_in_order(rows, ranks), report, _BY_CONNECTION)
     start_ns, end_ns = reader.start_ns, reader.end_ns
-    rows = rosCas.readMessages(topics, start_ns, end_ns, nodeID=found.node, received=True)
-    own = (row for row in rows if splitSeq(row.seq)[0] == found.writer_id)
+    rows = ros_cas.readMessages(topics, start_ns, end_ns, nodeID=found.node, received=True)
+    own = (row for row in rows if split_seq(row.seq)[0] == found.writer_id)
     # These rows know their positions, so that one which is missing shifts no others.
-    return Comparison(_inOrder(own, ranks), report, _BY_POSITION)
+    return Comparison(_in_order(own, ranks), report, _BY_POSITION)
 
 
 # ---------------------------------------------------------------- what is compared
@@ -277,7 +283,7 @@ class Entry(NamedTuple):
         return self[3:6]
 
     def __str__(self) -> str:
-        return f"{self.topic} at {isoTime(self.t_ns)}"
+        return f"{self.topic} at {iso_time(self.t_ns)}"
 
 
 def fingerprint(wire: bytes) -> bytes:
@@ -307,7 +313,7 @@ class _Ranks:
             alike = self._alike.get((c.topic, c.header), _FOREIGN)
             self._known[key] = (self._exact.get((c.topic, c.header, c.number), alike), c.type)
         rank, msg_type = self._known[key]
-        place = splitSeq(row.seq)[1] if self._positions else row.seq
+        place = split_seq(row.seq)[1] if self._positions else row.seq
         try:
             value = fingerprint(row.wire)
         except CorruptMessage:
@@ -315,7 +321,7 @@ class _Ranks:
         return Entry(row.received, rank, place, msg_type, row.md5sum, value, row.topic)
 
 
-def _inOrder(rows: Iterable[StoredRow], ranks: _Ranks) -> Iterator[Entry]:
+def _in_order(rows: Iterable[StoredRow], ranks: _Ranks) -> Iterator[Entry]:
     """Put rows of equal time in the order of their connections."""
     for _, group in groupby(rows, lambda row: row.received):
         yield from sorted(map(ranks.see, group))
@@ -333,7 +339,7 @@ def _compare(
     def keep(message: RawMessage) -> bytes:
         return fingerprint(message.data)
 
-    for t_ns, rank, position, value in readInOrder(reader, keep, numbers):
+    for t_ns, rank, position, value in read_in_order(reader, keep, numbers):
         c = connections[rank]
         wanted = Entry(t_ns, rank, position, c.type, c.md5sum, value, c.topic)
         comparisons[c.topic].add(wanted)

@@ -12,7 +12,7 @@ from contextlib import suppress
 from typing import IO
 
 from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.chunk import COMPRESSIONS, compressChunk, messageHead
+from cassandra_ros.bag.chunk import COMPRESSIONS, compress_chunk, message_head
 from cassandra_ros.errors import BagError
 from cassandra_ros.messages.connection import Connection
 
@@ -64,7 +64,7 @@ class BagWriter:
             self._file: IO[bytes] = open(self._active, "wb", _BUFFER_BYTES)
         except OSError as exc:
             raise BagError(f"{self._active} cannot be written: {exc.strerror}") from exc
-        self._file.write(bagformat.MAGIC + self._fileHeader(0))
+        self._file.write(bagformat.MAGIC + self._file_header(0))
 
     def connection(self, connection: Connection, number: int | None = None) -> int:
         """Add a connection; its record is written before its first message.
@@ -102,17 +102,17 @@ class BagWriter:
             BagError: The disk is full or fails.
         """
         if number not in self._used:
-            self._chunk += self._connectionRecord(number)
+            self._chunk += self._connection_record(number)
             self._used.add(number)
         if number not in self._times:
             self._times[number] = array("Q")
             self._offsets[number] = array("I")
         self._times[number].append(t_ns)
         self._offsets[number].append(len(self._chunk))
-        self._chunk += messageHead(number, t_ns, len(data))
+        self._chunk += message_head(number, t_ns, len(data))
         self._chunk += data
         if len(self._chunk) > self._chunk_bytes:
-            self._flushChunk()
+            self._flush_chunk()
 
     def close(self) -> None:
         """Write the index and give the file its name; twice is harmless.
@@ -123,16 +123,16 @@ class BagWriter:
         if self._closed:
             return
         if self._times:
-            self._flushChunk()
+            self._flush_chunk()
         try:
             index_pos = self._file.tell()
             for number in sorted(self._used):
-                self._file.write(self._connectionRecord(number))
+                self._file.write(self._connection_record(number))
             self._infos.seek(0)
             for part in iter(lambda: self._infos.read(_SPOOL_BYTES), b""):
                 self._file.write(part)
             self._file.seek(len(bagformat.MAGIC))
-            self._file.write(self._fileHeader(index_pos))
+            self._file.write(self._file_header(index_pos))
             self._file.flush()
             os.fsync(self._file.fileno())
             self._file.close()
@@ -164,8 +164,8 @@ class BagWriter:
         else:
             self.discard()
 
-    def _fileHeader(self, index_pos: int) -> bytes:
-        header = bagformat.packFields(
+    def _file_header(self, index_pos: int) -> bytes:
+        header = bagformat.pack_fields(
             (
                 (b"op", bagformat.U8.pack(bagformat.OP_FILE_HEADER)),
                 (b"index_pos", bagformat.U64.pack(index_pos)),
@@ -177,9 +177,9 @@ class BagWriter:
         sizes = (bagformat.U32.pack(len(header)), bagformat.U32.pack(len(padding)))
         return b"".join((sizes[0], header, sizes[1], padding))
 
-    def _connectionRecord(self, number: int) -> bytes:
+    def _connection_record(self, number: int) -> bytes:
         connection = self._connections[number]
-        return bagformat.packRecord(
+        return bagformat.pack_record(
             (
                 (b"op", bagformat.U8.pack(bagformat.OP_CONNECTION)),
                 (b"topic", connection.topic.encode("utf-8", "surrogateescape")),
@@ -188,19 +188,19 @@ class BagWriter:
             connection.header,
         )
 
-    def _flushChunk(self) -> None:
+    def _flush_chunk(self) -> None:
         header = (
             (b"op", bagformat.U8.pack(bagformat.OP_CHUNK)),
             (b"compression", self._compression.encode("ascii")),
             (b"size", bagformat.U32.pack(len(self._chunk))),
         )
-        data = compressChunk(self._compression, bytes(self._chunk))
+        data = compress_chunk(self._compression, bytes(self._chunk))
         try:
             position = self._file.tell()
-            self._file.write(bagformat.packRecord(header, data))
+            self._file.write(bagformat.pack_record(header, data))
             for number in sorted(self._times):
-                self._file.write(self._indexRecord(number))
-            self._infos.write(self._infoRecord(position))
+                self._file.write(self._index_record(number))
+            self._infos.write(self._info_record(position))
         except OSError as exc:
             raise BagError(f"{self._active} cannot be written: {exc.strerror}") from exc
         self._chunk_count += 1
@@ -208,7 +208,7 @@ class BagWriter:
         self._times.clear()
         self._offsets.clear()
 
-    def _indexRecord(self, number: int) -> bytes:
+    def _index_record(self, number: int) -> bytes:
         # rosbag merges these lists without sorting them. The sort is stable: equal times stay
         # in the order in which they were written.
         times, offsets = self._times[number], self._offsets[number]
@@ -220,19 +220,19 @@ class BagWriter:
             (b"count", bagformat.U32.pack(len(entries))),
         )
         data = b"".join(
-            bagformat.packTime(t_ns) + bagformat.U32.pack(offset) for t_ns, offset in entries
+            bagformat.pack_time(t_ns) + bagformat.U32.pack(offset) for t_ns, offset in entries
         )
-        return bagformat.packRecord(fields, data)
+        return bagformat.pack_record(fields, data)
 
-    def _infoRecord(self, position: int) -> bytes:
+    def _info_record(self, position: int) -> bytes:
         fields = (
             (b"op", bagformat.U8.pack(bagformat.OP_CHUNK_INFO)),
             (b"ver", bagformat.U32.pack(bagformat.INDEX_VERSION)),
             (b"chunk_pos", bagformat.U64.pack(position)),
-            (b"start_time", bagformat.packTime(min(map(min, self._times.values())))),
-            (b"end_time", bagformat.packTime(max(map(max, self._times.values())))),
+            (b"start_time", bagformat.pack_time(min(map(min, self._times.values())))),
+            (b"end_time", bagformat.pack_time(max(map(max, self._times.values())))),
             (b"count", bagformat.U32.pack(len(self._times))),
         )
         counts = sorted((number, len(times)) for number, times in self._times.items())
         data = b"".join(bagformat.U32.pack(n) + bagformat.U32.pack(count) for n, count in counts)
-        return bagformat.packRecord(fields, data)
+        return bagformat.pack_record(fields, data)

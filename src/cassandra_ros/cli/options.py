@@ -113,14 +113,14 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
     """
     from cassandra_ros.topics.ros_cassandra import RosCassandra
 
-    rosCas = RosCassandra(options.host, options.port, keyspace=options.keyspace)
+    ros_cas = RosCassandra(options.host, options.port, keyspace=options.keyspace)
     if not make:
         try:
-            rosCas.parts.side_tables.require_keyspace()
+            ros_cas.parts.side_tables.require_keyspace()
         except BaseException:
-            rosCas.close()
+            ros_cas.close()
             raise
-    return rosCas
+    return ros_cas
 
 
 def add_time_options(parser: argparse.ArgumentParser, what: str = "") -> None:
@@ -146,14 +146,14 @@ def read_times(options: argparse.Namespace) -> tuple[int | None, int | None]:
 
 
 def _time_ns(option: str, text: str | None) -> int | None:
-    from cassandra_ros.messages.stamps import toNs
+    from cassandra_ros.messages.stamps import to_ns
 
     if text is None:
         return None
     whole = re.fullmatch(r"\s*([0-9]{1,40})\s*", text)
     try:
         # As rosbag users write them; what is larger lies far behind the end of ROS time as seconds.
-        return toNs(Decimal(whole[1]) if whole and int(whole[1]) < 10**12 else text)
+        return to_ns(Decimal(whole[1]) if whole and int(whole[1]) < 10**12 else text)
     except InvalidKey as exc:
         raise InvalidOption(
             f"--{option} {text!r} is not a time of ROS: write seconds since 1970 (1368021980 or "

@@ -77,9 +77,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = make_parser()
     words = strip_remappings(arguments)
     options = parser.parse_args(words)
-    from cassandra_ros.nodes.query_node import serve, startNode
+    from cassandra_ros.nodes.query_node import serve, start_node
 
-    apply_parameters(parser, options, words, startNode([PROGRAM, *arguments]))
-    with open_store(options, make=True) as rosCas:
-        serve(rosCas, lambda line: print(line, flush=True), options.allow_writes)
+    apply_parameters(parser, options, words, start_node([PROGRAM, *arguments]))
+    with open_store(options, make=True) as ros_cas:
+        serve(ros_cas, lambda line: print(line, flush=True), options.allow_writes)
     return 0

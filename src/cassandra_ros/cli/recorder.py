@@ -22,7 +22,7 @@ from cassandra_ros.cli.options import (
 )
 from cassandra_ros.cli.text import format_bytes, format_table, shown
 from cassandra_ros.errors import UnknownFormat
-from cassandra_ros.formats.table import formatClass
+from cassandra_ros.formats.table import format_class
 
 if TYPE_CHECKING:
     from cassandra_ros.nodes.recorder_node import RecorderOptions
@@ -136,7 +136,7 @@ def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -
         parser.error("give topics to record, or -a for all" + (", not both" * options.all))
     if options.format:
         try:
-            formatClass(options.format)
+            format_class(options.format)
         except UnknownFormat as exc:
             parser.error(str(exc))
     if options.regex:
@@ -176,8 +176,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not options.quiet:
             print(line, flush=True)
 
-    with open_store(options, make=True) as rosCas:
-        reports = record(rosCas, chosen, [PROGRAM, *arguments], say)
+    with open_store(options, make=True) as ros_cas:
+        reports = record(ros_cas, chosen, [PROGRAM, *arguments], say)
     if not options.quiet:
         print(closing_table(reports), flush=True)
     lost = sum(report.lost for report in reports)

@@ -14,11 +14,11 @@ from types import ModuleType
 from typing import IO, TYPE_CHECKING, Any, Iterable, Iterator, Sequence, Tuple
 
 from cassandra_ros.arrays.array_types import ArrayType
-from cassandra_ros.arrays.frames import optionalModule
+from cassandra_ros.arrays.frames import optional_module
 from cassandra_ros.cli.text import shown
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.messages.stamps import Stamp, isoTime
-from cassandra_ros.query.json_values import jsonValue, toJson
+from cassandra_ros.messages.stamps import Stamp, iso_time
+from cassandra_ros.query.json_values import json_value, to_json
 
 if TYPE_CHECKING:
     import pyarrow
@@ -78,7 +78,7 @@ def _text(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, Stamp):
-        return isoTime(value.ns)
+        return iso_time(value.ns)
     if hasattr(value, "to_nsec"):
         ns = int(value.to_nsec())
         return f"{'-' if ns < 0 else ''}{abs(ns) // 10**9}.{abs(ns) % 10**9:09d} s"
@@ -114,7 +114,7 @@ def _field(value: object) -> str:
 def _exact(value: object) -> str:
     if isinstance(value, float):
         return repr(float(value))
-    return toJson(value).strip('"') if isinstance(value, (bytes, bytearray)) else toJson(value)
+    return to_json(value).strip('"') if isinstance(value, (bytes, bytearray)) else to_json(value)
 
 
 def write_json(columns: Columns, rows: Lines, stream: IO[str]) -> None:
@@ -134,7 +134,7 @@ def write_ndjson(columns: Columns, rows: Lines, stream: IO[str]) -> None:
 
 def _objects(columns: Columns, rows: Lines) -> Iterator[str]:
     for row in rows:
-        found = {name: jsonValue(value) for name, value in zip(columns, row)}
+        found = {name: json_value(value) for name, value in zip(columns, row)}
         yield json.dumps(found, ensure_ascii=False, allow_nan=False)
 
 
@@ -145,7 +145,7 @@ def load_parquet() -> tuple[ModuleType, ModuleType]:
         MissingDependency: pyarrow is not installed.
     """
     purpose = "--output parquet"
-    return optionalModule("pyarrow", purpose), optionalModule("pyarrow.parquet", purpose)
+    return optional_module("pyarrow", purpose), optional_module("pyarrow.parquet", purpose)
 
 
 def write_parquet(columns: Types, rows: Lines, stream: IO[bytes]) -> None:
@@ -169,7 +169,7 @@ def write_parquet(columns: Types, rows: Lines, stream: IO[bytes]) -> None:
     first = next(groups, [])
     kinds = [_narrowed(kind, [row[n] for row in first]) for n, (_, kind) in enumerate(columns)]
     schema = arrow.schema(
-        [(name, _arrowType(arrow, kind)) for (name, _), kind in zip(columns, kinds)]
+        [(name, _arrow_type(arrow, kind)) for (name, _), kind in zip(columns, kinds)]
     )
     with parquet.ParquetWriter(stream, schema) as writer:
         group = first
@@ -202,7 +202,7 @@ def _narrowed(kind: ArrayType, values: Sequence[object]) -> ArrayType:
     return ArrayType("int64") if kind.kind == "sum" and fits else kind
 
 
-def _arrowType(arrow: ModuleType, kind: ArrayType) -> pyarrow.DataType:
+def _arrow_type(arrow: ModuleType, kind: ArrayType) -> pyarrow.DataType:
     depth = kind.depth
     if kind.kind == "uint8" and depth:
         found, depth = arrow.binary(), depth - 1
@@ -223,7 +223,7 @@ def _array(
     arrow: ModuleType, field: pyarrow.Field, kind: ArrayType, values: Sequence[object]
 ) -> pyarrow.Array:
     mixed = kind.kind == "mixed"
-    found = [toJson(v) if mixed and v is not None else _plain(v) for v in values]
+    found = [to_json(v) if mixed and v is not None else _plain(v) for v in values]
     try:
         return arrow.array(found, field.type)
     except (arrow.ArrowException, OverflowError) as exc:

@@ -9,7 +9,7 @@ from typing import Collection, Sequence
 from tqdm import tqdm
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.messages.stamps import isoTime
+from cassandra_ros.messages.stamps import iso_time
 
 _UNITS = ("B", "KB", "MB", "GB", "TB")
 _LENGTHS = ((86_400, "d"), (3_600, "h"), (60, "min"), (1, "s"))
@@ -47,7 +47,7 @@ def format_bytes(count: int) -> str:
 
 def format_time(ns: int | None) -> str:
     """Write a time in UTC, cut to seconds; '-' where there is none."""
-    return "-" if ns is None else isoTime(ns)[:19] + "Z"
+    return "-" if ns is None else iso_time(ns)[:19] + "Z"
 
 
 def format_length(ns: int) -> str:

@@ -19,11 +19,11 @@ class CassandraTopic_binary(CassandraTopic_):
         """Return the one column."""
         return {"_data": "blob"}
 
-    def encodeWire(self, wire: bytes) -> EncodedMessage:
+    def encode_wire(self, wire: bytes) -> EncodedMessage:
         """Take the bytes as they are."""
         return EncodedMessage((wire,), False, None)
 
-    def decodeWire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
+    def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
         """Give the bytes back.
 
         Raises:

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from typing import Any, NamedTuple, Sequence
 
 from cassandra_ros.errors import DefinitionError
-from cassandra_ros.messages.classes import deserialize, messageClass, rawClass, serialize
+from cassandra_ros.messages.classes import deserialize, message_class, raw_class, serialize
 from cassandra_ros.messages.definition import Definition
 
 
@@ -60,11 +60,11 @@ class CassandraTopic_(ABC):
         """Return the CQL type of each column by name, in the order of the columns."""
 
     @abstractmethod
-    def encodeWire(self, wire: bytes) -> EncodedMessage:
+    def encode_wire(self, wire: bytes) -> EncodedMessage:
         """Turn wire bytes into column values; never fails, whatever the bytes are."""
 
     @abstractmethod
-    def decodeWire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
+    def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
         """Return the wire bytes of a row, exactly as they were.
 
         Raises:
@@ -75,7 +75,7 @@ class CassandraTopic_(ABC):
         """Return what the table's comment says about each column."""
         return []
 
-    def requireClass(self) -> None:
+    def require_class(self) -> None:
         """Make sure that message objects of the type can be made; asked before a table is made.
 
         Raises:
@@ -83,7 +83,7 @@ class CassandraTopic_(ABC):
         """
         if self.definition is None:
             raise DefinitionError(f"the definition of {self.msg_type} is unusable")
-        messageClass(self.definition)
+        message_class(self.definition)
 
     def encode(self, msg: Any) -> EncodedMessage:
         """Turn a message into column values.
@@ -91,7 +91,7 @@ class CassandraTopic_(ABC):
         Raises:
             TypeMismatch: A field holds what its type cannot.
         """
-        return self.encodeWire(serialize(msg))
+        return self.encode_wire(serialize(msg))
 
     def decode(self, encoded: EncodedMessage) -> Any:
         """Turn column values into a message; bytes only where the definition is unusable.
@@ -100,7 +100,7 @@ class CassandraTopic_(ABC):
             CorruptMessage: The values are no message of the type.
             DefinitionError: No class can be made of the definition.
         """
-        wire = self.decodeWire(encoded.columns, encoded.raw)
+        wire = self.decode_wire(encoded.columns, encoded.raw)
         if self.definition is None:
-            return deserialize(rawClass(self.msg_type, self.md5sum), wire)
-        return deserialize(messageClass(self.definition), wire)
+            return deserialize(raw_class(self.msg_type, self.md5sum), wire)
+        return deserialize(message_class(self.definition), wire)

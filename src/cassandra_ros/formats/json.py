@@ -9,7 +9,7 @@ from base64 import b64decode, b64encode
 from math import isfinite
 
 from cassandra_ros.formats.text import ParsedFormat
-from cassandra_ros.messages.tree.build import plainBytes
+from cassandra_ros.messages.tree.build import plain_bytes
 from cassandra_ros.messages.tree.read import MessageTree
 
 
@@ -23,25 +23,25 @@ class CassandraTopic_json(ParsedFormat):
     NAME = "json"
     BYTE_CHARACTERS = 1
 
-    def printTree(self, tree: MessageTree) -> str:
+    def print_tree(self, tree: MessageTree) -> str:
         """Return the JSON of a message."""
         try:
             return _encode(tree)
         except ValueError:  # a float is not finite
             return _encode(_finite(tree))
 
-    def isFaithful(self, text: str) -> bool:
+    def is_faithful(self, text: str) -> bool:
         """Return whether no float became null: all else reads as it was written."""
         return "null" not in text
 
-    def parseOwn(self, text: str) -> object:
+    def parse_own(self, text: str) -> object:
         """Return what the JSON says."""
         return _decode(text)
 
     @staticmethod
-    def fieldBytes(value: object) -> bytes:
+    def field_bytes(value: object) -> bytes:
         """Return the bytes of a base64 text, or of a list of numbers, as rosbridge does."""
-        return b64decode(value, validate=True) if isinstance(value, str) else plainBytes(value)
+        return b64decode(value, validate=True) if isinstance(value, str) else plain_bytes(value)
 
 
 def _base64(value: bytes) -> str:

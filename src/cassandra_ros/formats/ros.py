@@ -8,7 +8,7 @@ from typing import Sequence
 
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.plan import wirePlan
+from cassandra_ros.messages.wire.plan import wire_plan
 
 INLINE_BYTES = 512 * 1024
 """Of larger messages only the scalar fields get columns: the row holds all bytes anyway."""
@@ -28,22 +28,22 @@ class CassandraTopic_ros(CassandraTopic_):
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         super().__init__(msg_type, md5sum, definition)
-        self.plan = wirePlan(self._usable())
+        self.plan = wire_plan(self._usable())
 
     def getColValidationClasses(self) -> dict[str, str]:
         """Return the columns in the order of the fields on the wire."""
         return {column.name: column.cql_type for column in self.plan.columns}
 
-    def encodeWire(self, wire: bytes) -> EncodedMessage:
+    def encode_wire(self, wire: bytes) -> EncodedMessage:
         """Walk the bytes once."""
         plan = self.plan
         if len(wire) <= INLINE_BYTES:
             columns, odd = plan.walk(wire)
         else:
-            columns, odd = plan.walkScalars(wire)
+            columns, odd = plan.walk_scalars(wire)
         return EncodedMessage(columns, odd, wire if odd or not plan.complete else None)
 
-    def decodeWire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
+    def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
         """Build the bytes of the columns, unless the row has them.
 
         Raises:

@@ -10,7 +10,7 @@ from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.cassandra_topic_ import EncodedMessage
 from cassandra_ros.formats.text import TextFormat
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.tree.echo import echoPrinter
+from cassandra_ros.messages.tree.echo import echo_printer
 from cassandra_ros.messages.tree.read import MessageTree
 
 
@@ -21,20 +21,20 @@ class CassandraTopic_string(TextFormat):
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         super().__init__(msg_type, md5sum, definition)
-        self._print = echoPrinter(self.definition)
+        self._print = echo_printer(self.definition)
 
-    def printTree(self, tree: MessageTree) -> str:
+    def print_tree(self, tree: MessageTree) -> str:
         """Return what rostopic prints."""
         return self._print(tree)
 
-    def encodeWire(self, wire: bytes) -> EncodedMessage:
+    def encode_wire(self, wire: bytes) -> EncodedMessage:
         """Print the message, and keep its bytes."""
-        printed = self.printWire(wire)
+        printed = self.print_wire(wire)
         return EncodedMessage(
             (None if printed is None else printed[0].encode(),), printed is None, wire
         )
 
-    def decodeWire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
+    def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
         """Return the bytes that the row has beside its text.
 
         Raises:

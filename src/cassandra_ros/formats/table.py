@@ -27,7 +27,7 @@ FORMATS: Mapping[str, type[CassandraTopic_]] = {
 }
 
 
-def formatClass(name: str) -> type[CassandraTopic_]:
+def format_class(name: str) -> type[CassandraTopic_]:
     """Return the class of a format.
 
     Raises:

@@ -10,8 +10,8 @@ from typing import Sequence
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.tree.build import plainBytes, treeBuilder
-from cassandra_ros.messages.tree.read import Budget, MessageTree, treeReader
+from cassandra_ros.messages.tree.build import plain_bytes, tree_builder
+from cassandra_ros.messages.tree.read import Budget, MessageTree, tree_reader
 
 MAX_TEXT_BYTES = 64 * 1024
 
@@ -33,17 +33,17 @@ class TextFormat(CassandraTopic_):
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         super().__init__(msg_type, md5sum, definition)
         self.definition: Definition = self._usable()
-        self._reader = treeReader(self.definition)
+        self._reader = tree_reader(self.definition)
 
     def getColValidationClasses(self) -> dict[str, str]:
         """Return the one column."""
         return {"_data": "text"}
 
     @abstractmethod
-    def printTree(self, tree: MessageTree) -> str | None:
+    def print_tree(self, tree: MessageTree) -> str | None:
         """Return the text of a message, None where it cannot be made."""
 
-    def printWire(self, wire: bytes) -> tuple[str, MessageTree, bool] | None:
+    def print_wire(self, wire: bytes) -> tuple[str, MessageTree, bool] | None:
         """Return the text of a message, the tree that it shows, and whether that is shortened.
 
         None: the bytes are no message, or even the shortest text is too long.
@@ -53,7 +53,7 @@ class TextFormat(CassandraTopic_):
             budget = Budget(MAX_TEXT_BYTES, self.BYTE_CHARACTERS, elements, length)
             try:
                 tree = self._reader.read(wire, budget)
-                text = None if tree is None else self.printTree(tree)
+                text = None if tree is None else self.print_tree(tree)
             except (CorruptMessage, RecursionError):
                 return None
             if tree is None or text is None:
@@ -68,45 +68,45 @@ class ParsedFormat(TextFormat):
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         super().__init__(msg_type, md5sum, definition)
-        self._build = treeBuilder(self.definition, self.fieldBytes)
+        self._build = tree_builder(self.definition, self.field_bytes)
 
     @staticmethod
-    def fieldBytes(value: object) -> bytes:
+    def field_bytes(value: object) -> bytes:
         """Return the bytes of what a text holds for uint8[] or char[].
 
         Raises:
             ValueError, TypeError: It is none of the kind.
         """
-        return plainBytes(value)
+        return plain_bytes(value)
 
     @abstractmethod
-    def isFaithful(self, text: str) -> bool:
-        """Return whether a text of printTree certainly reads as its tree."""
+    def is_faithful(self, text: str) -> bool:
+        """Return whether a text of print_tree certainly reads as its tree."""
 
     @abstractmethod
-    def parseOwn(self, text: str) -> object:
-        """Return what a text says that printTree made; may raise anything of other texts."""
+    def parse_own(self, text: str) -> object:
+        """Return what a text says that print_tree made; may raise anything of other texts."""
 
     def parse(self, text: str) -> object:
         """Return what a text says that anybody may have changed; may raise any Exception."""
-        return self.parseOwn(text)
+        return self.parse_own(text)
 
-    def encodeWire(self, wire: bytes) -> EncodedMessage:
+    def encode_wire(self, wire: bytes) -> EncodedMessage:
         """Print the message, and see whether the text is the whole truth."""
-        printed = self.printWire(wire)
+        printed = self.print_wire(wire)
         if printed is None:
             return EncodedMessage((None,), True, wire)
         text, tree, shortened = printed
-        exact = not shortened and self._isExact(text, tree, wire)
+        exact = not shortened and self._is_exact(text, tree, wire)
         return EncodedMessage((text.encode(),), not exact, None if exact else wire)
 
-    def _isExact(self, text: str, tree: MessageTree, wire: bytes) -> bool:
+    def _is_exact(self, text: str, tree: MessageTree, wire: bytes) -> bool:
         try:
-            return self._build(tree if self.isFaithful(text) else self.parseOwn(text)) == wire
+            return self._build(tree if self.is_faithful(text) else self.parse_own(text)) == wire
         except (CorruptMessage, RecursionError):
             return False
 
-    def decodeWire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
+    def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
         """Build the bytes of the text, unless the row has them.
 
         Raises:

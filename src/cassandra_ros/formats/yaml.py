@@ -25,7 +25,7 @@ class CassandraTopic_yaml(ParsedFormat):
 
     NAME = "yaml"
 
-    def printTree(self, tree: MessageTree) -> str | None:
+    def print_tree(self, tree: MessageTree) -> str | None:
         """Return the YAML of a message."""
         try:
             text: str = yaml.dump(
@@ -35,7 +35,7 @@ class CassandraTopic_yaml(ParsedFormat):
             return None
         return text
 
-    def isFaithful(self, text: str) -> bool:
+    def is_faithful(self, text: str) -> bool:
         """Return whether there is no NaN, whose bits are lost, and no text in quotes.
 
         What needs none reads as it was written, for writing asks the rules of reading.
@@ -43,7 +43,7 @@ class CassandraTopic_yaml(ParsedFormat):
         quoted = '"' in text or "'" in text.replace("''\n", "\n")
         return text.isascii() and not quoted and ".nan" not in text
 
-    def parseOwn(self, text: str) -> object:
+    def parse_own(self, text: str) -> object:
         """Return what the YAML says."""
         loader = _Loader(text)
         try:
@@ -54,7 +54,7 @@ class CassandraTopic_yaml(ParsedFormat):
     def parse(self, text: str) -> object:
         """Return what the YAML says, unless it is a bomb."""
         _check(text)
-        return self.parseOwn(text)
+        return self.parse_own(text)
 
 
 def _check(text: str) -> None:

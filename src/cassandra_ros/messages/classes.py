@@ -21,13 +21,13 @@ import genpy.message
 from cassandra_ros.errors import CorruptMessage, DefinitionError, TypeMismatch
 from cassandra_ros.messages.definition import (
     Definition,
-    attributeName,
-    definitionOf,
-    nestedDefinition,
-    renderSpec,
+    attribute_name,
+    definition_of,
+    nested_definition,
+    render_spec,
 )
-from cassandra_ros.messages.installed import installedClass
-from cassandra_ros.messages.wire.skip import WIRE_ERRORS, compileObjectCheck, compileSkip
+from cassandra_ros.messages.installed import installed_class
+from cassandra_ros.messages.wire.skip import WIRE_ERRORS, compile_object_check, compile_skip
 
 _lock = threading.RLock()  # genpy generates through global variables
 _classes: dict[Definition, Any] = {}
@@ -72,19 +72,19 @@ class _Source(importlib.abc.InspectLoader):
         return self._text
 
 
-def installedDefinition(msg_type: str) -> Definition:
+def installed_definition(msg_type: str) -> Definition:
     """Return the definition of an installed message type.
 
     Raises:
         DefinitionError: The type is not installed, or its class is broken.
     """
-    found = installedClass(msg_type)
+    found = installed_class(msg_type)
     if found is None:
         raise DefinitionError(f"message type {msg_type} is not installed on this machine")
-    return definitionOf(found)
+    return definition_of(found)
 
 
-def messageClass(definition: Definition) -> Any:
+def message_class(definition: Definition) -> Any:
     """Return the class of a definition: the installed one if it agrees, else a generated one.
 
     Raises:
@@ -92,15 +92,15 @@ def messageClass(definition: Definition) -> Any:
     """
     with _lock:
         if definition not in _classes:
-            found = installedClass(definition.type)
-            if found is None or definitionOf(found) != definition:
+            found = installed_class(definition.type)
+            if found is None or definition_of(found) != definition:
                 found = _generate(definition)
             _classes[definition] = found
         return _classes[definition]
 
 
 @lru_cache(maxsize=1024)
-def rawClass(msg_type: str, md5sum: str) -> Any:
+def raw_class(msg_type: str, md5sum: str) -> Any:
     """Return a class that holds the bytes of messages whose definition is unusable."""
     attributes = {"__slots__": [], "_type": msg_type, "_md5sum": md5sum}
     return type("RawMessage", (RawMessage,), attributes)
@@ -127,7 +127,7 @@ def _source(definition: Definition) -> str:
     """Do what genpy.dynamic.generate_dynamic does, without its files in /tmp."""
     context = genmsg.MsgContext.create_default()
     load = genmsg.msg_loader.load_msg_from_string
-    specs = {name: load(context, renderSpec(s), name) for name, s in definition.specs.items()}
+    specs = {name: load(context, render_spec(s), name) for name, s in definition.specs.items()}
     types = list(specs)
     lines = []
     for name, spec in specs.items():
@@ -140,12 +140,12 @@ def _complete(generated: Any, definition: Definition, msg_type: str) -> None:
     """Give a generated class what was kept from genpy: text, md5 and constants."""
     own = definition
     if msg_type != definition.type:
-        own = nestedDefinition(definition, msg_type)
+        own = nested_definition(definition, msg_type)
     generated._definition = own
     generated._md5sum = own.md5sum
     generated._full_text = own.text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
     for constant in own.root.constants:
-        name = attributeName(constant.name)
+        name = attribute_name(constant.name)
         if not hasattr(generated, name):  # a method keeps its name, as in genpy
             setattr(generated, name, constant.value)
 
@@ -191,13 +191,13 @@ def deserialize(cls: Any, wire: bytes) -> Any:
 
 @lru_cache(maxsize=1024)
 def _checks(cls: Any) -> Sequence[Callable[[bytes], object]]:
-    definition = definitionOf(cls)
-    skip = compileSkip(definition.type, definition.specs)
-    count = compileObjectCheck(definition.type, definition.specs)
+    definition = definition_of(cls)
+    skip = compile_skip(definition.type, definition.specs)
+    count = compile_object_check(definition.type, definition.specs)
     return [lambda wire: skip(wire, 0), *([count] if count else [])]
 
 
-def toYaml(msg: Any) -> str:
+def to_yaml(msg: Any) -> str:
     """Return what ``rostopic echo`` prints of a message."""
     if isinstance(msg, RawMessage):
         return f"# {len(msg._buff)} bytes of {msg._type}, whose definition is unusable"

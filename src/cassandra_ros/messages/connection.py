@@ -61,7 +61,7 @@ class Connection:
         return self.fields.get("latching") == b"1"
 
 
-def liveConnection(topic: str, header: Mapping[str, str | bytes]) -> Connection:
+def live_connection(topic: str, header: Mapping[str, str | bytes]) -> Connection:
     """Make a connection of the header that rospy received, field by field.
 
     Args:
@@ -72,17 +72,17 @@ def liveConnection(topic: str, header: Mapping[str, str | bytes]) -> Connection:
     return Connection(topic, b"".join(_LENGTH.pack(len(field)) + field for field in fields))
 
 
-def apiConnection(topic: str, definition: Definition, callerid: str) -> Connection:
+def api_connection(topic: str, definition: Definition, callerid: str) -> Connection:
     """Make the connection under which addData stores messages."""
     header = {"topic": topic, "type": definition.type, "md5sum": definition.md5sum}
     header.update(message_definition=definition.text, callerid=callerid)
-    return liveConnection(topic, header)
+    return live_connection(topic, header)
 
 
-def cutDefinition(header: bytes) -> tuple[bytes, int, bytes]:
+def cut_definition(header: bytes) -> tuple[bytes, int, bytes]:
     """Take the value of message_definition out of a header.
 
-    The field's length prefix stays as it was, so that joinDefinition is the exact inverse.
+    The field's length prefix stays as it was, so that join_definition is the exact inverse.
 
     Returns:
         The header without the value, the value's offset (-1: there is none, or the header is
@@ -100,8 +100,8 @@ def cutDefinition(header: bytes) -> tuple[bytes, int, bytes]:
     return header[:offset] + header[offset + len(definition) :], offset, definition
 
 
-def joinDefinition(header_without: bytes, offset: int, definition: bytes) -> bytes:
-    """Put the definition back where cutDefinition took it from."""
+def join_definition(header_without: bytes, offset: int, definition: bytes) -> bytes:
+    """Put the definition back where cut_definition took it from."""
     if offset < 0:
         return header_without
     return header_without[:offset] + definition + header_without[offset:]

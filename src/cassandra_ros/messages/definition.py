@@ -3,7 +3,7 @@
 """Message definitions as connection headers and bags carry them, checked before all else.
 
 A definition is text from outside, and genpy executes what it is given: only what was parsed here
-and is rendered anew by renderSpec may reach it.
+and is rendered anew by render_spec may reach it.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from functools import lru_cache
 from typing import Any, Iterable, Mapping
 
 from cassandra_ros.errors import DefinitionError
-from cassandra_ros.messages.installed import installedText
-from cassandra_ros.messages.shape import checkShape, computeMd5
-from cassandra_ros.messages.spec import MessageSpec, checkTypeName, parseSpec, resolveType
+from cassandra_ros.messages.installed import installed_text
+from cassandra_ros.messages.shape import check_shape, compute_md5
+from cassandra_ros.messages.spec import MessageSpec, check_type_name, parse_spec, resolve_type
 
 MAX_TEXT = 1 << 20
 MAX_TYPES = 256
@@ -48,7 +48,7 @@ class Definition:
         return self.specs[self.type]
 
 
-def parseDefinition(msg_type: str, text: str, md5sum: str | None = None) -> Definition:
+def parse_definition(msg_type: str, text: str, md5sum: str | None = None) -> Definition:
     """Parse and check a full definition (the text of ``gendeps --cat``).
 
     Types that the text uses but does not define are taken from installed packages, and only when
@@ -65,7 +65,7 @@ def parseDefinition(msg_type: str, text: str, md5sum: str | None = None) -> Defi
     """
     if not isinstance(text, str) or len(text) > MAX_TEXT:
         raise DefinitionError(f"the definition of {msg_type!r} is no text of at most 1 MiB")
-    return _parse(checkTypeName(msg_type), text, md5sum)
+    return _parse(check_type_name(msg_type), text, md5sum)
 
 
 @lru_cache(maxsize=256)
@@ -81,12 +81,12 @@ def _parse(msg_type: str, text: str, md5sum: str | None) -> Definition:
         if name not in sections:
             missing.add(name)
             sections.update(_installed_sections(name, msg_type, md5sum, sections))
-        specs[name] = parseSpec(name, sections[name])
+        specs[name] = parse_spec(name, sections[name])
         waiting.extend(f.type for f in specs[name].fields if not f.is_primitive)
         if len(specs) > MAX_TYPES:
             raise DefinitionError(f"the definition of {msg_type} uses over {MAX_TYPES} types")
-    checkShape(msg_type, specs)
-    md5sums = computeMd5(msg_type, specs)
+    check_shape(msg_type, specs)
+    md5sums = compute_md5(msg_type, specs)
     if md5sum is not None and md5sums[msg_type] != md5sum:
         where = f" ({', '.join(sorted(missing))} taken from installed packages)" if missing else ""
         raise DefinitionError(
@@ -119,7 +119,7 @@ def _split(msg_type: str, text: str) -> dict[str, str]:
                     f"the definition of {msg_type} names no type after a separator: "
                     f"{stripped[:80]!r}"
                 )
-            name = checkTypeName(resolveType(stripped[4:].strip(), ""))
+            name = check_type_name(resolve_type(stripped[4:].strip(), ""))
             lines, expect_name = [], False
         elif len(stripped) >= 8 and stripped == "=" * len(stripped):
             body = "\n".join(lines)
@@ -135,7 +135,7 @@ def _installed_sections(
     name: str, msg_type: str, md5sum: str | None, known: Iterable[str]
 ) -> dict[str, str]:
     """Return the text of a missing type, and of what it uses, from the installed packages."""
-    found = installedText(name) if md5sum is not None else None
+    found = installed_text(name) if md5sum is not None else None
     if found is None:
         raise DefinitionError(
             f"the definition of {msg_type} uses {name}, which it does not define"
@@ -144,24 +144,24 @@ def _installed_sections(
     return {key: text for key, text in _split(name, found).items() if key not in known}
 
 
-def renderSpec(spec: MessageSpec) -> str:
+def render_spec(spec: MessageSpec) -> str:
     """Write one message type anew, without constants, comments and the types that it uses.
 
     The only text that may be given to genpy; its md5 differs where there are constants. Names
     are those of the class's attributes: genpy forgets to rename keywords inside a path.
     """
-    return "\n".join(f"{f.full_type} {attributeName(f.name)}" for f in spec.fields)
+    return "\n".join(f"{f.full_type} {attribute_name(f.name)}" for f in spec.fields)
 
 
-def attributeName(name: str) -> str:
+def attribute_name(name: str) -> str:
     """Return what a field or constant is called in Python: genpy renames ``from`` to ``from_``."""
     return name + "_" if keyword.iskeyword(name) or name == "self" else name
 
 
-def nestedDefinition(definition: Definition, msg_type: str) -> Definition:
+def nested_definition(definition: Definition, msg_type: str) -> Definition:
     """Return the definition of a type that another one uses, constants included."""
     text = _render_whole(definition, msg_type)
-    return parseDefinition(msg_type, text, definition.md5sums[msg_type])
+    return parse_definition(msg_type, text, definition.md5sums[msg_type])
 
 
 def _render_whole(definition: Definition, msg_type: str) -> str:
@@ -180,17 +180,17 @@ def _render_whole(definition: Definition, msg_type: str) -> str:
     )
 
 
-def definitionOf(msg_class: Any) -> Definition:
+def definition_of(msg_class: Any) -> Definition:
     """Return the definition of an installed or generated message class (or an instance).
 
     Raises:
         DefinitionError: It is no message class.
     """
     known = getattr(msg_class, "_definition", None)
-    if isinstance(known, Definition):  # of a class that messageClass generated
+    if isinstance(known, Definition):  # of a class that message_class generated
         return known
     try:
         msg_type, text, md5sum = msg_class._type, msg_class._full_text, msg_class._md5sum
     except AttributeError as exc:
         raise DefinitionError(f"{msg_class!r} is not a ROS message class") from exc
-    return parseDefinition(msg_type, text, md5sum)
+    return parse_definition(msg_type, text, md5sum)

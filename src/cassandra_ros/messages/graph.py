@@ -26,7 +26,7 @@ class _Transport(xmlrpc.client.Transport):
         return connection
 
 
-def topicType(topic: str) -> str | None:
+def topic_type(topic: str) -> str | None:
     """Ask the ROS master for the type of a topic.
 
     Args:

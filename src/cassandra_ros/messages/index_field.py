@@ -15,9 +15,9 @@ from typing import Callable, Dict, List, Optional, Sequence
 
 from cassandra_ros.errors import InvalidName
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.layout import FieldColumn, elementOf
-from cassandra_ros.messages.wire.plan import wirePlan
-from cassandra_ros.messages.wire.values import CQL_CODES, packList, packNumbers, splitList
+from cassandra_ros.messages.wire.layout import FieldColumn, element_of
+from cassandra_ros.messages.wire.plan import wire_plan
+from cassandra_ros.messages.wire.values import CQL_CODES, pack_list, pack_numbers, split_list
 
 MAX_TEXT_BYTES = 1024
 """Longer texts are not indexed; Cassandra refuses rows with an indexed one over 8 KiB."""
@@ -50,11 +50,11 @@ class IndexField:
     """
 
     def __init__(self, definition: Definition, field: str, shadow: str) -> None:
-        plan = wirePlan(definition)
+        plan = wire_plan(definition)
         columns = {column.name: column for column in plan.all_columns}
         column = columns.get(field)
-        if column is None or _isNested(column):
-            hint = nearestFields(field, [n for n, each in columns.items() if not _isNested(each)])
+        if column is None or _is_nested(column):
+            hint = nearest_fields(field, [n for n, each in columns.items() if not _is_nested(each)])
             if column is None:
                 raise InvalidName(f"{definition.type} has no field {field!r} to index; {hint}")
             raise InvalidName(
@@ -66,13 +66,13 @@ class IndexField:
         self._pick = plan.picker(field)
         self.many = column.is_list or column.kind == "array"
         if column.kind == "array":
-            one = elementOf(column)
+            one = element_of(column)
             self.element_type, self.kind = one.column.cql_type, one.column.kind
-            self._split = _splitNumbers(column)
+            self._split = _split_numbers(column)
         else:
             self.element_type = column.element_type
             self.kind = column.kind
-            self._split = _splitColumn
+            self._split = _split_column
         self.cql_type = f"set<{self.element_type}>" if self.many else self.element_type
 
     def value(self, wire: bytes) -> tuple[bytes | None, bool]:
@@ -96,16 +96,16 @@ class IndexField:
                 return None, True
             found[value] = None
         # A set is encoded as a list is; an empty one would be a tombstone.
-        return (packList(list(found)) if found else None), False
+        return (pack_list(list(found)) if found else None), False
 
     def normal(self, raw: bytes) -> bytes | None:
         """Return one encoded value as the index has it; None where it has none."""
         if self.kind == "float":
-            return normalFloat(self.element_type, raw)
+            return normal_float(self.element_type, raw)
         return None if len(raw) > MAX_TEXT_BYTES else raw
 
 
-def normalFloat(cql_type: str, raw: bytes) -> bytes | None:
+def normal_float(cql_type: str, raw: bytes) -> bytes | None:
     """Return an encoded number such that equal ones are equal bytes; None where it is NaN."""
     (number,) = struct.unpack(CQL_CODES[cql_type], raw)
     if number != number:
@@ -113,7 +113,7 @@ def normalFloat(cql_type: str, raw: bytes) -> bytes | None:
     return raw if number else bytes(len(raw))
 
 
-def nearestFields(field: str, able: Sequence[str]) -> str:
+def nearest_fields(field: str, able: Sequence[str]) -> str:
     """Say which fields may have been meant, as the end of an error text."""
     inside = [name for name in able if name.startswith(field + ".")]
     if inside:
@@ -123,23 +123,23 @@ def nearestFields(field: str, able: Sequence[str]) -> str:
     return f"did you mean {', '.join(near[:3])}?" if near else f"its fields: {', '.join(able[:20])}"
 
 
-def _isNested(column: FieldColumn) -> bool:
+def _is_nested(column: FieldColumn) -> bool:
     return column.kind == "wire" or (column.is_list and column.kind == "array")
 
 
-def _splitColumn(raw: bytes) -> Optional[List[bytes]]:
-    return None if int.from_bytes(raw[:4], "big") > MAX_ELEMENTS else splitList(raw)
+def _split_column(raw: bytes) -> Optional[List[bytes]]:
+    return None if int.from_bytes(raw[:4], "big") > MAX_ELEMENTS else split_list(raw)
 
 
-def _splitNumbers(column: FieldColumn) -> _Split:
-    fixed = elementOf(column)
-    unit, encode = struct.calcsize("<" + fixed.little), packNumbers(fixed, True)
+def _split_numbers(column: FieldColumn) -> _Split:
+    fixed = element_of(column)
+    unit, encode = struct.calcsize("<" + fixed.little), pack_numbers(fixed, True)
 
     def split(raw: bytes) -> Optional[List[bytes]]:
         count = len(raw) // unit
         if count > MAX_ELEMENTS:
             return None
         packed = encode(struct.unpack(f"<{count}{fixed.little}", raw))
-        return None if packed is None else splitList(packed)
+        return None if packed is None else split_list(packed)
 
     return split

@@ -13,13 +13,13 @@ from functools import lru_cache
 from typing import Any
 
 from cassandra_ros.errors import DefinitionError
-from cassandra_ros.messages.spec import checkTypeName
+from cassandra_ros.messages.spec import check_type_name
 
 _log = logging.getLogger(__name__)
 
 
 @lru_cache(maxsize=1024)
-def installedClass(msg_type: str) -> Any | None:
+def installed_class(msg_type: str) -> Any | None:
     """Return the class of an installed message type, or None.
 
     A type name comes from outside: nothing is imported before the package is seen to be a folder
@@ -28,7 +28,7 @@ def installedClass(msg_type: str) -> Any | None:
     Raises:
         DefinitionError: It is no 'pkg/Name'.
     """
-    package, name = checkTypeName(msg_type).split("/")
+    package, name = check_type_name(msg_type).split("/")
     if not _has_message(package, name):
         return None
     try:
@@ -54,10 +54,10 @@ def _has_message(package: str, name: str) -> bool:
     return any(os.path.isfile(os.path.join(f, "msg", f"_{name}.py")) for f in folders)
 
 
-def installedText(msg_type: str) -> str | None:
+def installed_text(msg_type: str) -> str | None:
     """Return the full definition text of an installed type, or None."""
     try:
-        found = installedClass(msg_type)
+        found = installed_class(msg_type)
     except DefinitionError:
         return None
     return None if found is None else str(found._full_text)

@@ -13,10 +13,10 @@ from typing import Any, Iterator
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.index_field import MAX_TEXT_BYTES, nearestFields, normalFloat
+from cassandra_ros.messages.index_field import MAX_TEXT_BYTES, nearest_fields, normal_float
 from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES
-from cassandra_ros.messages.wire.plan import wirePlan
-from cassandra_ros.messages.wire.values import Primitive, encode_value, packList
+from cassandra_ros.messages.wire.plan import wire_plan
+from cassandra_ros.messages.wire.values import Primitive, encode_value, pack_list
 
 _BEYOND = {"int": struct.error, "float": OverflowError}
 """What a number raises that is beyond the range of its column: no message has it."""
@@ -40,13 +40,13 @@ class KeyPart:
     """
 
     def __init__(self, definition: Definition, field: str) -> None:
-        plan = wirePlan(definition)
+        plan = wire_plan(definition)
         columns = {column.name: column for column in plan.all_columns}
         column = columns.get(field)
         if column is None:
             raise InvalidKey(
                 f"{definition.type} has no field {field!r} that could be a key; "
-                f"{nearestFields(field, sorted(columns))}"
+                f"{nearest_fields(field, sorted(columns))}"
             )
         if column.array or column.kind == "wire":
             raise InvalidKey(
@@ -92,7 +92,7 @@ class KeyPart:
             ) from exc
         return None if raw is None else self._normal(raw)
 
-    def fromText(self, text: str) -> object:
+    def from_text(self, text: str) -> object:
         """Read a value of the field that a person typed.
 
         Raises:
@@ -114,7 +114,7 @@ class KeyPart:
     def _encode(self, value: object) -> bytes | None:
         column = self._column
         if column.is_list:
-            return packList(
+            return pack_list(
                 [encode_value("text", _plain("text", text)) for text in _elements(value)]
             )
         if column.kind == "array":
@@ -129,7 +129,7 @@ class KeyPart:
     def _normal(self, raw: bytes) -> bytes | None:
         if self._column.kind != "float" or self.digest:
             return raw
-        return normalFloat(self._column.cql_type, raw)
+        return normal_float(self._column.cql_type, raw)
 
 
 def _plain(kind: str, value: Any) -> Primitive:

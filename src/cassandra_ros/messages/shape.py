@@ -28,7 +28,7 @@ class _Shape:
     """Messages that one such message consists of, itself included; var. arrays count as empty."""
 
 
-def checkShape(msg_type: str, specs: Mapping[str, MessageSpec]) -> None:
+def check_shape(msg_type: str, specs: Mapping[str, MessageSpec]) -> None:
     """Check that a type is finite and of a size that a machine can bear.
 
     Raises:
@@ -38,7 +38,7 @@ def checkShape(msg_type: str, specs: Mapping[str, MessageSpec]) -> None:
     _shape(msg_type, specs, {}, ())
 
 
-def objectCounts(msg_type: str, specs: Mapping[str, MessageSpec]) -> dict[str, int] | None:
+def object_counts(msg_type: str, specs: Mapping[str, MessageSpec]) -> dict[str, int] | None:
     """Return the objects in a message of each type where a few bytes can mean many of them.
 
     That takes a message without bytes inside another one. None: there is none.
@@ -88,7 +88,7 @@ def _count(name: str, field: Field, element: _Shape) -> int | None:
     return field.length
 
 
-def computeMd5(msg_type: str, specs: Mapping[str, MessageSpec]) -> dict[str, str]:
+def compute_md5(msg_type: str, specs: Mapping[str, MessageSpec]) -> dict[str, str]:
     """Return the md5 of a checked type and of all that it uses, as genmsg computes it.
 
     It covers constants, then fields; names of message types are replaced by their md5.

@@ -103,7 +103,7 @@ class MessageSpec:
     constants: tuple[Constant, ...]
 
 
-def checkTypeName(name: str) -> str:
+def check_type_name(name: str) -> str:
     """Return name if it is a message type, 'pkg/Name'.
 
     Raises:
@@ -114,7 +114,7 @@ def checkTypeName(name: str) -> str:
     return name
 
 
-def parseSpec(msg_type: str, text: str) -> MessageSpec:
+def parse_spec(msg_type: str, text: str) -> MessageSpec:
     """Parse the text of one message type, without those that it uses.
 
     Args:
@@ -142,7 +142,7 @@ def parseSpec(msg_type: str, text: str) -> MessageSpec:
     return MessageSpec(msg_type, tuple(fields), tuple(constants))
 
 
-def resolveType(name: str, package: str) -> str:
+def resolve_type(name: str, package: str) -> str:
     """Return the full name of a message type that a definition in package mentions."""
     if name in ("Header", "roslib/Header"):  # roslib: where Header lay before 2010
         return "std_msgs/Header"
@@ -178,8 +178,8 @@ def _parse_field(code: str, package: str) -> Field:
     base, is_array = match["base"], match["array"] is not None
     if base not in PRIMITIVE_SIZES:
         # genmsg knows the short name Header only where no brackets follow.
-        base = f"{package}/{base}" if base == "Header" and is_array else resolveType(base, package)
-        checkTypeName(base)
+        base = f"{package}/{base}" if base == "Header" and is_array else resolve_type(base, package)
+        check_type_name(base)
     length = int(match["length"]) if is_array and match["length"] else None
     return Field(name, base, is_array, length, declared)
 

@@ -25,7 +25,7 @@ _ISO = re.compile(
 )
 
 
-def secondsToNs(seconds: Any) -> int:
+def seconds_to_ns(seconds: Any) -> int:
     """Convert seconds (int, float, Decimal) to nanoseconds, rounded half to even.
 
     The shortest decimal text of a float is what was meant: 0.1 is 100,000,000 ns.
@@ -42,7 +42,7 @@ def secondsToNs(seconds: Any) -> int:
         raise InvalidKey(f"{seconds!r} is not a number of seconds") from exc
 
 
-def checkNs(ns: int, shown: object = None) -> int:
+def check_ns(ns: int, shown: object = None) -> int:
     """Return ns if ROS can express it: 0 to the end of 32-bit seconds (February 2106).
 
     Raises:
@@ -80,14 +80,14 @@ class Stamp(genpy.Time):
         seq: int | None = None,
         table: str | None = None,
     ) -> None:
-        ns = checkNs(secondsToNs(secs) + int(nsecs))
+        ns = check_ns(seconds_to_ns(secs) + int(nsecs))
         super().__init__(ns // SECOND_NS, ns % SECOND_NS)
         self.node = node
         self.seq = seq
         self.table = table
 
     @classmethod
-    def fromNs(
+    def from_ns(
         cls, ns: int, node: str | None = None, seq: int | None = None, table: str | None = None
     ) -> Stamp:
         """Make a stamp of integer nanoseconds since 1970.
@@ -158,10 +158,10 @@ def _offset_ns(value: object) -> int | None:
     """Nanoseconds of something that can be added to a stamp, or None."""
     if isinstance(value, genpy.Duration):
         return int(value.to_nsec())
-    return secondsToNs(value) if _is_number(value) else None
+    return seconds_to_ns(value) if _is_number(value) else None
 
 
-def durationNs(value: object) -> int:
+def duration_ns(value: object) -> int:
     """Return the nanoseconds of a length of time.
 
     Args:
@@ -188,10 +188,10 @@ def _comparable(value: Any) -> int | float | None:
         return int(value)
     if value != value or value in (float("inf"), float("-inf")):
         return float(value)  # compares as IEEE says
-    return secondsToNs(value)
+    return seconds_to_ns(value)
 
 
-def toNs(value: object) -> int:
+def to_ns(value: object) -> int:
     """Return the nanoseconds since 1970 of any form of a time.
 
     Args:
@@ -203,13 +203,13 @@ def toNs(value: object) -> int:
         InvalidKey: It is none of these, or outside 1970 to 2106.
     """
     if isinstance(value, genpy.Time):
-        return checkNs(int(value.to_nsec()), value)
+        return check_ns(int(value.to_nsec()), value)
     if isinstance(value, str):
-        return checkNs(_text_to_ns(value), value)
+        return check_ns(_text_to_ns(value), value)
     if isinstance(value, Integral) and not isinstance(value, bool):
-        return checkNs(int(value), value)
+        return check_ns(int(value), value)
     if _is_number(value):
-        return checkNs(secondsToNs(value), value)
+        return check_ns(seconds_to_ns(value), value)
     raise InvalidKey(
         f"{value!r} is not a time: give a genpy.Time, an int (nanoseconds), a float (seconds) "
         f"or ISO 8601 text"
@@ -221,7 +221,7 @@ def _text_to_ns(text: str) -> int:
     if re.fullmatch(r"[0-9]{1,40}", stripped):
         return int(stripped)
     if len(stripped) <= 40 and _DECIMAL.fullmatch(stripped):
-        return secondsToNs(Decimal(stripped))
+        return seconds_to_ns(Decimal(stripped))
     match = _ISO.fullmatch(stripped)
     if match is None:
         raise InvalidKey(
@@ -248,17 +248,17 @@ def _iso_to_ns(match: re.Match[str]) -> int:
     return seconds * SECOND_NS + int((match["fraction"] or "").ljust(9, "0"))
 
 
-def isIsoText(text: str) -> bool:
+def is_iso_text(text: str) -> bool:
     """Say whether a text is a time in ISO 8601."""
     return _ISO.fullmatch(text.strip()) is not None
 
 
-def isTime(value: object) -> bool:
+def is_time(value: object) -> bool:
     """Say whether a value is a genpy.Time or a Stamp (not a number or text that means one)."""
     return isinstance(value, genpy.Time)
 
 
-def isoTime(ns: int) -> str:
+def iso_time(ns: int) -> str:
     """Return the UTC time as ISO 8601 with 9 digits, like 2013-05-08T14:06:20.123456789Z.
 
     Args:

@@ -29,7 +29,7 @@ MASTER_ERRORS = (OSError, HTTPException, xmlrpc.client.Error, ExpatError)
 """What asking a master raises that is away, or dies in the middle of its answer."""
 
 
-def wantedName(default: str, argv: Sequence[str]) -> str:
+def wanted_name(default: str, argv: Sequence[str]) -> str:
     """Return the base name that a node is to have.
 
     Args:
@@ -40,17 +40,17 @@ def wantedName(default: str, argv: Sequence[str]) -> str:
     return given[-1] if given else default
 
 
-def withoutName(argv: Sequence[str]) -> list[str]:
+def without_name(argv: Sequence[str]) -> list[str]:
     """Return the command line without ``__name:=x``, which forbids an anonymous name."""
     return [word for word in argv if not word.startswith(_REMAP)]
 
 
-def fullName(name: str) -> str:
+def resolved_name(name: str) -> str:
     """Return a node's base name with the namespace that this process is in."""
     return str(rospy.get_namespace()) + name
 
 
-def isTaken(full_name: str) -> bool:
+def is_taken(full_name: str) -> bool:
     """Say whether a node of this name lives; False also where no master answers yet."""
     try:
         code, _, uri = rospy.get_master().lookupNode(full_name)
@@ -77,7 +77,7 @@ class _Forwarder(logging.Handler):
             target.handle(record)
 
 
-def forwardLogging() -> None:
+def forward_logging() -> None:
     """Forward the logger ``cassandra_ros``; call it after rospy.init_node."""
     logger = logging.getLogger(_OURS)
     if any(isinstance(handler, _Forwarder) for handler in logger.handlers):
@@ -93,7 +93,7 @@ def forwardLogging() -> None:
     logging.getLogger("cassandra").setLevel(logging.ERROR)
 
 
-def followClock() -> None:
+def follow_clock() -> None:
     """Let rospy's time be the simulated one where /use_sim_time says so.
 
     rospy subscribes to /clock itself with a queue of one message, which a second subscription in
@@ -105,7 +105,7 @@ def followClock() -> None:
         subscribe("/clock", _take)
 
 
-def nowNs() -> int:
+def now_ns() -> int:
     """Tell the time; exactly, while rospy's wall clock goes through a float.
 
     Raises:

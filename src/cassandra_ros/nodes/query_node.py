@@ -10,7 +10,7 @@ from typing import Callable, Sequence
 import rospy
 
 from cassandra_ros.errors import InvalidName
-from cassandra_ros.nodes.node import forwardLogging, fullName, isTaken, wantedName
+from cassandra_ros.nodes.node import forward_logging, is_taken, resolved_name, wanted_name
 from cassandra_ros.nodes.services import Services
 from cassandra_ros.srv import ExecuteCQL, GetData, LookupTransform, Range
 from cassandra_ros.topics.ros_cassandra import RosCassandra
@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 Say = Callable[[str], None]
 
 
-def startNode(argv: Sequence[str]) -> dict[str, str]:
+def start_node(argv: Sequence[str]) -> dict[str, str]:
     """Become the node; return its private parameters, as texts.
 
     Args:
@@ -33,10 +33,11 @@ def startNode(argv: Sequence[str]) -> dict[str, str]:
         InvalidName: A node of this name lives; its services would be taken away.
         KeyboardInterrupt: The process was told to end before a master answered.
     """
-    name = wantedName(NAME, argv)
-    if isTaken(fullName(name)):
+    name = wanted_name(NAME, argv)
+    full = resolved_name(name)
+    if is_taken(full):
         raise InvalidName(
-            f"a node {fullName(name)} runs already: stop it with rosnode kill {fullName(name)}, "
+            f"a node {full} runs already: stop it with rosnode kill {full}, "
             "or give this one another name with __name:=other"
         )
     try:
@@ -46,28 +47,28 @@ def startNode(argv: Sequence[str]) -> dict[str, str]:
             raise
         # rospy took the signal while it waited for a master.
         raise KeyboardInterrupt from exc
-    forwardLogging()
+    forward_logging()
     given = {name: rospy.get_param(f"~{name}", None) for name in PARAMETERS}
     return {name: str(value) for name, value in given.items() if value is not None}
 
 
-def serve(rosCas: RosCassandra, say: Say, allow_writes: bool = False) -> None:
+def serve(ros_cas: RosCassandra, say: Say, allow_writes: bool = False) -> None:
     """Answer requests until the node is shut down.
 
     Args:
-        rosCas: A RosCassandra connected to a keyspace.
+        ros_cas: A RosCassandra connected to a keyspace.
         say: Prints a line.
         allow_writes: Let ~executeCQL change what is stored.
     """
-    services = Services(rosCas, allow_writes)
+    services = Services(ros_cas, allow_writes)
     rospy.Service("~getData", GetData, services.get_data)
     rospy.Service("~range", Range, services.range)
     rospy.Service("~executeCQL", ExecuteCQL, services.execute_cql)
     rospy.Service("~lookupTransform", LookupTransform, services.lookup_transform)
-    absence = rosCas.parts.side_tables.absence()
+    absence = ros_cas.parts.side_tables.absence()
     if absence:
         _log.warning("%s; until then no topic is found", absence)
     say(f"services under {rospy.get_name()}")
     how = "writes are allowed" if allow_writes else "read-only"
-    say(f"serving keyspace {rosCas.keyspace}, {how}")
+    say(f"serving keyspace {ros_cas.keyspace}, {how}")
     rospy.spin()

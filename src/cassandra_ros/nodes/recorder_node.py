@@ -17,15 +17,15 @@ import rospy
 
 from cassandra_ros.nodes.node import (
     MASTER_ERRORS,
-    followClock,
-    forwardLogging,
-    fullName,
-    isTaken,
-    nowNs,
-    wantedName,
-    withoutName,
+    follow_clock,
+    forward_logging,
+    is_taken,
+    now_ns,
+    resolved_name,
+    wanted_name,
+    without_name,
 )
-from cassandra_ros.nodes.subscription import connectedUris, isDrained, subscribe
+from cassandra_ros.nodes.subscription import connected_uris, is_drained, subscribe
 from cassandra_ros.recording.counts import TopicReport
 from cassandra_ros.recording.recording import DEFAULT_BUFFER_BYTES, Recording
 from cassandra_ros.topics.ros_cassandra import RosCassandra
@@ -79,12 +79,12 @@ class RecorderOptions:
 
 
 def record(
-    rosCas: RosCassandra, options: RecorderOptions, argv: Sequence[str], say: Say
+    ros_cas: RosCassandra, options: RecorderOptions, argv: Sequence[str], say: Say
 ) -> list[TopicReport]:
     """Record until a signal, the master, the duration or the limit ends it.
 
     Args:
-        rosCas: A RosCassandra connected to a keyspace.
+        ros_cas: A RosCassandra connected to a keyspace.
         options: What to record.
         argv: Command line with the program's name and ROS remappings.
         say: Prints a line.
@@ -92,10 +92,10 @@ def record(
     Returns:
         What became of the messages of each topic.
     """
-    name = _startNode(argv)
+    name = _start_node(argv)
     recorder = Recording(
-        rosCas,
-        clock=nowNs,
+        ros_cas,
+        clock=now_ns,
         format=options.format,
         node=options.node_id,
         buffer_bytes=options.buffer_bytes,
@@ -127,19 +127,19 @@ class _Session:
             signal.signal(number, self._signalled)
 
     def run(self) -> list[TopicReport]:
-        self._subscribeAll()
-        self._awaitPublishers()
+        self._subscribe_all()
+        self._await_publishers()
         topics = len(self._subscribers)
         self._say(f"recording {topics} topic{'' if topics == 1 else 's'}")
         ends = time.monotonic() + (self._options.duration_sec or 1e12)
         while not (self._stop.wait(POLL_SEC) or rospy.is_shutdown() or time.monotonic() >= ends):
             if self._options.discovers:
                 self._discover(announce=True)
-            if self._isComplete():
+            if self._is_complete():
                 break
         return self._end()
 
-    def _subscribeAll(self) -> None:
+    def _subscribe_all(self) -> None:
         if self._options.discovers:
             self._discover(announce=False)
             return
@@ -167,7 +167,7 @@ class _Session:
             self._recorder.expect(topic)
             self._subscribers[topic] = subscribe(topic, self._recorder.received, nodelay)
 
-    def _awaitPublishers(self) -> None:
+    def _await_publishers(self) -> None:
         """Return when the publishers that exist are connected, or after a while."""
         ends = time.monotonic() + CONNECT_SEC
         missing = _publishers(list(self._subscribers))
@@ -175,7 +175,7 @@ class _Session:
             missing = {
                 topic: count
                 for topic, count in missing.items()
-                if len(connectedUris(self._subscribers[topic])) < count
+                if len(connected_uris(self._subscribers[topic])) < count
             }
             self._stop.wait(0.02)
         if missing and not self._stop.is_set():
@@ -185,11 +185,11 @@ class _Session:
                 ", ".join(sorted(missing)),
             )
 
-    def _isComplete(self) -> bool:
+    def _is_complete(self) -> bool:
         """Leave the topics that reached the limit; say whether all have."""
         left = False
         for topic, subscriber in self._subscribers.items():
-            if not self._recorder.isComplete(topic):
+            if not self._recorder.is_complete(topic):
                 left = True
             elif subscriber.impl is not None:
                 subscriber.unregister()
@@ -197,19 +197,19 @@ class _Session:
 
     def _end(self) -> list[TopicReport]:
         """Read what is on its way, store it, and report."""
-        self._drainSockets()
+        self._drain_sockets()
         while not self._recorder.stop(timeout_sec=0.2):
             if self._signals > 1:
                 _log.warning("interrupted again: what is not stored yet is lost")
                 return self._recorder.reports(final=True)
         return self._recorder.close()
 
-    def _drainSockets(self) -> None:
+    def _drain_sockets(self) -> None:
         """Wait until each connection was seen empty once: until then it lags behind the end."""
         left, seen, ends = dict(self._subscribers), -1, 0.0
         last = time.monotonic() + MAX_DRAIN_SEC
         while self._signals < 2 and not rospy.is_shutdown():
-            left = {t: subscriber for t, subscriber in left.items() if not isDrained(subscriber)}
+            left = {t: subscriber for t, subscriber in left.items() if not is_drained(subscriber)}
             arrived, now = sum(map(self._recorder.count, left)), time.monotonic()
             if arrived != seen:
                 seen, ends = arrived, min(now + DRAIN_SEC, last)
@@ -229,16 +229,18 @@ class _Session:
         self._stop.set()
 
 
-def _startNode(argv: Sequence[str]) -> str:
+def _start_node(argv: Sequence[str]) -> str:
     """Become /recorder where that name is free, else a node of an anonymous name."""
-    name = wantedName("recorder", argv)
-    taken = isTaken(fullName(name))
-    words = withoutName(argv) if taken else list(argv)
+    name = wanted_name("recorder", argv)
+    taken = is_taken(resolved_name(name))
+    words = without_name(argv) if taken else list(argv)
     rospy.init_node(name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True)
-    forwardLogging()
-    followClock()
+    forward_logging()
+    follow_clock()
     if taken:
-        _log.warning("a node %s runs already; this one is %s", fullName(name), rospy.get_name())
+        _log.warning(
+            "a node %s runs already; this one is %s", resolved_name(name), rospy.get_name()
+        )
     return str(rospy.get_name())
 
 

@@ -12,13 +12,13 @@ from typing import Callable, Iterator, Optional, TypeVar
 import rospy
 
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, DefinitionError, InvalidKey
-from cassandra_ros.keys import SECOND_NS, decodeCursor, encodeCursor
-from cassandra_ros.messages.classes import toYaml
-from cassandra_ros.messages.stamps import isoTime, toNs
+from cassandra_ros.keys import SECOND_NS, decode_cursor, encode_cursor
+from cassandra_ros.messages.classes import to_yaml
+from cassandra_ros.messages.stamps import iso_time, to_ns
 from cassandra_ros.msg import Row, StoredMessage
 from cassandra_ros.query.conditions import Condition
-from cassandra_ros.query.json_values import fromJson, toJson
-from cassandra_ros.query.parse import parseStatement
+from cassandra_ros.query.json_values import from_json, to_json
+from cassandra_ros.query.parse import parse_statement
 from cassandra_ros.query.syntax import Select
 from cassandra_ros.srv import (
     ExecuteCQLRequest,
@@ -77,12 +77,12 @@ class Services:
     """The handlers, for one store. Thread-safe.
 
     Args:
-        rosCas: A RosCassandra connected to a keyspace.
+        ros_cas: A RosCassandra connected to a keyspace.
         allow_writes: Run statements that change what is stored.
     """
 
-    def __init__(self, rosCas: RosCassandra, allow_writes: bool = False) -> None:
-        self._rosCas = rosCas
+    def __init__(self, ros_cas: RosCassandra, allow_writes: bool = False) -> None:
+        self._rosCas = ros_cas
         self._allow_writes = allow_writes
 
     @_answers(GetDataResponse)
@@ -113,11 +113,11 @@ class Services:
                 if response.data:
                     return response  # the next page begins with it
                 # The cursor leads past it.
-                cursor = encodeCursor(row.position)
+                cursor = encode_cursor(row.position)
                 return RangeResponse(False, clean(str(exc)), [], cursor)
             response.data.append(message)
-            response.next_cursor = encodeCursor(row.position)
-            size += sizeOf(message)
+            response.next_cursor = encode_cursor(row.position)
+            size += size_of(message)
             if size > MAX_REPLY_BYTES:
                 break
         # With a condition the next match may be far away; the next page then may be empty.
@@ -128,21 +128,21 @@ class Services:
 
     def _rows(self, request: RangeRequest, most: int) -> Iterator[StoredRow]:
         topic = self._rosCas.getTopic(request.topic)
-        low = toNs(request.key)
-        high = toNs(request.to_key) or None
+        low = to_ns(request.key)
+        high = to_ns(request.to_key) or None
         if high is not None and high < low:
             raise InvalidKey(f"to_key ({high} ns) lies before key ({low} ns)")
-        after = decodeCursor(request.cursor) if request.cursor else None
+        after = decode_cursor(request.cursor) if request.cursor else None
         node = request.node_id or None
         if request.where:
-            return Condition(request.where, nodeID=node).rows(topic, low, high, after)
+            return Condition(request.where, node=node).rows(topic, low, high, after)
         return topic.rows(low, high, nodeID=node, limit=most, after=after)
 
     @_answers(ExecuteCQLResponse)
     def execute_cql(self, request: ExecuteCQLRequest) -> ExecuteCQLResponse:
         """Answer ExecuteCQL."""
-        params = [fromJson(text, f"params[{n}]") for n, text in enumerate(request.params)]
-        statement = parseStatement(request.statement, params)
+        params = [from_json(text, f"params[{n}]") for n, text in enumerate(request.params)]
+        statement = parse_statement(request.statement, params)
         node = request.node_id or None
         if isinstance(statement, Select):
             return self._page(statement, node, request.limit or DEFAULT_LIMIT, request.cursor)
@@ -151,7 +151,7 @@ class Services:
         if request.cursor:
             raise InvalidKey("a cursor leads to the next page of a SELECT; leave it out here")
         found = self._rosCas.statements.run(statement, node=node)
-        rows = [Row([toJson(value) for value in values]) for values in found]
+        rows = [Row([to_json(value) for value in values]) for values in found]
         return ExecuteCQLResponse(success=True, columns=list(found.columns), rows=rows)
 
     def _page(
@@ -163,7 +163,7 @@ class Services:
             response = ExecuteCQLResponse(success=True, columns=[clean(c) for c in result.columns])
             size = 0
             for values in islice(result, limit):
-                row = Row([toJson(value) for value in values])
+                row = Row([to_json(value) for value in values])
                 response.rows.append(row)
                 response.next_cursor = result.cursor
                 size += 64 + sum(len(text) + 16 for text in row.values)
@@ -191,7 +191,7 @@ def pack(row: StoredRow, omit_data: bool, omit_yaml: bool) -> StoredMessage:
     """Make a StoredMessage of a stored row."""
     return StoredMessage(
         key=rospy.Time(*divmod(row.t, SECOND_NS)),
-        key_text=clean(row.name) or (isoTime(row.t) if row.table.valued else str(row.t)),
+        key_text=clean(row.name) or (iso_time(row.t) if row.table.valued else str(row.t)),
         node_id=clean(row.node),
         topic=clean(row.topic),
         type=clean(row.type),
@@ -201,7 +201,7 @@ def pack(row: StoredRow, omit_data: bool, omit_yaml: bool) -> StoredMessage:
     )
 
 
-def sizeOf(message: StoredMessage) -> int:
+def size_of(message: StoredMessage) -> int:
     """Return about how many bytes a StoredMessage takes in a reply."""
     return len(message.data) + len(message.yaml) + 200
 
@@ -215,6 +215,6 @@ def _yaml(row: StoredRow) -> str:
     if row.size > YAML_BYTES:
         return f"# {row.size} bytes of {row.type}, too many to be shown here: read data"
     try:
-        return toYaml(row.message())
+        return to_yaml(row.message())
     except (CorruptMessage, DefinitionError) as exc:
         return "# " + " ".join(str(exc).split())

@@ -67,7 +67,7 @@ def subscribe(topic: str, callback: Callback, tcp_nodelay: bool = False) -> rosp
         The subscriber; ``impl`` is rospy's.
     """
     # Let rospy read with the functions below, in this process.
-    tcpros_base.read_ros_handshake_header = readHeader
+    tcpros_base.read_ros_handshake_header = read_header
     tcpros_base.recv_buff = receive
 
     def take(msg: rospy.AnyMsg) -> None:
@@ -83,15 +83,15 @@ def subscribe(topic: str, callback: Callback, tcp_nodelay: bool = False) -> rosp
     return rospy.Subscriber(topic, rospy.AnyMsg, take)
 
 
-def isDrained(subscriber: rospy.Subscriber) -> bool:
+def is_drained(subscriber: rospy.Subscriber) -> bool:
     """Say whether everything that has reached this machine was handed to the callback."""
     impl = subscriber.impl
     if not isinstance(impl, _Subscription):
         return True
-    return all(_isRead(connection) for connection in list(impl.connections or ()))
+    return all(_is_read(connection) for connection in list(impl.connections or ()))
 
 
-def connectedUris(subscriber: rospy.Subscriber) -> set[str]:
+def connected_uris(subscriber: rospy.Subscriber) -> set[str]:
     """Return the URIs of the publishers whose connection stands."""
     impl = subscriber.impl
     found = list(impl.connections or ()) if impl is not None else []
@@ -115,7 +115,7 @@ class _Subscription(_SubscriberImpl):
         while not rospy.is_shutdown():
             with self.c_lock:
                 connections = [c for c in self.connections if c.endpoint_id == endpoint_id]
-                if any(not c.done and not _hasHungUp(c) for c in connections):
+                if any(not c.done and not _has_hung_up(c) for c in connections):
                     self._asked_again.add(endpoint_id)
                     return True
                 other = self._connecting.get(endpoint_id)
@@ -154,7 +154,7 @@ class _Subscription(_SubscriberImpl):
         connection.handled = getattr(connection, "handled", 0) + nbytes
 
 
-def _hasHungUp(connection: Transport) -> bool:
+def _has_hung_up(connection: Transport) -> bool:
     """Say whether the publisher has closed its end."""
     sock = connection.socket
     if sock is None:
@@ -167,19 +167,19 @@ def _hasHungUp(connection: Transport) -> bool:
         return True
 
 
-def _isRead(connection: Transport) -> bool:
+def _is_read(connection: Transport) -> bool:
     sock = connection.socket
     if sock is None or connection.done:
         return True
     try:
         # In this order: what has left the socket was counted before it did.
-        unread = unreadBytes(sock)
+        unread = unread_bytes(sock)
     except (OSError, ValueError):
         return True
     return not unread and getattr(connection, "handled", 0) == _received.get(sock, 0)
 
 
-def unreadBytes(sock: socket.socket) -> int:
+def unread_bytes(sock: socket.socket) -> int:
     """Return how many bytes lie in a socket."""
     return int(_length(fcntl.ioctl(sock, termios.FIONREAD, bytes(4)))[0])
 
@@ -199,7 +199,7 @@ def receive(sock: socket.socket, b: io.BytesIO, buff_size: int) -> int:
         poller = select.poll()
         poller.register(sock, select.POLLIN)
         poller.poll()
-        size = min(unreadBytes(sock), buff_size)
+        size = min(unread_bytes(sock), buff_size)
         _received[sock] = _received.get(sock, 0) + size
         data = sock.recv(max(size, 1))
     except (OSError, ValueError) as exc:
@@ -210,7 +210,7 @@ def receive(sock: socket.socket, b: io.BytesIO, buff_size: int) -> int:
     return len(data)
 
 
-def readHeader(sock: socket.socket, b: io.BytesIO, buff_size: int) -> dict[str, str]:
+def read_header(sock: socket.socket, b: io.BytesIO, buff_size: int) -> dict[str, str]:
     """Read a connection header as rosgraph does, keeping bytes that are not UTF-8.
 
     Args:

@@ -15,9 +15,9 @@ from typing import Callable, Iterator, Optional, Sequence
 
 from cassandra_ros.arguments import check_node
 from cassandra_ros.errors import InvalidKey, InvalidName, InvalidQuery
-from cassandra_ros.keys import MAX_NS, Position, isBehind
-from cassandra_ros.query.literals import fitToText, fitToTime
-from cassandra_ros.query.parse import parseCondition
+from cassandra_ros.keys import MAX_NS, Position, is_behind
+from cassandra_ros.query.literals import fit_to_text, fit_to_time
+from cassandra_ros.query.parse import parse_condition
 from cassandra_ros.query.projection import Projections
 from cassandra_ros.query.protocols import Columns, Row, RowT, Source, Table, TopicChooser
 from cassandra_ros.query.pushdown import Pushdown
@@ -75,7 +75,7 @@ class Bounds:
         return replace(found, empty=found.empty or found.low > found.high)
 
 
-def boundsOf(select: Select, node: Optional[str] = None, named: bool = False) -> Bounds:
+def bounds_of(select: Select, node: Optional[str] = None, named: bool = False) -> Bounds:
     """Find the bounds of a statement.
 
     Args:
@@ -103,7 +103,7 @@ def boundsOf(select: Select, node: Optional[str] = None, named: bool = False) ->
     return bounds
 
 
-def meantAsSeconds(condition: Optional[Expression]) -> Iterator[Literal]:
+def meant_as_seconds(condition: Optional[Expression]) -> Iterator[Literal]:
     """Yield what KEY is compared with and looks like seconds: integers are ns."""
     for comparison in leaves(condition):
         for found in given(comparison) if isinstance(comparison.operand, KeyOperand) else ():
@@ -112,9 +112,9 @@ def meantAsSeconds(condition: Optional[Expression]) -> Iterator[Literal]:
                 yield Literal(value, found.position)
 
 
-def warnOfSeconds(condition: Optional[Expression]) -> None:
+def warn_of_seconds(condition: Optional[Expression]) -> None:
     """Log a warning where KEY is compared with what looks like seconds."""
-    for found in meantAsSeconds(condition):
+    for found in meant_as_seconds(condition):
         _log.warning(
             "KEY is compared with %(ns)d, which means nanoseconds since 1970; did you mean "
             "seconds, %(ns)d.0?",
@@ -133,24 +133,24 @@ def _conjuncts(condition: Optional[Expression]) -> Iterator[Expression]:
 def _narrowed(bounds: Bounds, part: Expression, named: bool) -> Bounds:
     if isinstance(part, Compare) and isinstance(part.value, Literal):
         if isinstance(part.operand, NodeOperand) and part.operator == "=":
-            node = fitToText(part.value, "NODE")
+            node = fit_to_text(part.value, "NODE")
             try:
                 return bounds.within(None, None, check_node(node))
             except InvalidName:
                 return replace(bounds, empty=True)  # no message can be of such a node
         if isinstance(part.operand, KeyOperand) and part.operator == "=" and named:
-            name = fitToText(part.value, "KEY")
+            name = fit_to_text(part.value, "KEY")
             clash = bounds.name not in (None, name)
             return replace(bounds, name=name, empty=bounds.empty or clash)
         if named:
             return replace(bounds, whole=False)
         if isinstance(part.operand, KeyOperand) and part.operator in ("=", *_ORDERED):
-            ns = fitToTime(part.value)
+            ns = fit_to_time(part.value)
             low = {"=": ns, ">=": ns, ">": ns + 1}.get(part.operator)
             high = {"=": ns, "<=": ns, "<": ns - 1}.get(part.operator)
             return bounds.within(low, high)
     if isinstance(part, OneOf) and isinstance(part.operand, KeyOperand) and not named:
-        times = [fitToTime(value) for value in part.values if isinstance(value, Literal)]
+        times = [fit_to_time(value) for value in part.values if isinstance(value, Literal)]
         if times:
             bounds = bounds.within(min(times), max(times))
     return replace(bounds, whole=False)
@@ -164,20 +164,20 @@ class Condition:
     Args:
         text: The condition.
         params: Values of its ``?`` or ``%s``.
-        nodeID: Only messages of this node; None = of all.
+        node: Only messages of this node; None = of all.
 
     Raises:
         InvalidQuery: The text is no condition, or the parameters do not fit.
     """
 
     def __init__(
-        self, text: str, params: Sequence[object] = (), nodeID: Optional[str] = None
+        self, text: str, params: Sequence[object] = (), node: Optional[str] = None
     ) -> None:
-        self._select = Select(text, (), "", 0, parseCondition(text, params))
-        self._node = nodeID
+        self._select = Select(text, (), "", 0, parse_condition(text, params))
+        self._node = node
 
     @classmethod
-    def ofStatement(cls, statement: Delete, node: Optional[str] = None) -> Condition:
+    def of_statement(cls, statement: Delete, node: Optional[str] = None) -> Condition:
         """Return the condition that stands in a statement; errors show the whole of it."""
         condition = cls.__new__(cls)
         condition._select = Select(statement.text, (), "", 0, statement.condition)
@@ -193,7 +193,7 @@ class Condition:
         Raises:
             InvalidQuery: KEY or NODE is compared with what it cannot be.
         """
-        return boundsOf(self._select, self._node, named)
+        return bounds_of(self._select, self._node, named)
 
     def test(self, tables: Sequence[Table]) -> Test:
         """Return a function that tells whether a stored row satisfies the condition.
@@ -231,7 +231,7 @@ class Condition:
         tables = source.tables
         projections = Projections(self._select, tables)
         bounds = self.bounds(any(t.named for t in tables)).within(key, to_key)
-        rows = boundedRows(
+        rows = bounded_rows(
             source,
             bounds,
             after,
@@ -242,7 +242,7 @@ class Condition:
         return (row for row in rows if any(projections.of(row.table).hits(row)))
 
 
-def boundedRows(
+def bounded_rows(
     source: Source[RowT],
     bounds: Bounds,
     after: Optional[Position] = None,
@@ -273,6 +273,6 @@ def boundedRows(
     found = (
         row
         for row in every
-        if bounds.low <= row.t <= bounds.high and isBehind(row.position, after, reverse)
+        if bounds.low <= row.t <= bounds.high and is_behind(row.position, after, reverse)
     )
     return islice(found, limit)

@@ -53,7 +53,7 @@ _OPERATORS = {
 }
 
 
-def compileCondition(expression: Optional[Expression], locate: Locate, fit: Fit) -> Check:
+def compile_condition(expression: Optional[Expression], locate: Locate, fit: Fit) -> Check:
     """Make a function that tells whether values satisfy a condition.
 
     Args:
@@ -64,9 +64,9 @@ def compileCondition(expression: Optional[Expression], locate: Locate, fit: Fit)
     if expression is None:
         return lambda values: True
     if isinstance(expression, Negation):
-        return _negation(compileCondition(expression.item, locate, fit))
+        return _negation(compile_condition(expression.item, locate, fit))
     if isinstance(expression, (All, Either)):
-        checks = [compileCondition(item, locate, fit) for item in expression.items]
+        checks = [compile_condition(item, locate, fit) for item in expression.items]
         return _joined(checks, isinstance(expression, Either))
     place = locate(expression)
     if isinstance(expression, IsNull):

@@ -12,7 +12,7 @@ from typing import Any, Callable, Container, Iterator, List, Optional, Sequence
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.plan import wirePlan
+from cassandra_ros.messages.wire.plan import wire_plan
 from cassandra_ros.query.names import Array, FieldRef
 from cassandra_ros.query.protocols import Row
 
@@ -37,14 +37,14 @@ class Extractor:
     def __init__(
         self, definition: Definition, refs: Sequence[FieldRef], unnested: Sequence[Array]
     ) -> None:
-        self._plan = wirePlan(definition)
+        self._plan = wire_plan(definition)
         self._depth = len(unnested)
         known = {column.name for column in self._plan.all_columns}
-        held = [_heldSteps(ref, known) for ref in refs]
+        held = [_held_steps(ref, known) for ref in refs]
         names = [".".join(s.name for s in ref.steps[:n]) for ref, n in zip(refs, held) if n]
         self._given = [n > 0 for n in held]
         gets = [
-            _gets(ref, n, unnested) if n else _emptyGets(definition, ref, unnested)
+            _gets(ref, n, unnested) if n else _empty_gets(definition, ref, unnested)
             for ref, n in zip(refs, held)
         ]
         self._steps = [
@@ -107,7 +107,7 @@ def _count(values: object) -> int:
     return len(values) if isinstance(values, (list, bytes)) else 0
 
 
-def _heldSteps(ref: FieldRef, known: Container[str]) -> int:
+def _held_steps(ref: FieldRef, known: Container[str]) -> int:
     """How many steps lead to the column that holds a field: its own, or the blob it lies in.
 
     0: no column does, for it lies in an array of fixed length 0.
@@ -117,7 +117,7 @@ def _heldSteps(ref: FieldRef, known: Container[str]) -> int:
     return next((n for n in every if ".".join(names[:n]) in known), 0)
 
 
-def _emptyGets(definition: Definition, ref: FieldRef, unnested: Sequence[Array]) -> list[Get]:
+def _empty_gets(definition: Definition, ref: FieldRef, unnested: Sequence[Array]) -> list[Get]:
     """As _gets for what lies in no column: an array of fixed length 0, or what is inside one."""
     msg_type, level = definition.type, -1
     for number, step in enumerate(ref.steps):

@@ -13,7 +13,7 @@ from cassandra_ros.errors import InvalidExpression
 from cassandra_ros.query.syntax import DecimalText
 
 
-def toJson(value: object) -> str:
+def to_json(value: object) -> str:
     """Write one value of a result.
 
     Times and durations are integer nanoseconds, uint8[] base64 text as in rosbridge, missing
@@ -22,19 +22,19 @@ def toJson(value: object) -> str:
     return json.dumps(value, default=_simple)
 
 
-def jsonValue(value: object) -> object:
+def json_value(value: object) -> object:
     """Return a value of a result as other programs can read it in JSON.
 
-    As toJson; but NaN, Infinity and -Infinity, which JSON lacks, are None, as in rosbridge.
+    As to_json; but NaN, Infinity and -Infinity, which JSON lacks, are None, as in rosbridge.
     """
     if isinstance(value, list):
-        return [jsonValue(element) for element in value]
+        return [json_value(element) for element in value]
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     return value if value is None or isinstance(value, (str, int)) else _simple(value)
 
 
-def fromJson(text: str, name: str = "the value") -> Any:
+def from_json(text: str, name: str = "the value") -> Any:
     """Read the value of a parameter; decimal numbers keep all their digits.
 
     Args:

@@ -14,7 +14,7 @@ from numbers import Integral, Real
 from typing import Any, Optional, Union
 
 from cassandra_ros.errors import InvalidKey
-from cassandra_ros.messages.stamps import secondsToNs, toNs
+from cassandra_ros.messages.stamps import seconds_to_ns, to_ns
 from cassandra_ros.query.names import FieldRef
 from cassandra_ros.query.syntax import DecimalText, Literal, StatementError
 
@@ -25,7 +25,7 @@ _BEYOND_SEC = 1e20
 _KINDS = {"bool": "bool", "string": "text", "time": "time", "duration": "duration"}
 
 
-def fitToField(literal: Literal, ref: FieldRef) -> Comparable:
+def fit_to_field(literal: Literal, ref: FieldRef) -> Comparable:
     """Return a value that the values of a field can be compared with.
 
     Raises:
@@ -33,7 +33,7 @@ def fitToField(literal: Literal, ref: FieldRef) -> Comparable:
     """
     kind = _KINDS.get(ref.type, "number")
     if kind == "time":
-        return fitToTime(literal, ref.name)
+        return fit_to_time(literal, ref.name)
     fitted = _FITS[kind](literal.value)
     if fitted is None:
         shape = "[]" if ref.is_array else ""
@@ -45,7 +45,7 @@ def fitToField(literal: Literal, ref: FieldRef) -> Comparable:
     return fitted
 
 
-def fitToTime(literal: Literal, name: str = "KEY") -> int:
+def fit_to_time(literal: Literal, name: str = "KEY") -> int:
     """Return the nanoseconds of a value that KEY or a time field is compared with.
 
     Numbers may lie outside of what ROS can express: the comparison is then simply true or false.
@@ -53,16 +53,16 @@ def fitToTime(literal: Literal, name: str = "KEY") -> int:
     Raises:
         StatementError: The value is no time.
     """
-    ns = _numberToNs(literal.value)
+    ns = _number_to_ns(literal.value)
     if ns is not None:
         return ns
     try:
-        return toNs(literal.value)
+        return to_ns(literal.value)
     except InvalidKey as exc:
         raise StatementError(literal.position, f"{name} is a time, but {exc}") from None
 
 
-def fitToText(literal: Literal, name: str) -> str:
+def fit_to_text(literal: Literal, name: str) -> str:
     """Return the text that NODE, or the KEY of a topic with names, is compared with.
 
     Raises:
@@ -91,7 +91,7 @@ def _text(value: object) -> Optional[Comparable]:
     return value if isinstance(value, str) else None
 
 
-def _numberToNs(value: object) -> Optional[int]:
+def _number_to_ns(value: object) -> Optional[int]:
     """Nanoseconds of an int (nanoseconds) or another number (seconds), or None."""
     if isinstance(value, bool) or not isinstance(value, (Real, Decimal)):
         return None
@@ -103,7 +103,7 @@ def _numberToNs(value: object) -> Optional[int]:
             return int(math.copysign(_BEYOND_SEC, rough)) * 10**9
         # Seconds as they were written: a float keeps about 200 ns of a time of today.
         exact = Decimal(value.text) if isinstance(value, DecimalText) else value
-        return secondsToNs(exact)
+        return seconds_to_ns(exact)
     except (InvalidKey, ArithmeticError, TypeError):
         return None  # NaN
 
@@ -111,7 +111,7 @@ def _numberToNs(value: object) -> Optional[int]:
 def _duration(value: Any) -> Optional[Comparable]:
     if hasattr(value, "to_nsec"):
         return int(value.to_nsec())
-    return _numberToNs(value)
+    return _number_to_ns(value)
 
 
 _FITS = {"number": _number, "bool": _bool, "text": _text, "duration": _duration}

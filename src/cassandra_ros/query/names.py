@@ -105,12 +105,12 @@ class Findings:
                 raise InvalidQuery(self._text, problem.position, problem.reason)
 
 
-def allFields(definition: Definition) -> list[FieldRef]:
+def all_fields(definition: Definition) -> list[FieldRef]:
     """List every field of primitive type in the order of the wire."""
     return list(_leaves(definition, definition.type, ()))
 
 
-def fieldsOf(path: Path, definition: Definition) -> list[FieldRef]:
+def fields_of(path: Path, definition: Definition) -> list[FieldRef]:
     """Find what a path names: one field, or all fields of a message.
 
     Raises:
@@ -129,7 +129,7 @@ def fieldsOf(path: Path, definition: Definition) -> list[FieldRef]:
     return list(_leaves(definition, msg_type, steps))
 
 
-def fieldOf(path: Path, definition: Definition, array: Optional[bool] = False) -> FieldRef:
+def field_of(path: Path, definition: Definition, array: Optional[bool] = False) -> FieldRef:
     """Find the one field that a path names, for a condition.
 
     Args:
@@ -140,7 +140,7 @@ def fieldOf(path: Path, definition: Definition, array: Optional[bool] = False) -
     Raises:
         StatementError: There is no such field, or it is a message, or an array and is to be none.
     """
-    found = fieldsOf(path, definition)
+    found = fields_of(path, definition)
     if len(found) != 1 or len(found[0].steps) > len(path.parts):
         inside = [ref.name for ref in found[:3]]
         raise StatementError(
@@ -159,7 +159,7 @@ def fieldOf(path: Path, definition: Definition, array: Optional[bool] = False) -
     return found[0]
 
 
-def wantsArray(leaf: Leaf) -> Optional[bool]:
+def wants_array(leaf: Leaf) -> Optional[bool]:
     """Say whether a comparison's operand is an array as a whole; None = either."""
     if isinstance(leaf, IsNull):
         return None
@@ -186,7 +186,7 @@ def _field(definition: Definition, msg_type: str, part: Part, steps: Sequence[St
     prefix = "".join(f"{step.name}." for step in steps)
     names = [field.name for field in fields]
     own = [word for word in OWN_WORDS if not steps and word == part.name.upper()]
-    deeper = [ref.name for ref in allFields(definition) if ref.steps[-1].name == part.name]
+    deeper = [ref.name for ref in all_fields(definition) if ref.steps[-1].name == part.name]
     hint = "" if own else nearest(part.name, names)
     raise StatementError(
         part.position,

@@ -303,7 +303,7 @@ def _grammar() -> Lark:
     )
 
 
-def parseStatement(text: str, params: Sequence[object] = ()) -> Union[Select, Change]:
+def parse_statement(text: str, params: Sequence[object] = ()) -> Union[Select, Change]:
     """Parse a statement and bind its parameters.
 
     Args:
@@ -327,13 +327,13 @@ def parseStatement(text: str, params: Sequence[object] = ()) -> Union[Select, Ch
     return replace(parsed, text=text, condition=condition, limit=most)
 
 
-def parseSelect(text: str, params: Sequence[object] = ()) -> Select:
-    """Parse a statement that gives rows and changes nothing, as parseStatement does.
+def parse_select(text: str, params: Sequence[object] = ()) -> Select:
+    """Parse a statement that gives rows and changes nothing, as parse_statement does.
 
     Raises:
         InvalidQuery: As there; or it is another statement than SELECT.
     """
-    statement = parseStatement(text, params)
+    statement = parse_statement(text, params)
     if isinstance(statement, Select):
         return statement
     raise InvalidQuery(
@@ -344,7 +344,7 @@ def parseSelect(text: str, params: Sequence[object] = ()) -> Select:
     )
 
 
-def parseCondition(text: str, params: Sequence[object] = ()) -> Expression:
+def parse_condition(text: str, params: Sequence[object] = ()) -> Expression:
     """Parse a condition, what stands behind WHERE, and bind its parameters.
 
     Raises:

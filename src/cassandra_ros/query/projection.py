@@ -11,17 +11,17 @@ from typing import Any, Callable, Iterator, NamedTuple, Optional, Sequence, Tupl
 from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.query.evaluate import Check, Values, compileCondition
+from cassandra_ros.query.evaluate import Check, Values, compile_condition
 from cassandra_ros.query.extract import Extractor, Get
-from cassandra_ros.query.literals import Comparable, fitToField, fitToText, fitToTime
+from cassandra_ros.query.literals import Comparable, fit_to_field, fit_to_text, fit_to_time
 from cassandra_ros.query.names import (
     Array,
     FieldRef,
     Findings,
-    allFields,
-    fieldOf,
-    fieldsOf,
-    wantsArray,
+    all_fields,
+    field_of,
+    fields_of,
+    wants_array,
 )
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.syntax import (
@@ -98,7 +98,7 @@ class Projection:
             groups: tuple[tuple[Output, ...], ...] = ((key,), tuple(names.fields(None)))
         else:
             groups = tuple(tuple(names.outputs(selected)) for selected in select.columns)
-        check = compileCondition(select.condition, names.locate, names.fit)
+        check = compile_condition(select.condition, names.locate, names.fit)
         extractor = None
         columns: Optional[Sequence[str]] = ()
         if table.definition is not None and names.refs:
@@ -235,9 +235,9 @@ class _Names:
     def fields(self, path: Optional[Path]) -> list[Output]:
         """Return the columns of the fields that a path (None = ``*``) names."""
         if path is not None:
-            found = self._resolved(path, lambda definition: fieldsOf(path, definition))
+            found = self._resolved(path, lambda definition: fields_of(path, definition))
         else:
-            found = [] if self._definition is None else allFields(self._definition)
+            found = [] if self._definition is None else all_fields(self._definition)
         return [Output(ref.name, self._place(ref), ref.type, ref) for ref in found]
 
     def _aggregated(self, asked: Aggregate, name: str) -> Sequence[Output]:
@@ -275,7 +275,7 @@ class _Names:
         """Return the place of a comparison's operand; None where the table lacks it."""
         if not isinstance(leaf.operand, Path):
             return self._own(leaf.operand)[0]
-        ref = self._field(leaf.operand, wantsArray(leaf))
+        ref = self._field(leaf.operand, wants_array(leaf))
         return None if ref is None else self._place(ref)
 
     def fit(self, leaf: Leaf, literal: Literal) -> Optional[Comparable]:
@@ -292,26 +292,26 @@ class _Names:
     def _fitted(self, leaf: Leaf, literal: Literal) -> Optional[Comparable]:
         operand, sign = leaf.operand, leaf.operator if isinstance(leaf, Compare) else ""
         if isinstance(operand, Path):
-            ref = self._field(operand, wantsArray(leaf))
+            ref = self._field(operand, wants_array(leaf))
             if ref is None:
                 return None
             if sign == "LIKE":
-                _checkText(operand, ref.type)
-            return fitToField(literal, ref)
+                _check_text(operand, ref.type)
+            return fit_to_field(literal, ref)
         if sign == "CONTAINS":
             raise StatementError(
                 operand.position, f"{operand.text} is not an array; compare it with ="
             )
         if self._named or isinstance(operand, NodeOperand):
-            return fitToText(literal, operand.text)
+            return fit_to_text(literal, operand.text)
         if sign == "LIKE":
-            _checkText(operand, "time")
-        return fitToTime(literal)
+            _check_text(operand, "time")
+        return fit_to_time(literal)
 
     # ---------------------------------------------------------------- fields
 
     def _field(self, path: Path, array: Optional[bool] = False) -> Optional[FieldRef]:
-        found = self._resolved(path, lambda definition: [fieldOf(path, definition, array)])
+        found = self._resolved(path, lambda definition: [field_of(path, definition, array)])
         return found[0] if found else None
 
     def _resolved(
@@ -354,7 +354,7 @@ class _Names:
         return 2 + self.refs.index(ref)
 
 
-def _checkText(operand: Union[Path, KeyOperand], kind: str) -> None:
+def _check_text(operand: Union[Path, KeyOperand], kind: str) -> None:
     if kind != "string":
         raise StatementError(
             operand.position,
@@ -362,7 +362,7 @@ def _checkText(operand: Union[Path, KeyOperand], kind: str) -> None:
         )
 
 
-def _shownAs(make: Get) -> Get:
+def _shown_as(make: Get) -> Get:
     def show(value: object) -> object:
         if isinstance(value, list):
             return [show(element) for element in value]
@@ -373,15 +373,15 @@ def _shownAs(make: Get) -> Get:
 
 def _time(ns: int) -> Union[Stamp, int]:
     try:
-        return Stamp.fromNs(ns)
+        return Stamp.from_ns(ns)
     except InvalidKey:
         return ns  # nsecs beyond a second at the very end of time
 
 
 def _duration(ns: int) -> object:
-    origin = Stamp.fromNs(0)
+    origin = Stamp.from_ns(0)
     # genpy's Duration, without importing genpy here.
-    return Stamp.fromNs(ns) - origin if ns >= 0 else origin - Stamp.fromNs(-ns)
+    return Stamp.from_ns(ns) - origin if ns >= 0 else origin - Stamp.from_ns(-ns)
 
 
-_SHOWS = {"time": _shownAs(_time), "duration": _shownAs(_duration)}
+_SHOWS = {"time": _shown_as(_time), "duration": _shown_as(_duration)}

@@ -22,10 +22,10 @@ from typing import Any, Dict, Iterator, NamedTuple, Optional, Sequence, Tuple
 import numpy
 
 from cassandra_ros.messages.index_field import MAX_TEXT_BYTES
-from cassandra_ros.messages.wire.plan import wirePlan
+from cassandra_ros.messages.wire.plan import wire_plan
 from cassandra_ros.messages.wire.values import encode_value
-from cassandra_ros.query.literals import Comparable, fitToField
-from cassandra_ros.query.names import FieldRef, fieldOf, wantsArray
+from cassandra_ros.query.literals import Comparable, fit_to_field
+from cassandra_ros.query.names import FieldRef, field_of, wants_array
 from cassandra_ros.query.protocols import Bucket, Query, Table, Term
 from cassandra_ros.query.syntax import (
     All,
@@ -185,7 +185,7 @@ class Pushdown:
             return []
         usable = [n for n in branch if n.indexed is not None and n.shadow in filled]
         # The index on what is to be equal finds less than one on a range.
-        shadow = min(usable, key=_isRange).shadow if usable else ""
+        shadow = min(usable, key=_is_range).shadow if usable else ""
         ways, count = [], 1
         chosen = [
             (bool(shadow) and n.shadow == shadow and n.indexed is not None, n) for n in branch
@@ -201,7 +201,7 @@ class Pushdown:
         return [(_compatible(sum(terms, ())), bool(shadow)) for terms in product(*ways)]
 
 
-def _isRange(need: Need) -> bool:
+def _is_range(need: Need) -> bool:
     return any(term[1] not in ("=", "CONTAINS") for way in need.indexed or () for term in way)
 
 
@@ -248,7 +248,7 @@ def _need(leaf: Leaf, table: Table) -> Need:
         return Need(leaf, None, "", None)
     operator = leaf.operator if isinstance(leaf, Compare) else "="
     try:
-        ref = fieldOf(leaf.operand, table.definition, wantsArray(leaf))
+        ref = field_of(leaf.operand, table.definition, wants_array(leaf))
     except StatementError:
         return Need(leaf, NEVER, "", None)  # missing here, and what is missing never matches
     values = list(_fitted(leaf, ref))
@@ -262,7 +262,7 @@ def _need(leaf: Leaf, table: Table) -> Need:
         carried = Held(index.shadow, index.element_type, index.many, MAX_TEXT_BYTES)
     return Need(
         leaf,
-        _ways(_columnOf(ref, table), operator, values, FEW_VALUES),
+        _ways(_column_of(ref, table), operator, values, FEW_VALUES),
         index.shadow if index else "",
         _ways(carried, operator, values, MAX_QUERIES),
     )
@@ -271,31 +271,31 @@ def _need(leaf: Leaf, table: Table) -> Need:
 def _ways(held: Optional[Held], operator: str, values: Sequence[Comparable], most: int) -> Ways:
     if held is None:
         return None
-    found = waysOf(held, operator, values)
-    return found if found is None or len(found) <= most else spanOf(held, values)
+    found = ways_of(held, operator, values)
+    return found if found is None or len(found) <= most else span_of(held, values)
 
 
 def _fitted(leaf: Leaf, ref: FieldRef) -> Iterator[Comparable]:
     for literal in given(leaf):
         try:
             if isinstance(literal, Literal):
-                yield fitToField(literal, ref)
+                yield fit_to_field(literal, ref)
         except StatementError:
             continue  # of another kind: it equals nothing here
 
 
-def _columnOf(ref: FieldRef, table: Table) -> Optional[Held]:
+def _column_of(ref: FieldRef, table: Table) -> Optional[Held]:
     """Return the column of format ``ros`` that holds a field, or all its elements."""
     if not table.by_field:
         return None
-    columns = {column.name: column for column in wirePlan(table.definition).columns}
+    columns = {column.name: column for column in wire_plan(table.definition).columns}
     column = columns.get(ref.column)
     if column is None or column.kind in ("array", "wire"):
         return None
     return Held(column.name, column.element_type, column.is_list, table.longest_text)
 
 
-def waysOf(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
+def ways_of(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
     """Say how the server can check that a column compares so with one of some values.
 
     Args:
@@ -310,7 +310,7 @@ def waysOf(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
     return _bounded(held, operator, values[0])
 
 
-def spanOf(held: Held, values: Sequence[Comparable]) -> Ways:
+def span_of(held: Held, values: Sequence[Comparable]) -> Ways:
     """Say how the server can check that a number lies between the outermost of some."""
     numbers = [v for v in values if not isinstance(v, str) and v == v]
     if held.many or not numbers or len(numbers) < len(values):

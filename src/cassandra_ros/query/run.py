@@ -7,10 +7,10 @@ from __future__ import annotations
 from typing import Generator, Iterable, Iterator, NamedTuple, Optional, Sequence, Union
 
 from cassandra_ros.errors import InvalidKey
-from cassandra_ros.keys import Position, decodeCursor, encodeCursor, isBehind
+from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_behind
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.aggregates import Aggregation
-from cassandra_ros.query.conditions import Bounds, boundedRows, boundsOf, warnOfSeconds
+from cassandra_ros.query.conditions import Bounds, bounded_rows, bounds_of, warn_of_seconds
 from cassandra_ros.query.projection import Projections, ResultRow
 from cassandra_ros.query.protocols import Row, Source
 from cassandra_ros.query.pushdown import Pushdown
@@ -33,15 +33,15 @@ class Place(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The cursor that ``readPlace`` understands; '' at the beginning."""
+        """The cursor that ``read_place`` understands; '' at the beginning."""
         at = self.position
-        return "" if at is None else f"{self.given}.{self.skip}.{encodeCursor(at)}"
+        return "" if at is None else f"{self.given}.{self.skip}.{encode_cursor(at)}"
 
 
 START = Place(0, 0, None)
 
 
-def readPlace(cursor: Union[str, Position, Place, None]) -> Place:
+def read_place(cursor: Union[str, Position, Place, None]) -> Place:
     """Read a cursor; a bare position means behind the message there.
 
     Raises:
@@ -57,7 +57,7 @@ def readPlace(cursor: Union[str, Position, Place, None]) -> Place:
     skip, _, position = rest.partition(".")
     if not all(n.isascii() and n.isdigit() and len(n) <= _MAX_DIGITS for n in (given, skip)):
         raise InvalidKey(f"{str(cursor)[:80]!r} is not a cursor of this package")
-    return Place(int(given), int(skip), decodeCursor(position))
+    return Place(int(given), int(skip), decode_cursor(position))
 
 
 _ENDED = Place(1, 0, Position(0, "", 0, ""))
@@ -150,7 +150,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         return (
             row
             for row in self._read(source, narrowed, None, reverse)
-            if isBehind(row.position, at, reverse) or (place.skip and row.position == at)
+            if is_behind(row.position, at, reverse) or (place.skip and row.position == at)
         )
 
     def _read(
@@ -161,7 +161,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         reverse: bool = False,
         limit: Optional[int] = None,
     ) -> Iterator[Row]:
-        rows = boundedRows(
+        rows = bounded_rows(
             source,
             bounds,
             after,
@@ -181,17 +181,17 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             return
         self._place = _ENDED
         if self.counted and not bounds.empty:
-            yield (self._countedByKey(source, bounds),) * len(self.select.aggregates)
+            yield (self._counted_by_key(source, bounds),) * len(self.select.aggregates)
             return
         totals = Aggregation(self.select)
         for row in self._read(source, bounds):
             totals.add(self._projections.of(row.table).rows(row))
         yield totals.values()
 
-    def _countedByKey(self, source: Source[Row], bounds: Bounds) -> int:
+    def _counted_by_key(self, source: Source[Row], bounds: Bounds) -> int:
         if any(table.named for table in source.tables):
             return source.countTopicData(nodeID=bounds.node)
-        low, high = Stamp.fromNs(bounds.low), Stamp.fromNs(bounds.high)
+        low, high = Stamp.from_ns(bounds.low), Stamp.from_ns(bounds.high)
         return source.countTopicData(low, high, bounds.node)
 
 
@@ -199,7 +199,7 @@ def select_rows(
     select: Select,
     source: Source[Row],
     *,
-    nodeID: Optional[str] = None,
+    node: Optional[str] = None,
     limit: Optional[int] = None,
     after: Cursor = None,
     plan: str = "auto",
@@ -209,7 +209,7 @@ def select_rows(
     Args:
         select: The statement, its parameters bound.
         source: The source.
-        nodeID: Only messages of this node; None = of all.
+        node: Only messages of this node; None = of all.
         limit: At most so many rows, besides the statement's LIMIT; None = no bound.
         after: ``cursor`` of an earlier result of the same statement: go on behind its last row.
         plan: What the server may check, one of pushdown.PLANS; the answer is always the same.
@@ -219,10 +219,10 @@ def select_rows(
         InvalidKey: ``after`` is no cursor.
     """
     named = any(table.named for table in source.tables)
-    bounds = boundsOf(select, nodeID, named)
+    bounds = bounds_of(select, node, named)
     if not named:
-        warnOfSeconds(select.condition)
-    return QueryResult(select, source, bounds, readPlace(after), limit, plan)
+        warn_of_seconds(select.condition)
+    return QueryResult(select, source, bounds, read_place(after), limit, plan)
 
 
 class Rows(list):  # type: ignore[type-arg]

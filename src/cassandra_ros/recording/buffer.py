@@ -11,7 +11,7 @@ from typing import Mapping, NamedTuple, Optional
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.store.directory import bucketFor
+from cassandra_ros.store.directory import bucket_for
 from cassandra_ros.topics.message_writer import Handle
 
 ITEM_BYTES = 300
@@ -64,7 +64,7 @@ class Source:
         self.waiting: deque[Item] = deque()
         self.submitted = False
         self.conflicts = 0
-        self.has_header = startsWithHeader(connection.definition_text)
+        self.has_header = starts_with_header(connection.definition_text)
         self._since = 0.0
         self._seen = 0
         self._seen_bytes = 0
@@ -77,16 +77,16 @@ class Source:
         self._seen_bytes += len(item.wire)
         self.waiting.append(item)
 
-    def isRipe(self) -> bool:
+    def is_ripe(self) -> bool:
         """Whether enough was seen to fix the bucket length."""
         enough = self._seen >= FIRST_MESSAGES or self._seen_bytes >= FIRST_BYTES
         return enough or self._watched() >= FIRST_SEC
 
-    def bucketLength(self) -> int:
+    def bucket_length(self) -> int:
         """Return the bucket length for the rate that was seen, ns."""
         # What came in a burst is no rate; what came within a second is one.
         seconds = max(self._watched(), 0.1 if self._seen > 1 else 1.0)
-        return bucketFor(self._seen / seconds, self._seen_bytes / seconds, LONGEST_BUCKET_NS)
+        return bucket_for(self._seen / seconds, self._seen_bytes / seconds, LONGEST_BUCKET_NS)
 
     def _watched(self) -> float:
         return time.monotonic() - self._since if self._seen else 0.0
@@ -177,7 +177,7 @@ class Buffer:
         return self._held
 
 
-def startsWithHeader(definition_text: str) -> bool:
+def starts_with_header(definition_text: str) -> bool:
     """Say whether the first field of a message is a std_msgs/Header.
 
     Only the text is looked at, for it may be hostile or broken and still have a sequence number.

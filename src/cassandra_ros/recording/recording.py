@@ -20,8 +20,8 @@ from functools import partial
 from typing import Callable, Iterator, Mapping, Optional
 
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, SchemaConflict, StoreUnavailable
-from cassandra_ros.keys import COUNTER_BITS, newWriterId
-from cassandra_ros.messages.connection import liveConnection
+from cassandra_ros.keys import COUNTER_BITS, new_writer_id
+from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.recording.buffer import Buffer, Feed, Item, Source
 from cassandra_ros.recording.counts import Counts, TopicReport
 from cassandra_ros.store.registry import Run
@@ -49,7 +49,7 @@ class Recording:
     """Stores messages as they arrive.
 
     Args:
-        rosCas: A RosCassandra connected to a keyspace.
+        ros_cas: A RosCassandra connected to a keyspace.
         clock: Returns the time of arrival, ns; raises ClockNotSet while it is unknown.
         format: As addTopic takes it, for all topics.
         node: The robot or entity that is recorded.
@@ -61,7 +61,7 @@ class Recording:
 
     def __init__(
         self,
-        rosCas: RosCassandra,
+        ros_cas: RosCassandra,
         *,
         clock: Callable[[], int] = time.time_ns,
         format: Optional[str] = None,
@@ -71,7 +71,7 @@ class Recording:
         ttl: int = 0,
         name: str = "",
     ) -> None:
-        self._rosCas = rosCas
+        self._rosCas = ros_cas
         self._clock = clock
         self._format, self._node, self._ttl, self._name = format, node, ttl, name
         self._limit = limit
@@ -83,7 +83,7 @@ class Recording:
         self._sources: weakref.WeakValueDictionary[tuple[str, bytes], Source]
         self._sources = weakref.WeakValueDictionary()
         self._counts = Counts()
-        self._writers = [self._makeWriter()]
+        self._writers = [self._make_writer()]
         self._buffer = Buffer(buffer_bytes)
         self._most_waiting = buffer_bytes // 2 or 2**63
         self._waiting: list[Source] = []
@@ -109,7 +109,7 @@ class Recording:
         # Stamp and counter together: rospy has a thread per publisher, and the order of the
         # stamps must be that of the counters.
         with self._lock:
-            if not self._accepting or self.isComplete(topic):
+            if not self._accepting or self.is_complete(topic):
                 return
             self._counts.received(topic, wire)
             try:
@@ -135,7 +135,7 @@ class Recording:
     def _feed(self, topic: str, header: Mapping[str, str]) -> Feed:
         feed = self._feeds.get(id(header))
         if feed is None:
-            connection = liveConnection(topic, header)
+            connection = live_connection(topic, header)
             key = (topic, connection.header)
             source = self._sources.get(key)
             if source is None:
@@ -145,7 +145,7 @@ class Recording:
             feed = self._feeds[id(header)] = Feed(header, source)
         return feed
 
-    def isComplete(self, topic: str) -> bool:
+    def is_complete(self, topic: str) -> bool:
         """Say whether a topic has all the messages that the limit allows."""
         return bool(self._limit) and self.count(topic) >= self._limit
 
@@ -170,7 +170,7 @@ class Recording:
                 self._route(self._released(source))
         ending = self._buffer.ended
         for source in self._waiting:
-            if not source.submitted and (ending or source.isRipe()):
+            if not source.submitted and (ending or source.is_ripe()):
                 self._tables.submit(source)
         if ending:
             self._tables.hurry()
@@ -183,7 +183,7 @@ class Recording:
                 self._waiting.append(source)
             source.hold(item)
             self._waiting_bytes += item.nbytes
-            self._boundWaiting(source)
+            self._bound_waiting(source)
             return
         if source.handle is None:
             self._counts.lost(source.topic, 1, source.error)
@@ -191,7 +191,7 @@ class Recording:
             self._write(item, source.handle)
         self._buffer.release(item)
 
-    def _boundWaiting(self, source: Source) -> None:
+    def _bound_waiting(self, source: Source) -> None:
         """Keep what waits for tables within half of the buffer: topics with one go on."""
         while self._waiting_bytes > self._most_waiting and len(source.waiting) > 1:
             self._buffer.release(self._released(source))
@@ -217,15 +217,15 @@ class Recording:
             self._counts.lost(source.topic, 1, _mistake(exc))
 
     def _connect(self, source: Source) -> Handle:
-        return self._writers[0].connect(source.connection, source.bucketLength())
+        return self._writers[0].connect(source.connection, source.bucket_length())
 
     def _writer(self, generation: int) -> MessageWriter:
         while len(self._writers) <= generation:
-            self._writers.append(self._makeWriter())
+            self._writers.append(self._make_writer())
         return self._writers[generation]
 
-    def _makeWriter(self) -> MessageWriter:
-        number = newWriterId()
+    def _make_writer(self) -> MessageWriter:
+        number = new_writer_id()
         run = Run(self._node, number, "recording", name=self._name, format=self._format or "")
         return self._rosCas.messageWriter(
             writer_id=number,
@@ -259,10 +259,10 @@ class Recording:
         """Stop, close the buckets, note the end of the run; return the final report."""
         self.stop()
         for writer in self._writers:
-            _tryTo(writer.flush)
+            _try_to(writer.flush)
         lost = {report.topic: report.lost for report in self.reports(final=True) if report.lost}
         for writer in self._writers:
-            _tryTo(partial(writer.close, lost))
+            _try_to(partial(writer.close, lost))
         return self.reports(final=True)
 
     def reports(self, final: bool = False) -> list[TopicReport]:
@@ -282,7 +282,7 @@ def _mistake(exc: Exception) -> str:
     return f"internal error: {type(exc).__name__}: {exc}"
 
 
-def _tryTo(work: Callable[[], None]) -> None:
+def _try_to(work: Callable[[], None]) -> None:
     # The closing table must come whatever happens: it is where losses are told.
     try:
         work()

@@ -46,7 +46,7 @@ REQUEST_TIMEOUT_SEC = 20.0
 NEW_TABLE_SEC = 1.0
 POOL_PAUSE_SEC = 0.05
 AT_ONCE = 16
-"""Statements of executeMany that are in the air together."""
+"""Statements of execute_many that are in the air together."""
 
 CqlRow = Tuple[Any, ...]
 """The decoded values of a row."""
@@ -117,13 +117,13 @@ class Cassandra:
         self.hosts = host_names(host)
         self.port = port_number(port)
         self._where = f"{','.join(self.hosts)} port {self.port}"
-        self.consistency = _consistencyLevel(consistency)
+        self.consistency = _consistency_level(consistency)
         self._prepared: dict[str, PreparedStatement] = {}
         self._prepare_lock = threading.Lock()
         self._closed = False
         auth = PlainTextAuthProvider(username, password) if username else None
         try:
-            self._cluster = self._makeCluster(auth, ssl_context)
+            self._cluster = self._make_cluster(auth, ssl_context)
         except (UnresolvableContactPoints, UnicodeError) as exc:
             raise ConnectionFailed(
                 f"no host of this name can be found: {','.join(self.hosts)!r}; check the name, "
@@ -132,7 +132,7 @@ class Cassandra:
         self._session, self._raw_session = self._connect()
         self._connecting_until = time.monotonic() + CONNECT_TIMEOUT_SEC
 
-    def _makeCluster(self, auth: PlainTextAuthProvider | None, ssl_context: object) -> Cluster:
+    def _make_cluster(self, auth: PlainTextAuthProvider | None, ssl_context: object) -> Cluster:
         profile = ExecutionProfile(
             load_balancing_policy=TokenAwarePolicy(
                 DCAwareRoundRobinPolicy(), shuffle_replicas=True
@@ -198,11 +198,11 @@ class Cassandra:
         statement = self._prepared.get(cql)
         if statement is None:
             with self._prepare_lock:
-                statement = self._prepared.get(cql) or self._prepareNew(cql)
+                statement = self._prepared.get(cql) or self._prepare_new(cql)
                 self._prepared[cql] = statement
         return statement
 
-    def _prepareNew(self, cql: str) -> PreparedStatement:
+    def _prepare_new(self, cql: str) -> PreparedStatement:
         pause = 0.05
         while True:
             try:
@@ -263,19 +263,19 @@ class Cassandra:
             cql, what = f"{cql} AND table_name = ?", f"{what}.{table}"
         return self.execute(cql, (keyspace, table) if table else (keyspace,), what=what)
 
-    def executeOnEach(
+    def execute_on_each(
         self, cql: str, params: Sequence[object] = (), *, what: str
     ) -> dict[str, list[CqlRow]]:
         """Run one statement on every node in reach; return address → rows (system_views)."""
 
         def run() -> dict[str, list[CqlRow]]:
             bound = self.prepare(cql).bind(tuple(params))
-            nodes = self._nodesInReach()
+            nodes = self._nodes_in_reach()
             return {str(n.endpoint): list(self._session.execute(bound, host=n)) for n in nodes}
 
         return retried(what, run)
 
-    def _nodesInReach(self) -> list[Host]:
+    def _nodes_in_reach(self) -> list[Host]:
         """Return the nodes of our data centre that the driver can ask.
 
         Raises:
@@ -298,14 +298,14 @@ class Cassandra:
             raise NoHostAvailable("no node is in reach", {})
         return found
 
-    def executeOnce(self, cql: str, params: Sequence[object] = (), *, what: str) -> list[CqlRow]:
+    def execute_once(self, cql: str, params: Sequence[object] = (), *, what: str) -> list[CqlRow]:
         """Run a statement that is not idempotent (a lightweight transaction), once."""
         bound = self.prepare(cql).bind(tuple(params))
         bound.is_idempotent = False
         with translated(what):
             return list(self._session.execute(bound))
 
-    def executeMany(
+    def execute_many(
         self, cql: str, params: Iterable[Sequence[object]], *, what: str
     ) -> list[list[CqlRow]]:
         """Run one idempotent statement with several sets of parameters, 16 at a time."""
@@ -328,7 +328,7 @@ class Cassandra:
             collect()
         return results
 
-    def schemaChange(self, cql: str, *, what: str) -> None:
+    def schema_change(self, cql: str, *, what: str) -> None:
         """Run one DDL statement and wait until all nodes agree on the schema.
 
         Raises:
@@ -344,7 +344,7 @@ class Cassandra:
         if not agreed:
             raise translate(TimeoutError("the nodes do not agree on the schema"), what)
 
-    def useKeyspace(self, keyspace: str) -> None:
+    def use_keyspace(self, keyspace: str) -> None:
         """Learn how a keyspace is replicated: rows then go straight to a node that has them."""
         self.require_open()
         with translated(f"reading the replication of keyspace {keyspace}"):
@@ -352,16 +352,16 @@ class Cassandra:
 
     # ---------------------------------------------------------------- for writer and reader
 
-    def sendRaw(self, statement: Statement) -> ResponseFuture:
+    def send_raw(self, statement: Statement) -> ResponseFuture:
         """Send a bound or batch statement; the rows of its answer are undecoded bytes."""
         self.require_open()
         return self._raw_session.execute_async(statement, timeout=REQUEST_TIMEOUT_SEC)
 
-    def liveNodes(self) -> int:
+    def live_nodes(self) -> int:
         """Count the nodes that the driver knows in the local data centre."""
         return max(1, sum(1 for _ in self._cluster.metadata.all_hosts()))
 
-    def localDatacenter(self) -> str:
+    def local_datacenter(self) -> str:
         """Name the data centre of the node that we are connected to."""
         rows = self.execute("SELECT data_center FROM system.local", what="asking for the node")
         return str(rows[0][0])
@@ -379,7 +379,7 @@ class Cassandra:
         self.close()
 
 
-def _consistencyLevel(name: str) -> int:
+def _consistency_level(name: str) -> int:
     levels = ConsistencyLevel.name_to_value
     if name.upper() not in levels:
         raise ConnectionFailed(

@@ -8,14 +8,14 @@ import logging
 from typing import Iterator
 
 from cassandra_ros.errors import ConnectionFailed, StoreUnavailable
-from cassandra_ros.keys import splitSeq
+from cassandra_ros.keys import split_seq
 from cassandra_ros.store.directory import STALE_SEC, BucketRow, BucketTotals, Directory
 from cassandra_ros.store.row_table import (
     MAX_SEQ,
     MIN_SEQ,
     RowTable,
-    decodeLong,
-    encodeLong,
+    decode_long,
+    encode_long,
 )
 
 _log = logging.getLogger(__name__)
@@ -23,28 +23,28 @@ _log = logging.getLogger(__name__)
 COUNT_PAGE_ROWS = 5000
 
 
-def scanKeys(
+def scan_keys(
     table: RowTable, node: str, bucket: int, low: int, high: int
 ) -> Iterator[tuple[int, int, int, bool, bool]]:
     """Read (t, seq, size, chunked, odd) of the rows of a bucket with t in [low, high]."""
     asked = table.stretch(
-        table.selectKeys(),
-        (node.encode(), encodeLong(bucket)),
+        table.select_keys(),
+        (node.encode(), encode_long(bucket)),
         ((low, MIN_SEQ), (high, MAX_SEQ)),
         page_rows=COUNT_PAGE_ROWS,
         what="counting",
     )
     for row in asked.rows():
-        if not table.isRest(row):
-            t, seq, size = map(decodeLong, row[:3])
+        if not table.is_rest(row):
+            t, seq, size = map(decode_long, row[:3])
             yield t, seq, size, row[3] is not None, row[4] is not None
 
 
 def recount(table: RowTable, node: str, bucket: int) -> dict[int, BucketTotals]:
     """Count the rows of one bucket as they are now, by writer id."""
     found: dict[int, BucketTotals] = {}
-    for t, seq, size, chunked, odd in scanKeys(table, node, bucket, -(2**63), MAX_SEQ):
-        found.setdefault(splitSeq(seq)[0], BucketTotals()).count(t, size, chunked, odd)
+    for t, seq, size, chunked, odd in scan_keys(table, node, bucket, -(2**63), MAX_SEQ):
+        found.setdefault(split_seq(seq)[0], BucketTotals()).count(t, size, chunked, odd)
     return found
 
 
@@ -72,14 +72,16 @@ def settle(directory: Directory, table: RowTable, rows: list[BucketRow]) -> list
         for row in group:
             totals = counted.get(row.writer, BucketTotals())
             if not row.closed and row.age_sec > STALE_SEC:
-                _writeBack(directory, table, row, totals)
+                _write_back(directory, table, row, totals)
             settled.append(row._replace(**vars(totals)))
     return settled
 
 
-def _writeBack(directory: Directory, table: RowTable, row: BucketRow, totals: BucketTotals) -> None:
+def _write_back(
+    directory: Directory, table: RowTable, row: BucketRow, totals: BucketTotals
+) -> None:
     try:
-        directory.putRecount(table.name, row, totals, table.metadata.ttl)
+        directory.put_recount(table.name, row, totals, table.metadata.ttl)
     except (StoreUnavailable, ConnectionFailed) as exc:
         # A reader may lack the right to write, or meet another one: the count is true all the same.
         _log.debug("the recount of topic %s was not kept: %s", table.metadata.topic, exc)

@@ -18,7 +18,7 @@ from typing import FrozenSet, Iterable, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.store.connection import Cassandra, CqlRow
-from cassandra_ros.store.names import quoteName
+from cassandra_ros.store.names import quote_name
 from cassandra_ros.store.paging import RETRY_SEC
 from cassandra_ros.store.row_table import RowTable
 from cassandra_ros.store.side_tables import SideTables
@@ -41,7 +41,7 @@ NOTE_MARGIN_SEC = 7200
 """How much longer than a row written now a note must stay."""
 
 
-def bucketFor(rate_hz: float, bytes_per_sec: float, longest_ns: int = BUCKET_LENGTHS[-1]) -> int:
+def bucket_for(rate_hz: float, bytes_per_sec: float, longest_ns: int = BUCKET_LENGTHS[-1]) -> int:
     """Choose the length of a topic's buckets.
 
     Args:
@@ -61,7 +61,7 @@ def bucketFor(rate_hz: float, bytes_per_sec: float, longest_ns: int = BUCKET_LEN
     return BUCKET_LENGTHS[0]
 
 
-def limitForTtl(bucket_ns: int, ttl_sec: int) -> int:
+def limit_for_ttl(bucket_ns: int, ttl_sec: int) -> int:
     """Shorten a bucket so that at least 24 of them fit into a TTL (0 = none)."""
     if not ttl_sec:
         return bucket_ns
@@ -69,7 +69,7 @@ def limitForTtl(bucket_ns: int, ttl_sec: int) -> int:
     return fitting[-1] if fitting else BUCKET_LENGTHS[0]
 
 
-def slotOf(bucket: int) -> int:
+def slot_of(bucket: int) -> int:
     """Return the directory partition in which a bucket is listed."""
     return bucket // SLOT_BUCKETS
 
@@ -140,7 +140,7 @@ class Directory:
         self._cassandra = cassandra
         self._side_tables = side_tables
         self._retry_sec = RETRY_SEC
-        self._space = quoteName(side_tables.keyspace)
+        self._space = quote_name(side_tables.keyspace)
         self._select = (
             "SELECT bucket, writer, state, heartbeat, n, bytes, largest, t_min, t_max, odd, "
             f"deleted, filled, toTimestamp(now()) FROM {self._space}.cr_bucket "
@@ -188,28 +188,28 @@ class Directory:
             return []
         found = [
             (slot, node)
-            for slot, node in self.nodes(table, slotOf(first), slotOf(last))
+            for slot, node in self.nodes(table, slot_of(first), slot_of(last))
             if nodes is None or node in nodes
         ]
-        answers = self._cassandra.executeMany(
+        answers = self._cassandra.execute_many(
             self._select,
             [(table, node, slot, first, last) for slot, node in found],
             what="reading the directory of buckets",
         )
-        every = [_bucketRow(node, row) for (_, node), rows in zip(found, answers) for row in rows]
+        every = [_bucket_row(node, row) for (_, node), rows in zip(found, answers) for row in rows]
         return every if not ttl else [row for row in every if not row.expired(ttl)]
 
     def find(self, table: str, node: str, bucket: int) -> list[BucketRow]:
         """List the writers of one bucket."""
         if not self._side_tables.has("cr_bucket"):
             return []
-        params = (table, node, slotOf(bucket), bucket, bucket)
+        params = (table, node, slot_of(bucket), bucket, bucket)
         rows = self._run(self._select, params, what="reading the directory of buckets")
-        return [_bucketRow(node, row) for row in rows]
+        return [_bucket_row(node, row) for row in rows]
 
     # ---------------------------------------------------------------- writing
 
-    def addNode(self, table: str, slot: int, node: str, ttl: int = 0) -> None:
+    def add_node(self, table: str, slot: int, node: str, ttl: int = 0) -> None:
         """Note, before its first, that a node has buckets in a slot; for ttl seconds, 0 = ever."""
         self._run(
             f"INSERT INTO {self._space}.cr_node (tbl, slot, node) VALUES (?, ?, ?) USING TTL ?",
@@ -247,11 +247,11 @@ class Directory:
             f"INSERT INTO {self._space}.cr_bucket (tbl, node, slot, bucket, writer, heartbeat, "
             f"state, {', '.join(columns)}) VALUES (?, ?, ?, ?, ?, toTimestamp(now()), ?"
             f"{', ?' * len(columns)}) USING TTL ?",
-            (table, node, slotOf(bucket), bucket, writer, state, *columns.values(), _ttl(ttl)),
+            (table, node, slot_of(bucket), bucket, writer, state, *columns.values(), _ttl(ttl)),
             what="writing the directory of buckets",
         )
 
-    def putRecount(self, table: str, row: BucketRow, totals: BucketTotals, ttl: int) -> bool:
+    def put_recount(self, table: str, row: BucketRow, totals: BucketTotals, ttl: int) -> bool:
         """Close a bucket that has no living writer, unless something has changed in it meanwhile.
 
         Args:
@@ -261,8 +261,8 @@ class Directory:
             Whether it was done.
         """
         columns = {"filled": set(row.filled), **totals.columns()}
-        place = (table, row.node, slotOf(row.bucket), row.bucket, row.writer)
-        answer = self._cassandra.executeOnce(
+        place = (table, row.node, slot_of(row.bucket), row.bucket, row.writer)
+        answer = self._cassandra.execute_once(
             f"UPDATE {self._space}.cr_bucket USING TTL ? SET state = 'closed', "
             f"{''.join(f'{name} = ?, ' for name in columns)}deleted = false, "
             "heartbeat = toTimestamp(now()) "
@@ -289,7 +289,7 @@ def _ttl(ttl: int) -> int:
     return ttl + TTL_MARGIN_SEC if ttl else 0
 
 
-def _bucketRow(node: str, row: CqlRow) -> BucketRow:
+def _bucket_row(node: str, row: CqlRow) -> BucketRow:
     bucket, writer, state, heartbeat, n, size, largest, t_min, t_max, odd, *rest = row
     deleted, filled, now = rest
     return BucketRow(
@@ -318,10 +318,10 @@ class SlotNotes:
 
     def note(self, table: RowTable, node: str, bucket: int) -> None:
         """Note the slot of a bucket, unless that was done lately; before rows are written."""
-        slot = (table.name, slotOf(bucket), node)
+        slot = (table.name, slot_of(bucket), node)
         # What is found by name is found by this note alone.
         ttl = 0 if table.named else table.metadata.ttl
         noted, now = self._noted.get(slot), time.monotonic()
         if noted is None or (ttl and now - noted > NOTE_SEC):
-            self._directory.addNode(*slot, ttl and ttl + NOTE_MARGIN_SEC)
+            self._directory.add_node(*slot, ttl and ttl + NOTE_MARGIN_SEC)
             self._noted[slot] = now

@@ -57,7 +57,7 @@ _PASSING = (
 )
 
 
-def isBusy(exc: BaseException) -> bool:
+def is_busy(exc: BaseException) -> bool:
     """Say whether only our own sockets were full: nothing was sent, wait and send again.
 
     The driver does not wait for a full socket buffer but fails (PYTHON-1248), disguised as
@@ -66,11 +66,11 @@ def isBusy(exc: BaseException) -> bool:
     if isinstance(exc, (ConnectionBusy, NoConnectionsAvailable)):
         return True
     if isinstance(exc, NoHostAvailable) and exc.errors:
-        return all(isBusy(error) for error in exc.errors.values())
+        return all(is_busy(error) for error in exc.errors.values())
     return False
 
 
-def isPassing(exc: BaseException) -> bool:
+def is_passing(exc: BaseException) -> bool:
     """Say whether the same idempotent statement may succeed later."""
     if isinstance(exc, NoHostAvailable):
         return not any(
@@ -80,7 +80,7 @@ def isPassing(exc: BaseException) -> bool:
     return isinstance(exc, _PASSING)
 
 
-def isTableGone(exc: BaseException) -> bool:
+def is_table_gone(exc: BaseException) -> bool:
     """Say whether a statement failed because its table or keyspace was dropped."""
     text = str(exc).lower()
     return isinstance(exc, InvalidRequest) and (
@@ -88,13 +88,13 @@ def isTableGone(exc: BaseException) -> bool:
     )
 
 
-def isRefused(exc: BaseException) -> bool:
+def is_refused(exc: BaseException) -> bool:
     """Say whether a server cannot, or will not, do this statement, but perhaps a simpler one.
 
     A read that took too long is one: less work may be done in time.
     """
     slow = isinstance(exc, (ReadTimeout, ReadFailure, OperationTimedOut))
-    return slow or not (isPassing(exc) or isBusy(exc) or isTableGone(exc))
+    return slow or not (is_passing(exc) or is_busy(exc) or is_table_gone(exc))
 
 
 def translate(exc: BaseException, what: str) -> CassandraRosError:
@@ -120,9 +120,9 @@ def translate(exc: BaseException, what: str) -> CassandraRosError:
         )
     if isinstance(exc, _PASSING):
         return StoreUnavailable(f"{what}: the server did not answer in time or failed: {exc}")
-    if isinstance(exc, InvalidRequest) and "keyspace" in str(exc).lower() and isTableGone(exc):
+    if isinstance(exc, InvalidRequest) and "keyspace" in str(exc).lower() and is_table_gone(exc):
         return KeyspaceNotFound(f"{what}: {exc}")
-    if isTableGone(exc):
+    if is_table_gone(exc):
         return TopicNotFound(f"{what}: its table was removed meanwhile by another client")
     if isinstance(exc, (InvalidRequest, SyntaxException, AlreadyExists)):
         return SchemaConflict(f"{what}: the server refuses the statement: {exc}")

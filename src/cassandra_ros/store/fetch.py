@@ -13,7 +13,7 @@ from collections import deque
 from typing import Deque, Iterable, Iterator, NamedTuple, Sequence
 
 from cassandra_ros.keys import Position
-from cassandra_ros.store.directory import Directory, slotOf
+from cassandra_ros.store.directory import Directory, slot_of
 from cassandra_ros.store.paging import Asked, RawRow
 from cassandra_ros.store.row_table import (
     ALL,
@@ -25,8 +25,8 @@ from cassandra_ros.store.row_table import (
     RowTable,
     TableRow,
     bind,
-    decodeLong,
-    encodeLong,
+    decode_long,
+    encode_long,
 )
 
 AHEAD = 16
@@ -43,11 +43,11 @@ class Wanted(NamedTuple):
     position: Position
 
 
-def fetchRows(wanted: Iterable[Wanted], ahead: int = AHEAD) -> Iterator[TableRow]:
+def fetch_rows(wanted: Iterable[Wanted], ahead: int = AHEAD) -> Iterator[TableRow]:
     """Yield the rows in the order asked for; one that was deleted meanwhile is left out."""
     asked: Deque[tuple[Wanted, Asked]] = deque()
     for key in wanted:
-        order = key.table.storedOrder(key.position.t, key.position.seq)
+        order = key.table.stored_order(key.position.t, key.position.seq)
         asked.append((key, _ask(key, order, order)))
         if len(asked) >= ahead:
             yield from _answer(*asked.popleft())
@@ -55,7 +55,7 @@ def fetchRows(wanted: Iterable[Wanted], ahead: int = AHEAD) -> Iterator[TableRow
         yield from _answer(*asked.popleft())
 
 
-def firstAt(
+def first_at(
     directory: Directory,
     tables: Sequence[RowTable],
     t: int,
@@ -77,7 +77,7 @@ def firstAt(
         return row
     others: list[tuple[RowTable, str]] = []
     for table in tables:
-        slot = slotOf(table.bucketOf(t))
+        slot = slot_of(table.bucket_of(t))
         found = {node for _, node in directory.nodes(table.name, slot, slot)}
         others.extend((table, node) for node in sorted(found - table.known_nodes))
         table.known_nodes |= found
@@ -93,15 +93,15 @@ def _best(places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
 
 def _ask(key: Wanted, low: Order, high: Order, page_rows: int | None = None) -> Asked:
     table, (t, node, _, _, name) = key
-    place = (node.encode("utf-8"), table.partitionOf(t, name))
-    return table.stretch(table.selectRange(table.columns), place, (low, high), page_rows=page_rows)
+    place = (node.encode("utf-8"), table.partition_of(t, name))
+    return table.stretch(table.select_range(table.columns), place, (low, high), page_rows=page_rows)
 
 
 def _answer(key: Wanted, asked: Asked) -> Iterator[TableRow]:
     table, position = key
     for values in asked.page()[:1]:
-        if not table.isRest(values):
-            yield table.rowFromValues(position.node, values, position.name)
+        if not table.is_rest(values):
+            yield table.row_from_values(position.node, values, position.name)
 
 
 # ---------------------------------------------------------------- names
@@ -116,48 +116,50 @@ class NamedKey(NamedTuple):
     odd: bool
 
 
-def listNames(table: RowTable, nodes: Sequence[str] | None) -> list[NamedKey]:
+def list_names(table: RowTable, nodes: Sequence[str] | None) -> list[NamedKey]:
     """List the keys of all rows of a table whose rows are found by name, in no order."""
 
     def keys(rows: Iterable[RawRow]) -> list[NamedKey]:
-        found = (_namedKey(values, table.name) for values in rows)
+        found = (_named_key(values, table.name) for values in rows)
         return [key for key in found if nodes is None or key.position.node in nodes]
 
-    return table.collect(bind(table.selectNames(), (), KEY_PAGE_ROWS), keys, "listing the names of")
+    return table.collect(
+        bind(table.select_names(), (), KEY_PAGE_ROWS), keys, "listing the names of"
+    )
 
 
-def _namedKey(values: RawRow, table: str) -> NamedKey:
+def _named_key(values: RawRow, table: str) -> NamedKey:
     node, name, t, seq, size, nchunks, odd, *received = values
     t, seq = received or (t, seq)
     node_name, key_name = (node or b"").decode(), (name or b"").decode()
-    position = Position(decodeLong(t), node_name, decodeLong(seq), table, key_name)
-    return NamedKey(position, decodeLong(size), nchunks is not None, odd is not None)
+    position = Position(decode_long(t), node_name, decode_long(seq), table, key_name)
+    return NamedKey(position, decode_long(size), nchunks is not None, odd is not None)
 
 
 def versions(
     table: RowTable, name: str, nodes: Sequence[str], *, reverse: bool = False
 ) -> Iterator[TableRow]:
     """Yield the rows of a name, of several nodes, in the order of time or newest first."""
-    streams = [_versionsOf(table, name, node, reverse) for node in nodes]
+    streams = [_versions_of(table, name, node, reverse) for node in nodes]
     return heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
 
 
-def _versionsOf(table: RowTable, name: str, node: str, reverse: bool) -> Iterator[TableRow]:
+def _versions_of(table: RowTable, name: str, node: str, reverse: bool) -> Iterator[TableRow]:
     asked = table.stretch(
-        table.selectRange(table.columns, reverse=reverse),
+        table.select_range(table.columns, reverse=reverse),
         (node.encode("utf-8"), name.encode("utf-8")),
         ALL,
         page_rows=VERSION_PAGE_ROWS,
         reverse=reverse,
     )
     for values in asked.rows(ahead=False):
-        yield table.rowFromValues(node, values, name)
+        yield table.row_from_values(node, values, name)
 
 
 # ---------------------------------------------------------------- indexed values
 
 
-def keysByShadow(
+def keys_by_shadow(
     directory: Directory,
     table: RowTable,
     shadow: str,
@@ -175,7 +177,7 @@ def keysByShadow(
     def keys(rows: Iterable[RawRow]) -> list[Wanted]:
         return [_wanted(table, values) for values in rows]
 
-    asked = table.send(bind(table.selectShadow(shadow, bucket=False), (value,), FEW_ROWS))
+    asked = table.send(bind(table.select_shadow(shadow, bucket=False), (value,), FEW_ROWS))
     found = keys(asked.page())
     if not asked.more:
         found = [key for key in found if nodes is None or key.position.node in nodes]
@@ -184,18 +186,18 @@ def keysByShadow(
     by_time: dict[int, set[str]] = {}
     for row in directory.buckets(table.name, FIRST[0], LAST[0], nodes):
         by_time.setdefault(row.bucket, set()).add(row.node)
-    statement = table.selectShadow(shadow, bucket=True)
+    statement = table.select_shadow(shadow, bucket=True)
     for bucket in sorted(by_time):
         found = []
         for node in by_time[bucket]:
-            place = (node.encode("utf-8"), encodeLong(bucket))
+            place = (node.encode("utf-8"), encode_long(bucket))
             found += table.collect(bind(statement, (*place, value), KEY_PAGE_ROWS), keys)
         yield from sorted(found, key=_place)
 
 
 def _wanted(table: RowTable, values: RawRow) -> Wanted:
     node, t, seq = values
-    position = Position(decodeLong(t), (node or b"").decode(), decodeLong(seq), table.name)
+    position = Position(decode_long(t), (node or b"").decode(), decode_long(seq), table.name)
     return Wanted(table, position)
 
 

@@ -15,7 +15,7 @@ from cassandra.cluster import ResponseFuture
 from cassandra.query import Statement
 
 from cassandra_ros.errors import ConnectionFailed
-from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isBusy, isPassing
+from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_busy, is_passing
 from cassandra_ros.store.paging import BUSY_PAUSE_SEC, FIRST_PAUSE_SEC, LAST_PAUSE_SEC
 
 _log = logging.getLogger(__name__)
@@ -119,8 +119,8 @@ class Flight:
 
     def _failed(self, exc: BaseException, request: _Request) -> None:
         now = time.monotonic()
-        busy = isBusy(exc)
-        if not (busy or isPassing(exc)) or now > request.deadline:
+        busy = is_busy(exc)
+        if not (busy or is_passing(exc)) or now > request.deadline:
             self._settle(request, exc)
             return
         if busy:

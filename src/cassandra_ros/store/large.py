@@ -23,19 +23,19 @@ from cassandra_ros.store.row_table import (
     RowTable,
     TableRow,
     bind,
-    encodeInt,
+    encode_int,
 )
 from cassandra_ros.store.schema import Schema
 
 _PAGE_CHUNKS = 4
 
 
-def isLarge(size: int) -> bool:
+def is_large(size: int) -> bool:
     """Say whether a message of this many bytes is stored in chunks."""
     return size > CHUNK_BYTES
 
 
-def chunkCount(size: int) -> int:
+def chunk_count(size: int) -> int:
     """Return how many chunks a message of this many bytes has."""
     return -(-size // CHUNK_BYTES)
 
@@ -48,11 +48,11 @@ def checksum(wire: bytes) -> int:
 def pieces(wire: bytes) -> Iterator[tuple[int, bytes]]:
     """Yield (number, bytes) of each chunk of a message."""
     view = memoryview(wire)
-    for number in range(chunkCount(len(wire))):
+    for number in range(chunk_count(len(wire))):
         yield number, bytes(view[number * CHUNK_BYTES : (number + 1) * CHUNK_BYTES])
 
 
-def readChunks(table: RowTable, row: TableRow) -> bytes:
+def read_chunks(table: RowTable, row: TableRow) -> bytes:
     """Read the bytes of a large message.
 
     Raises:
@@ -62,12 +62,12 @@ def readChunks(table: RowTable, row: TableRow) -> bytes:
     def data_of(rows: Iterable[RawRow]) -> list[bytes]:
         parts: list[bytes] = []
         for number, data in rows:
-            if number != encodeInt(len(parts)) or len(parts) >= row.nchunks:
+            if number != encode_int(len(parts)) or len(parts) >= row.nchunks:
                 break
             parts.append(data or b"")
         return parts
 
-    bound = bind(table.selectChunks(), table.keyOf(row), _PAGE_CHUNKS)
+    bound = bind(table.select_chunks(), table.key_of(row), _PAGE_CHUNKS)
     parts = table.collect(bound, data_of, "reading a large message of")
     wire = b"".join(parts)
     if len(parts) != row.nchunks or len(wire) != row.size or checksum(wire) != row.crc:
@@ -109,13 +109,13 @@ class LargeMessages:
         """Send the chunks of a message; its row follows by commit, when all of them are stored."""
         table = bucket.table
         if not table.has_chunks:
-            self._schema.ensureChunkTable(table.name, table.metadata)
+            self._schema.ensure_chunk_table(table.name, table.metadata)
             table.has_chunks = True
         small = [
             c if c is not None and len(c) <= INLINE_COLUMN_BYTES else None for c in new.columns
         ]
         wire, odd = new.wire, new.odd or None in small
-        own = (chunkCount(len(wire)), checksum(wire), odd, None)
+        own = (chunk_count(len(wire)), checksum(wire), odd, None)
 
         def row() -> None:
             # Alone in its batch: its size is not one of a row with the message inside.
@@ -126,26 +126,26 @@ class LargeMessages:
             bucket.add(new, small, own)
             self._send(bucket, True)
 
-        table.insertChunk()  # prepared before anything is counted: it may fail
-        outcome = self._outcome(bucket, chunkCount(len(wire)), row)
+        table.insert_chunk()  # prepared before anything is counted: it may fail
+        outcome = self._outcome(bucket, chunk_count(len(wire)), row)
         with bucket.mutex:
             bucket.in_air += 1
         with self._changed:
             self._count += 1
-        self._sendChunks(table, bucket.key(new.t, new.seq), wire, outcome)
+        self._send_chunks(table, bucket.key(new.t, new.seq), wire, outcome)
         self.commit()
 
-    def _sendChunks(
+    def _send_chunks(
         self, table: RowTable, key: tuple[bytes, ...], wire: bytes, outcome: Outcome
     ) -> None:
-        statement, told = table.insertChunk(), 0
+        statement, told = table.insert_chunk(), 0
         try:
             for number, data in pieces(wire):
-                bound = bind(statement, (*key, encodeInt(number), data))
+                bound = bind(statement, (*key, encode_int(number), data))
                 told += 1  # whatever happens in submit, it tells the outcome
                 self._flight.submit(bound, len(data), outcome)
         except BaseException as exc:
-            for _ in range(chunkCount(len(wire)) - told):
+            for _ in range(chunk_count(len(wire)) - told):
                 outcome(exc)
             raise
 

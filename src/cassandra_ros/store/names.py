@@ -12,17 +12,17 @@ from cassandra_ros.errors import InvalidName
 _KEYSPACE = re.compile(r"[A-Za-z0-9_]{1,48}\Z")
 
 
-def quoteName(name: str) -> str:
+def quote_name(name: str) -> str:
     """Quote a keyspace, table or column name for CQL."""
     return '"' + name.replace('"', '""') + '"'
 
 
-def quoteText(text: str) -> str:
+def quote_text(text: str) -> str:
     """Write a text literal for CQL; only DDL needs it, all else is bound."""
     return "'" + text.replace("'", "''") + "'"
 
 
-def checkKeyspace(name: str) -> str:
+def check_keyspace(name: str) -> str:
     """Return the name if Cassandra accepts it for a keyspace.
 
     Raises:
@@ -35,7 +35,7 @@ def checkKeyspace(name: str) -> str:
     return name
 
 
-def tableName(topic: str, md5sum: str, format_name: str, generation: int) -> str:
+def table_name(topic: str, md5sum: str, format_name: str, generation: int) -> str:
     """Name the table of a topic: 't_' and 32 hex digits (paper section 3: a hash).
 
     Args:
@@ -46,6 +46,6 @@ def tableName(topic: str, md5sum: str, format_name: str, generation: int) -> str
     return "t_" + hashlib.md5(text.encode("utf-8", "surrogateescape")).hexdigest()
 
 
-def chunkTableName(table: str) -> str:
+def chunk_table_name(table: str) -> str:
     """Name the table that holds the bytes of a topic's large messages."""
     return table + "_c"

@@ -16,9 +16,9 @@ from cassandra_ros.store.row_table import (
     NewRow,
     RowTable,
     Shadows,
-    encodeInt,
-    encodeLong,
-    encodeOwn,
+    encode_int,
+    encode_long,
+    encode_own,
 )
 
 BATCH_ROWS = 200
@@ -81,7 +81,7 @@ class OpenBucket:
         self.touched = self.marked = time.monotonic()
         self.changed = False
         self._node_bytes = node.encode("utf-8")
-        self._partition = name.encode("utf-8") if table.named else encodeLong(bucket)
+        self._partition = name.encode("utf-8") if table.named else encode_long(bucket)
         self._shadows = shadows
         self.filled = filled
         names = shadows.names if shadows is not None else ()
@@ -93,7 +93,7 @@ class OpenBucket:
 
     def key(self, t: int, seq: int) -> tuple[bytes, ...]:
         """Encode the primary key of a row in this bucket."""
-        return (self._node_bytes, self._partition, encodeLong(t), encodeLong(seq))
+        return (self._node_bytes, self._partition, encode_long(t), encode_long(seq))
 
     def add(self, row: NewRow, columns: Sequence[bytes | None], own: Own | None) -> None:
         """Add a row to the batch.
@@ -108,13 +108,13 @@ class OpenBucket:
         batch = self.batch
         if not batch.rows:
             batch.since = time.monotonic()
-        head = encodeOwn(row.t, row.seq, row.conn, size)
+        head = encode_own(row.t, row.seq, row.conn, size)
         if own is None:
             plain = (self._node_bytes, self._partition, *head, *columns)
             batch.rows.append((True, self._plain_id, plain))
             batch.nbytes += size + _ROW_OVERHEAD
         else:
-            full = (self._node_bytes, self._partition, *head, *_ownValues(*own))
+            full = (self._node_bytes, self._partition, *head, *_own_values(*own))
             full += tuple(UNSET if c is None else c for c in columns)
             batch.rows.append((True, self._full_id, full))
             batch.nbytes += _ROW_OVERHEAD + sum(len(v) for v in full if v is not UNSET)
@@ -122,7 +122,7 @@ class OpenBucket:
         batch.sizes.append(size)
         batch.times.append(row.t)
 
-    def isFull(self) -> bool:
+    def is_full(self) -> bool:
         """Say whether the batch should be sent now."""
         return len(self.batch.rows) >= BATCH_ROWS or self.batch.nbytes >= BATCH_BYTES
 
@@ -176,12 +176,12 @@ def _indexed(
     return columns, own
 
 
-def _ownValues(
+def _own_values(
     nchunks: int | None, crc: int | None, odd: bool, raw: bytes | None
 ) -> tuple[bytes, ...]:
     return (
-        UNSET if nchunks is None else encodeInt(nchunks),
-        UNSET if crc is None else encodeLong(crc),
+        UNSET if nchunks is None else encode_int(nchunks),
+        UNSET if crc is None else encode_long(crc),
         b"\x01" if odd else UNSET,
         UNSET if raw is None else raw,
     )

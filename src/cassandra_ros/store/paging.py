@@ -11,7 +11,7 @@ from typing import Callable, Iterator, List, Optional, Tuple, TypeVar
 from cassandra.cluster import ResponseFuture
 from cassandra.query import Statement
 
-from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isBusy, isPassing, translate
+from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_busy, is_passing, translate
 
 _log = logging.getLogger(__name__)
 
@@ -53,10 +53,10 @@ def retried(
         except DRIVER_ERRORS as exc:
             if refused is not None and refused(exc):
                 raise
-            pause = BUSY_PAUSE_SEC if isBusy(exc) else later
-            if not isPassing(exc) or time.monotonic() + pause > deadline:
+            pause = BUSY_PAUSE_SEC if is_busy(exc) else later
+            if not is_passing(exc) or time.monotonic() + pause > deadline:
                 raise translate(exc, what) from exc
-            if not isBusy(exc):
+            if not is_busy(exc):
                 _log.warning("%s: %s; trying again", what, exc)
                 later = min(2 * later, LAST_PAUSE_SEC)
         time.sleep(pause)

@@ -28,7 +28,7 @@ from cassandra.query import PreparedStatement
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.keys import Position
 from cassandra_ros.store.directory import BucketRow, Directory
-from cassandra_ros.store.driver_errors import DRIVER_ERRORS, isRefused
+from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_refused
 from cassandra_ros.store.paging import Asked, RawRow
 from cassandra_ros.store.row_table import (
     MAX_SEQ,
@@ -37,8 +37,8 @@ from cassandra_ros.store.row_table import (
     RowTable,
     TableRow,
     bind,
-    encodeInt,
-    encodeLong,
+    encode_int,
+    encode_long,
 )
 
 _log = logging.getLogger(__name__)
@@ -155,7 +155,7 @@ class _Stream:
     def __init__(self, piece: Piece, scan: Scan, query: Query) -> None:
         self._piece = piece
         self._scan = scan
-        self._place = (piece.node.encode(), encodeLong(piece.bucket))
+        self._place = (piece.node.encode(), encode_long(piece.bucket))
         self._terms, indexed = query
         # To look at a row the server needs fewer columns than to answer with it: where it lets
         # few through, only their keys are asked for, and then these rows.
@@ -175,7 +175,7 @@ class _Stream:
         reverse = self._scan.reverse and not self._turned
         columns = None if self._keyed else self._columns()
         try:
-            statement = table.selectRange(columns, reverse=reverse, terms=terms)
+            statement = table.select_range(columns, reverse=reverse, terms=terms)
         except SchemaConflict as exc:
             if not self._terms:
                 raise
@@ -190,8 +190,8 @@ class _Stream:
             page_rows=self._piece.page_rows,
             reverse=reverse,
             last=last,
-            refused=isRefused if self._terms else None,
-            on_page=self._fetchEarly if self._keyed else None,
+            refused=is_refused if self._terms else None,
+            on_page=self._fetch_early if self._keyed else None,
         )
 
     def _columns(self) -> Sequence[str]:
@@ -236,7 +236,7 @@ class _Stream:
 
     def _made(self, values: Iterable[RawRow]) -> Iterator[TableRow]:
         table, node = self._piece.table, self._piece.node
-        return (table.rowFromValues(node, each) for each in values if not table.isRest(each))
+        return (table.row_from_values(node, each) for each in values if not table.is_rest(each))
 
     def _fetched(self, keys: Sequence[RawRow]) -> Iterator[RawRow]:
         """Fetch the rows of keys, in their order."""
@@ -244,28 +244,28 @@ class _Stream:
             part = keys[n : n + self._at_once]
             early, asked = self._early
             if asked is None or early != part:
-                asked = self._askThese(part)
+                asked = self._ask_these(part)
             yield from asked.page()
 
-    def _fetchEarly(self, keys: Sequence[RawRow]) -> None:
+    def _fetch_early(self, keys: Sequence[RawRow]) -> None:
         """Ask for the first rows as soon as their keys are here, on the driver's thread."""
         if keys:
             part = keys[: self._at_once]
-            self._early = part, self._askThese(part)
+            self._early = part, self._ask_these(part)
 
     def _these(self) -> PreparedStatement:
-        return self._piece.table.selectThese(self._columns(), reverse=self._scan.reverse)
+        return self._piece.table.select_these(self._columns(), reverse=self._scan.reverse)
 
-    def _askThese(self, part: Sequence[RawRow]) -> Asked:
+    def _ask_these(self, part: Sequence[RawRow]) -> Asked:
         values = (*self._place, _pairs(part))
         return self._piece.table.send(bind(self._these(), values, self._at_once))
 
 
 def _pairs(keys: Sequence[RawRow]) -> bytes:
     """Encode (t, seq), each encoded already, as a list of tuples."""
-    size = encodeInt(8)
-    pairs = (encodeInt(24) + size + (t or b"") + size + (seq or b"") for t, seq in keys)
-    return encodeInt(len(keys)) + b"".join(pairs)
+    size = encode_int(8)
+    pairs = (encode_int(24) + size + (t or b"") + size + (seq or b"") for t, seq in keys)
+    return encode_int(len(keys)) + b"".join(pairs)
 
 
 def _lowest(piece: Piece, scan: Scan) -> Order:
@@ -288,7 +288,7 @@ def _highest(piece: Piece, scan: Scan) -> Order:
     return (after.t, after.seq - (piece.table.name >= after.table))
 
 
-def readRows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> Iterator[TableRow]:
+def read_rows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> Iterator[TableRow]:
     """Yield the rows of several tables in the order (t, node, seq, table), or its reverse.
 
     Memory is bounded: one or two pages for each table and node that has rows at the time.
@@ -299,7 +299,7 @@ def readRows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> It
     waiting = _Prefetched(pieces, scan)
     count = 0
     while heap or waiting.left:
-        while waiting.left and (not heap or waiting.opensBefore(heap[0][2].t, sign)):
+        while waiting.left and (not heap or waiting.opens_before(heap[0][2].t, sign)):
             stream = waiting.take()
             row = next(stream, None)
             if row is not None:
@@ -316,7 +316,7 @@ def readRows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> It
             if following is None:
                 break
             row = following
-            if waiting.left and waiting.opensBefore(row.t, sign):
+            if waiting.left and waiting.opens_before(row.t, sign):
                 heapq.heappush(heap, (_order(row, sign), number, row, stream))
                 break
             if limit is not None and _order(row, sign) > limit:
@@ -345,7 +345,7 @@ def _pieces(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> lis
     groups: list[tuple[RowTable, list[BucketRow]]] = []
     streams: set[tuple[str, str]] = set()
     for table in tables:
-        ends = (table.bucketOf(low), table.bucketOf(high))
+        ends = (table.bucket_of(low), table.bucket_of(high))
         rows = directory.buckets(table.name, *ends, scan.nodes, table.metadata.ttl)
         groups.append((table, rows))
         streams.update((table.name, row.node) for row in rows)
@@ -358,13 +358,13 @@ def _pieces(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> lis
         length = table.metadata.bucket_ns
         for (node, bucket), group in by_bucket.items():
             start = min((bucket + 1) * length, high + 1) if scan.reverse else bucket * length
-            rows_a_page = _pageRows(group, page_bytes)
+            rows_a_page = _page_rows(group, page_bytes)
             found.append(Piece(start, table, node, bucket, group, rows_a_page))
     found.sort(key=lambda p: (p.start, p.node, p.table.name), reverse=scan.reverse)
     return found
 
 
-def _pageRows(group: list[BucketRow], page_bytes: int) -> int:
+def _page_rows(group: list[BucketRow], page_bytes: int) -> int:
     count = sum(row.rows for row in group)
     if not count:
         return max(1, page_bytes // UNKNOWN_ROW_BYTES)
@@ -394,7 +394,7 @@ class _Prefetched:
     def left(self) -> bool:
         return self._next < len(self._pieces)
 
-    def opensBefore(self, t: int, sign: int) -> bool:
+    def opens_before(self, t: int, sign: int) -> bool:
         """Say whether the next bucket may hold rows that come before or at t."""
         return (self._pieces[self._next].start - t) * sign <= 0
 

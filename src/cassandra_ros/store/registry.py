@@ -11,7 +11,7 @@ from datetime import datetime
 from typing import Mapping, NamedTuple
 
 from cassandra_ros.store.connection import Cassandra, CqlRow
-from cassandra_ros.store.names import quoteName
+from cassandra_ros.store.names import quote_name
 from cassandra_ros.store.side_tables import SideTables
 
 
@@ -56,7 +56,7 @@ class Registry:
     def __init__(self, cassandra: Cassandra, side_tables: SideTables) -> None:
         self._cassandra = cassandra
         self._side_tables = side_tables
-        self._space = quoteName(side_tables.keyspace)
+        self._space = quote_name(side_tables.keyspace)
 
     def put_header(self, table: str, conn: int, row: StoredHeader) -> None:
         """Store a connection header and its definition; the same values at each repeat."""
@@ -107,13 +107,13 @@ class Registry:
         rows = self._cassandra.execute(
             f"SELECT tbl, conn FROM {self._space}.cr_connection", what="listing the connections"
         )
-        self._cassandra.executeMany(
+        self._cassandra.execute_many(
             f"DELETE FROM {self._space}.cr_connection WHERE tbl = ? AND conn = ?",
             [(tbl, conn) for tbl, conn in rows if tbl == table],
             what="removing connection headers",
         )
 
-    def putRun(self, run: Run, *, started: bool = False, ended: bool = False) -> None:
+    def put_run(self, run: Run, *, started: bool = False, ended: bool = False) -> None:
         """Store a run; the server notes the time when it starts and ends."""
         columns = {name: getattr(run, name) for name in _RUN if name not in ("started", "ended")}
         self._insert("cr_run", columns, "storing the run")

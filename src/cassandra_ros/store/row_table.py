@@ -13,7 +13,7 @@ from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.names import chunkTableName, quoteName
+from cassandra_ros.store.names import chunk_table_name, quote_name
 from cassandra_ros.store.paging import Asked, OnPage, RawRow, Refused, retried
 
 UNSET = UNSET_VALUE
@@ -118,36 +118,36 @@ class RowTable:
     ) -> None:
         self._cassandra = cassandra
         self.name = name
-        self.qualified = f"{quoteName(keyspace)}.{quoteName(name)}"
-        self._chunks = f"{quoteName(keyspace)}.{quoteName(chunkTableName(name))}"
+        self.qualified = f"{quote_name(keyspace)}.{quote_name(name)}"
+        self._chunks = f"{quote_name(keyspace)}.{quote_name(chunk_table_name(name))}"
         self.metadata = metadata
         self.columns = tuple(columns)
         self.named = metadata.named
         self.partition = metadata.partition
         self._where = f'WHERE "_node" = ? AND "{self.partition}" = ?'
         self._once = metadata.key_format == "hash"
-        self._received = tuple(metadata.receivedColumns)
+        self._received = tuple(metadata.received_columns)
         self.known_nodes: set[str] = set()
         """nodeIDs that have been seen to write the table; more may."""
         self.has_chunks = False
         """Whether the chunk table is known to exist."""
 
-    def bucketOf(self, t_ns: int) -> int:
+    def bucket_of(self, t_ns: int) -> int:
         """Return the bucket of a key time."""
         return t_ns // self.metadata.bucket_ns
 
-    def partitionOf(self, t_ns: int, name: str) -> bytes:
+    def partition_of(self, t_ns: int, name: str) -> bytes:
         """Encode the second part of a row's partition key."""
-        return name.encode("utf-8") if self.named else encodeLong(self.bucketOf(t_ns))
+        return name.encode("utf-8") if self.named else encode_long(self.bucket_of(t_ns))
 
-    def storedOrder(self, t: int, seq: int) -> Order:
+    def stored_order(self, t: int, seq: int) -> Order:
         """Return ``_t`` and ``_seq`` of a row; where equal messages are kept once they are 0."""
         return (0, 0) if self._once else (t, seq)
 
-    def keyOf(self, row: TableRow) -> tuple[bytes, ...]:
+    def key_of(self, row: TableRow) -> tuple[bytes, ...]:
         """Encode the primary key of a stored row."""
-        place = (row.node.encode("utf-8"), self.partitionOf(row.t, row.name))
-        return (*place, *map(encodeLong, self.storedOrder(row.t, row.seq)))
+        place = (row.node.encode("utf-8"), self.partition_of(row.t, row.name))
+        return (*place, *map(encode_long, self.stored_order(row.t, row.seq)))
 
     def shadows(self) -> Shadows | None:
         """Return the indexes that a bucket which is opened now is filled with; None = none."""
@@ -162,19 +162,19 @@ class RowTable:
         marks = ", ".join("?" * len(names))
         return self._prepare(f"INSERT INTO {self.qualified} ({_listed(names)}) VALUES ({marks})")
 
-    def insertChunk(self) -> PreparedStatement:
+    def insert_chunk(self) -> PreparedStatement:
         """INSERT of one piece of a large message."""
         names = _listed(["_node", self.partition, "_t", "_seq", "_chunk", "_data"])
         return self._prepare(f"INSERT INTO {self._chunks} ({names}) VALUES (?, ?, ?, ?, ?, ?)")
 
-    def selectChunks(self) -> PreparedStatement:
+    def select_chunks(self) -> PreparedStatement:
         """SELECT of all pieces of one large message, in order."""
         return self._prepare(f'SELECT "_chunk", "_data" FROM {self._chunks} {self._where} {_ROW}')
 
     def _select(self, names: str, rest: str) -> PreparedStatement:
         return self._prepare(f"SELECT {names} FROM {self.qualified} {self._where} {rest}")
 
-    def selectRange(
+    def select_range(
         self,
         columns: Sequence[str] | None,
         *,
@@ -186,50 +186,50 @@ class RowTable:
         The values of ``terms``, columns and operators of a filter, come behind. Columns None: keys.
         """
         names = '"_t", "_seq"' if columns is None else self._listing(columns)
-        checks = "".join(f" AND {quoteName(name)} {operator} ?" for name, operator in terms)
+        checks = "".join(f" AND {quote_name(name)} {operator} ?" for name, operator in terms)
         allow = " ALLOW FILTERING" if terms else ""
         return self._select(names, f"{_RANGE}{checks}{_NEWEST if reverse else ''}{allow}")
 
-    def selectThese(self, columns: Sequence[str], *, reverse: bool) -> PreparedStatement:
+    def select_these(self, columns: Sequence[str], *, reverse: bool) -> PreparedStatement:
         """SELECT of rows of one partition by a list of (t, seq)."""
         rest = f'AND ("_t", "_seq") IN ?{_NEWEST if reverse else ""}'
         return self._select(self._listing(columns), rest)
 
-    def selectKeys(self) -> PreparedStatement:
-        """SELECT of what counting needs, as selectRange."""
+    def select_keys(self) -> PreparedStatement:
+        """SELECT of what counting needs, as select_range."""
         return self._select(_listed(_COUNTED), _RANGE)
 
-    def selectAges(self) -> PreparedStatement:
-        """SELECT as selectRange, and when each row was written and how long it stays."""
+    def select_ages(self) -> PreparedStatement:
+        """SELECT as select_range, and when each row was written and how long it stays."""
         names = f'{self._listing(self.columns)}, WRITETIME("_conn"), TTL("_conn")'
         return self._select(names, _RANGE)
 
-    def selectNames(self) -> PreparedStatement:
+    def select_names(self) -> PreparedStatement:
         """SELECT of the keys of all rows of a table that is read by name; in no order."""
         names = _listed(["_node", "_key", *_COUNTED, *self._received])
         return self._prepare(f"SELECT {names} FROM {self.qualified}")
 
-    def selectShadow(self, shadow: str, *, bucket: bool) -> PreparedStatement:
+    def select_shadow(self, shadow: str, *, bucket: bool) -> PreparedStatement:
         """SELECT of the keys of rows by an indexed column, in one bucket (in order) or in all."""
         where = f"{self._where} AND" if bucket else "WHERE"
         return self._prepare(
             f'SELECT "_node", "_t", "_seq" FROM {self.qualified} '
             # It is filtered only where the index is missing: somebody died before making it.
-            f"{where} {quoteName(shadow)} = ? ALLOW FILTERING"
+            f"{where} {quote_name(shadow)} = ? ALLOW FILTERING"
         )
 
     def update(self, column: str) -> PreparedStatement:
         """UPDATE of one column of a row, with the timestamp and time to live that are given."""
         return self._prepare(
             f"UPDATE {self.qualified} USING TIMESTAMP ? AND TTL ? "
-            f"SET {quoteName(column)} = ? {self._where} {_ROW}"
+            f"SET {quote_name(column)} = ? {self._where} {_ROW}"
         )
 
-    def deleteRange(self) -> str:
+    def delete_range(self) -> str:
         """DELETE of a stretch of one partition, both ends included."""
         return f"DELETE FROM {self.qualified} {self._where} {_RANGE}"
 
-    def deleteOne(self, *, chunks: bool = False) -> str:
+    def delete_one(self, *, chunks: bool = False) -> str:
         """DELETE of one row, or of the pieces of its message."""
         return f"DELETE FROM {self._chunks if chunks else self.qualified} {self._where} {_ROW}"
 
@@ -237,7 +237,7 @@ class RowTable:
         return self._cassandra.prepare(cql)
 
     def _listing(self, columns: Sequence[str]) -> str:
-        """List what rowFromValues reads, with these of the format's columns."""
+        """List what row_from_values reads, with these of the format's columns."""
         return _listed([*_OWN, *self._received, *columns])
 
     # ---------------------------------------------------------------- requests
@@ -259,7 +259,7 @@ class RowTable:
         """Ask for the rows of a stretch of one partition.
 
         Args:
-            statement: A SELECT with the range of selectRange, whose columns begin with ``_t`` and
+            statement: A SELECT with the range of select_range, whose columns begin with ``_t`` and
                 ``_seq`` where it has many pages.
             place: Encoded partition key.
             ends: First and last row, both included.
@@ -269,14 +269,14 @@ class RowTable:
         """
 
         def rest(read: RawRow | None) -> BoundStatement:
-            left = _encodeEnds(ends, read or last, reverse)
+            left = _encode_ends(ends, read or last, reverse)
             return bind(statement, (*place, *left, *values), page_rows)
 
-        return Asked(self._cassandra.sendRaw, rest, self._doing(what), refused, on_page)
+        return Asked(self._cassandra.send_raw, rest, self._doing(what), refused, on_page)
 
     def send(self, statement: Statement, what: str = "reading") -> Asked:
         """Send a statement whose answer is one page, or of which only one is wanted."""
-        return Asked(self._cassandra.sendRaw, lambda last: statement, self._doing(what))
+        return Asked(self._cassandra.send_raw, lambda last: statement, self._doing(what))
 
     def collect(
         self,
@@ -285,7 +285,7 @@ class RowTable:
         what: str = "reading",
     ) -> _T:
         """Give all rows of a statement to make; anew where one of its pages fails."""
-        send = self._cassandra.sendRaw
+        send = self._cassandra.send_raw
         return retried(self._doing(what), lambda: make(send(statement).result()))
 
     def _doing(self, what: str) -> str:
@@ -293,12 +293,12 @@ class RowTable:
 
     # ---------------------------------------------------------------- values
 
-    def isRest(self, values: RawRow) -> bool:
-        """Say whether a selectRange or selectKeys row has expired but for the value of an index."""
+    def is_rest(self, values: RawRow) -> bool:
+        """Say whether a row of select_range or select_keys has expired but for an index value."""
         return values[2] is None and bool(self.metadata.ttl)
 
-    def rowFromValues(self, node: str, values: RawRow, name: str = "") -> TableRow:
-        """Read the undecoded values of a selectRange row.
+    def row_from_values(self, node: str, values: RawRow, name: str = "") -> TableRow:
+        """Read the undecoded values of a select_range row.
 
         Raises:
             CorruptMessage: A column that every row has is null.
@@ -312,19 +312,19 @@ class RowTable:
             ) from exc
         nchunks, crc, odd, raw = values[4:8]
         if self._received or self.named:
-            return self._otherRow(node, values, name, (t, seq, conn, size))
+            return self._other_row(node, values, name, (t, seq, conn, size))
         if nchunks is None and odd is None:
             return TableRow(t, node, seq, self.name, conn, size, 0, 0, False, raw, values[8:])
         flags = _flags(nchunks, crc, odd, raw)
         return TableRow(t, node, seq, self.name, conn, size, *flags, values[8:])
 
-    def _otherRow(
+    def _other_row(
         self, node: str, values: RawRow, name: str, own: tuple[int, int, int, int]
     ) -> TableRow:
         t, seq, conn, size = own
-        received = decodeLong(values[8]) if self._received else -1
+        received = decode_long(values[8]) if self._received else -1
         if self._once:
-            t, seq = received, decodeLong(values[9])
+            t, seq = received, decode_long(values[9])
         columns, flags = values[8 + len(self._received) :], _flags(*values[4:8])
         return TableRow(t, node, seq, self.name, conn, size, *flags, columns, name, received)
 
@@ -332,41 +332,43 @@ class RowTable:
 def _flags(
     nchunks: bytes | None, crc: bytes | None, odd: bytes | None, raw: bytes | None
 ) -> tuple[int, int, bool, bytes | None]:
-    return decodeLong(nchunks), decodeLong(crc), odd == b"\x01", raw
+    return decode_long(nchunks), decode_long(crc), odd == b"\x01", raw
 
 
-def encodeOwn(t: int, seq: int, conn: int, size: int) -> tuple[bytes, ...]:
+def encode_own(t: int, seq: int, conn: int, size: int) -> tuple[bytes, ...]:
     """Encode ``_t``, ``_seq``, ``_conn`` and ``_size`` as Cassandra stores them."""
     return _SPLIT.unpack(_PACK.pack(t, seq, conn, size))
 
 
-def encodeLong(value: int) -> bytes:
+def encode_long(value: int) -> bytes:
     """Encode a bigint."""
     return _LONG.pack(value)
 
 
-def decodeLong(raw: bytes | None) -> int:
+def decode_long(raw: bytes | None) -> int:
     """Decode a bigint or int; null is 0."""
     return int.from_bytes(raw or b"", "big", signed=True)
 
 
-def encodeInt(value: int) -> bytes:
+def encode_int(value: int) -> bytes:
     """Encode an int."""
     return _INT.pack(value)
 
 
-def _encodeEnds(ends: tuple[Order, Order], last: RawRow | None, reverse: bool) -> tuple[bytes, ...]:
+def _encode_ends(
+    ends: tuple[Order, Order], last: RawRow | None, reverse: bool
+) -> tuple[bytes, ...]:
     """Encode the ends of what lies behind the last row that was read, in the order of reading."""
     low, high = ends
     if last is not None and reverse:
-        high = (decodeLong(last[0]), decodeLong(last[1]) - 1)
+        high = (decode_long(last[0]), decode_long(last[1]) - 1)
     elif last is not None:
-        low = (decodeLong(last[0]), decodeLong(last[1]) + 1)
-    return tuple(map(encodeLong, (*low, *high)))
+        low = (decode_long(last[0]), decode_long(last[1]) + 1)
+    return tuple(map(encode_long, (*low, *high)))
 
 
 def _listed(names: Iterable[str]) -> str:
-    return ", ".join(quoteName(name) for name in names)
+    return ", ".join(quote_name(name) for name in names)
 
 
 def bind(

@@ -10,10 +10,10 @@ import time
 from typing import Callable, Collection, Mapping, Sequence, Tuple
 
 from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
-from cassandra_ros.metadata import SHADOW, TopicMetadata, fromComment
+from cassandra_ros.metadata import SHADOW, TopicMetadata, from_comment
 from cassandra_ros.store.connection import Cassandra, CqlRow
 from cassandra_ros.store.index.table_files import TableFiles
-from cassandra_ros.store.names import chunkTableName, quoteName, quoteText, tableName
+from cassandra_ros.store.names import chunk_table_name, quote_name, quote_text, table_name
 from cassandra_ros.store.side_tables import SchemaLock, SideTables
 
 _log = logging.getLogger(__name__)
@@ -66,7 +66,7 @@ class Schema:
 
     def qualified(self, table: str) -> str:
         """Return the quoted name of a table with its keyspace."""
-        return f"{quoteName(self.keyspace)}.{quoteName(table)}"
+        return f"{quote_name(self.keyspace)}.{quote_name(table)}"
 
     def tables(self, *, fresh: bool = False) -> Mapping[str, TopicMetadata]:
         """List the topic tables: name → metadata, from comments up to 2 s old, or fresh ones."""
@@ -94,7 +94,7 @@ class Schema:
     def _read(self, table: str = "") -> dict[str, TopicMetadata]:
         found = {}
         for name, comment in self._comments(table):
-            metadata = fromComment(comment or "", f"{self.keyspace}.{name}")
+            metadata = from_comment(comment or "", f"{self.keyspace}.{name}")
             if metadata is not None:
                 found[name] = metadata
                 self.seen.add((metadata.topic, metadata.format))
@@ -107,7 +107,7 @@ class Schema:
                 return name
         return None
 
-    def tablesOf(self, topic: str) -> dict[str, TopicMetadata]:
+    def tables_of(self, topic: str) -> dict[str, TopicMetadata]:
         """Read the tables of a topic anew; under the lock.
 
         Raises:
@@ -119,7 +119,7 @@ class Schema:
             raise TopicNotFound(f"topic {topic} is not stored in {self.keyspace} any more")
         return mine
 
-    def ensureTable(self, key: tuple[str, str, str], plan: Planner) -> str:
+    def ensure_table(self, key: tuple[str, str, str], plan: Planner) -> str:
         """Make the table of a topic, or find the one that somebody made before.
 
         Args:
@@ -144,13 +144,13 @@ class Schema:
             others = [m for _, m in sorted(self.tables().items()) if m.topic == key[0]]
             wanted, columns, shadows = plan(others)
             wanted = wanted.with_(generation=time.time_ns())
-            name = tableName(*key, wanted.generation)
-            every = {**_ownColumns(wanted), **columns, **shadows}
-            self._createAll(name, wanted, every, shadows, lock)
+            name = table_name(*key, wanted.generation)
+            every = {**_own_columns(wanted), **columns, **shadows}
+            self._create_all(name, wanted, every, shadows, lock)
             self._check(name, wanted, every)
         return name
 
-    def _createAll(
+    def _create_all(
         self,
         name: str,
         wanted: TopicMetadata,
@@ -158,19 +158,19 @@ class Schema:
         shadows: Collection[str],
         lock: SchemaLock,
     ) -> None:
-        listing = ", ".join(f"{quoteName(c)} {cql}" for c, cql in columns.items())
+        listing = ", ".join(f"{quote_name(c)} {cql}" for c, cql in columns.items())
         # Without indexes nothing is to be done before it is found and its files are merged.
-        comment = _UNFINISHED if shadows else wanted.toComment()
+        comment = _UNFINISHED if shadows else wanted.to_comment()
         lock.change(
             f"CREATE TABLE {self.qualified(name)} ({listing}, "
             f'PRIMARY KEY (("_node", "{wanted.partition}"), "_t", "_seq")) '
-            f"WITH comment = {quoteText(comment)} AND {_storage(wanted.ttl, merged=not shadows)} "
+            f"WITH comment = {quote_text(comment)} AND {_storage(wanted.ttl, merged=not shadows)} "
             "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}",
             what=f"making the table of topic {wanted.topic}",
         )
         for shadow in shadows:
             lock.renew()
-            self.createIndex(name, shadow)
+            self.create_sai_index(name, shadow)
         if shadows:
             self._finish(name, wanted, shadows, lock)
 
@@ -180,14 +180,14 @@ class Schema:
         """Let a table be found, by its comment, and its files be merged, with its indexes built."""
         merged, files = True, self.files(name, lock)
         try:
-            files.awaitBuilds({name + shadow for shadow in shadows}, BUILD_SEC)
+            files.await_builds({name + shadow for shadow in shadows}, BUILD_SEC)
         except CassandraRosError as exc:
             # No reason to lose the messages that are waiting for it.
             merged = False
             _log.warning("topic %s: %s", wanted.topic, exc)
             files.tell()
         lock.change(
-            f"ALTER TABLE {self.qualified(name)} WITH comment = {quoteText(wanted.toComment())} "
+            f"ALTER TABLE {self.qualified(name)} WITH comment = {quote_text(wanted.to_comment())} "
             f"AND {_storage(wanted.ttl, merged=merged)}",
             what=f"finishing the table of topic {wanted.topic}",
         )
@@ -196,11 +196,11 @@ class Schema:
         """Return the files of a table, as the nodes have them."""
         return TableFiles(self._cassandra, self.keyspace, table, lock)
 
-    def createIndex(self, table: str, shadow: str) -> None:
+    def create_sai_index(self, table: str, shadow: str) -> None:
         """Make the index that a shadow column carries, where it is missing; under the lock."""
-        self._cassandra.schemaChange(
-            f"CREATE INDEX IF NOT EXISTS {quoteName(table + shadow)} ON {self.qualified(table)} "
-            f"({quoteName(shadow)}) USING 'sai'",
+        self._cassandra.schema_change(
+            f"CREATE INDEX IF NOT EXISTS {quote_name(table + shadow)} ON {self.qualified(table)} "
+            f"({quote_name(shadow)}) USING 'sai'",
             what=f"making an index of table {table}",
         )
 
@@ -221,9 +221,9 @@ class Schema:
             self._cassandra.system_schema("columns", "column_name, type", self.keyspace, table)
         )
 
-    def ensureChunkTable(self, table: str, metadata: TopicMetadata) -> str:
+    def ensure_chunk_table(self, table: str, metadata: TopicMetadata) -> str:
         """Make the table for a topic's large messages where it is missing; return its name."""
-        name = chunkTableName(table)
+        name = chunk_table_name(table)
         if self._comments(name):
             return name
         with self.lock() as lock:
@@ -233,10 +233,10 @@ class Schema:
                     "a new one: connect again"
                 )
             if not self._comments(name):
-                self._createChunkTable(name, table, metadata, lock)
+                self._create_chunk_table(name, table, metadata, lock)
         return name
 
-    def _createChunkTable(
+    def _create_chunk_table(
         self, name: str, table: str, metadata: TopicMetadata, lock: SchemaLock
     ) -> None:
         partition = metadata.partition
@@ -244,14 +244,14 @@ class Schema:
             f'CREATE TABLE {self.qualified(name)} ("_node" text, "{partition}" '
             f'{KEY_TYPES[partition]}, "_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
             f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
-            f"WITH comment = {quoteText(f'cassandra_ros chunks of {table}')} "
+            f"WITH comment = {quote_text(f'cassandra_ros chunks of {table}')} "
             f"AND {_storage(metadata.ttl, _CHUNK_TTL_MARGIN_SEC)} "
             "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
             "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'",
             what=f"making the table for large messages {name}",
         )
 
-    def changeTopic(
+    def change_topic(
         self,
         topic: str,
         change: Callable[[TopicMetadata], TopicMetadata],
@@ -267,20 +267,21 @@ class Schema:
             TopicNotFound: The topic is gone.
         """
         with self.lock() as lock:
-            mine = self.tablesOf(topic)
+            mine = self.tables_of(topic)
             check(self.tables())
             for name, metadata in mine.items():
-                self.setComment(name, change(metadata), lock)
+                self.set_comment(name, change(metadata), lock)
         self.tables(fresh=True)
 
-    def setComment(self, table: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
+    def set_comment(self, table: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
         """Change what the comment of a table says."""
+        comment = quote_text(metadata.to_comment())
         lock.change(
-            f"ALTER TABLE {self.qualified(table)} WITH comment = {quoteText(metadata.toComment())}",
+            f"ALTER TABLE {self.qualified(table)} WITH comment = {comment}",
             what=f"changing the metadata of topic {metadata.topic}",
         )
 
-    def dropTopic(self, topic: str, *, renew: bool = False) -> list[str]:
+    def drop_topic(self, topic: str, *, renew: bool = False) -> list[str]:
         """Drop all tables of a topic, or renew them: make empty ones first; return their names."""
         with self.lock() as lock:
             tables = {name: m for name, m in self._read().items() if m.topic == topic}
@@ -288,9 +289,9 @@ class Schema:
                 # Made anew under other names: a writer that has not heard of it must not go on.
                 one_each = {(m.md5sum, m.format): (name, m) for name, m in tables.items()}
                 for name, metadata in one_each.values():
-                    self._createEmpty(name, metadata, lock)
+                    self._create_empty(name, metadata, lock)
             for table in tables:
-                for name in (table, chunkTableName(table)):
+                for name in (table, chunk_table_name(table)):
                     lock.change(
                         f"DROP TABLE IF EXISTS {self.qualified(name)}",
                         what=f"dropping table {name}",
@@ -299,14 +300,14 @@ class Schema:
         self.tables(fresh=True)
         return list(tables)
 
-    def _createEmpty(self, table: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
+    def _create_empty(self, table: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
         metadata = metadata.with_(generation=time.time_ns())
         key = (metadata.topic, metadata.md5sum, metadata.format)
-        name = tableName(*key, metadata.generation)
+        name = table_name(*key, metadata.generation)
         shadows = metadata.indexes.values()
         columns = self.columns(table).items()
         kept = {c: cql for c, cql in columns if c in shadows or not c.startswith(SHADOW)}
-        self._createAll(name, metadata, kept, shadows, lock)
+        self._create_all(name, metadata, kept, shadows, lock)
 
 
 def _storage(ttl: int, margin: int = 0, *, merged: bool = True) -> str:
@@ -325,11 +326,11 @@ def _storage(ttl: int, margin: int = 0, *, merged: bool = True) -> str:
     )
 
 
-def _ownColumns(metadata: TopicMetadata) -> dict[str, str]:
+def _own_columns(metadata: TopicMetadata) -> dict[str, str]:
     """Return the columns that the table of a topic has in every format: name → CQL type."""
     partition = metadata.partition
     return {
         **{"_node": "text", partition: KEY_TYPES[partition], "_t": "bigint", "_seq": "bigint"},
         **OWN_COLUMNS,
-        **metadata.receivedColumns,
+        **metadata.received_columns,
     }

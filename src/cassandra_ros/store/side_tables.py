@@ -23,7 +23,7 @@ from cassandra_ros.errors import (
     StoreUnavailable,
 )
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.names import checkKeyspace, quoteName, quoteText
+from cassandra_ros.store.names import check_keyspace, quote_name, quote_text
 
 _log = logging.getLogger(__name__)
 
@@ -70,7 +70,7 @@ class SchemaLock:
 
     def __init__(self, cassandra: Cassandra, keyspace: str) -> None:
         self._cassandra = cassandra
-        self._table = f"{quoteName(keyspace)}.cr_lock"
+        self._table = f"{quote_name(keyspace)}.cr_lock"
         self._owner = uuid.uuid4()
 
     def __enter__(self) -> SchemaLock:
@@ -114,7 +114,7 @@ class SchemaLock:
             StoreUnavailable: The nodes do not agree within 30 s.
         """
         self.renew()
-        self._cassandra.schemaChange(cql, what=what)
+        self._cassandra.schema_change(cql, what=what)
 
     def renew(self) -> None:
         """Prove that the lock is still ours and start its time anew; raises as change does."""
@@ -133,7 +133,7 @@ class SchemaLock:
         # name the owner, so asking again is safe.
         for left in reversed(range(_TRIES)):
             try:
-                row = self._cassandra.executeOnce(cql, params, what="taking the schema lock")[0]
+                row = self._cassandra.execute_once(cql, params, what="taking the schema lock")[0]
             except StoreUnavailable as exc:
                 if not left:
                     raise
@@ -156,7 +156,7 @@ class SideTables:
 
     def __init__(self, cassandra: Cassandra, keyspace: str) -> None:
         self._cassandra = cassandra
-        self.keyspace = checkKeyspace(keyspace)
+        self.keyspace = check_keyspace(keyspace)
         self._there: frozenset[str] = frozenset()
         self._keyspace_made = self._made = False
         self._mutex = threading.Lock()
@@ -204,14 +204,14 @@ class SideTables:
         """
         if self._keyspace_made:
             return
-        wanted = min(3, self._cassandra.liveNodes())
+        wanted = min(3, self._cassandra.live_nodes())
         rows = self._cassandra.system_schema("keyspaces", "replication", self.keyspace)
         if rows:
             _warn_of_factor(self.keyspace, rows[0][0], wanted)
         else:
-            datacenter = quoteText(self._cassandra.localDatacenter())
-            self._cassandra.schemaChange(
-                f"CREATE KEYSPACE IF NOT EXISTS {quoteName(self.keyspace)} WITH replication = "
+            datacenter = quote_text(self._cassandra.local_datacenter())
+            self._cassandra.schema_change(
+                f"CREATE KEYSPACE IF NOT EXISTS {quote_name(self.keyspace)} WITH replication = "
                 f"{{'class': 'NetworkTopologyStrategy', {datacenter}: {wanted}}}",
                 what=f"making keyspace {self.keyspace}",
             )
@@ -230,8 +230,8 @@ class SideTables:
                 with SchemaLock(self._cassandra, self.keyspace) as lock:
                     for name in sorted(set(SIDE_TABLES) - self._list()):
                         lock.change(
-                            f"CREATE TABLE IF NOT EXISTS {quoteName(self.keyspace)}.{name} "
-                            f"({SIDE_TABLES[name]}) WITH comment = {quoteText(_COMMENT)}",
+                            f"CREATE TABLE IF NOT EXISTS {quote_name(self.keyspace)}.{name} "
+                            f"({SIDE_TABLES[name]}) WITH comment = {quote_text(_COMMENT)}",
                             what=f"making table {name}",
                         )
             self._made = True
@@ -240,15 +240,15 @@ class SideTables:
         # The lock cannot guard its own making. A fixed id lets racing clients make the same table,
         # and its columns never change; it is never dropped while the keyspace stands.
         table_id = uuid.uuid5(uuid.NAMESPACE_URL, f"cassandra_ros/{self.keyspace}/{_LOCK}")
-        self._cassandra.schemaChange(
-            f"CREATE TABLE IF NOT EXISTS {quoteName(self.keyspace)}.{_LOCK} ({_LOCK_COLUMNS}) "
+        self._cassandra.schema_change(
+            f"CREATE TABLE IF NOT EXISTS {quote_name(self.keyspace)}.{_LOCK} ({_LOCK_COLUMNS}) "
             f"WITH id = {table_id} AND gc_grace_seconds = 3600",
             what=f"making table {_LOCK}",
         )
 
     def _list(self) -> frozenset[str]:
         # Whoever asks for a table is about to use the keyspace.
-        self._cassandra.useKeyspace(self.keyspace)
+        self._cassandra.use_keyspace(self.keyspace)
         rows = self._cassandra.system_schema("tables", "table_name", self.keyspace)
         return frozenset(name for (name,) in rows)
 

@@ -14,9 +14,9 @@ from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFo
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.counting import recount
 from cassandra_ros.store.directory import HEARTBEAT_SEC, BucketTotals, Directory, SlotNotes
-from cassandra_ros.store.driver_errors import isTableGone, translate
+from cassandra_ros.store.driver_errors import is_table_gone, translate
 from cassandra_ros.store.flight import Flight
-from cassandra_ros.store.large import LargeMessages, isLarge
+from cassandra_ros.store.large import LargeMessages, is_large
 from cassandra_ros.store.open_bucket import Batch, OpenBucket
 from cassandra_ros.store.row_table import NewRow, RowTable
 from cassandra_ros.store.schema import Schema
@@ -72,7 +72,7 @@ class RowWriter:
         self._writer_id = writer_id
         self._linger_sec = linger_sec
         self._on_loss = on_loss
-        self._flight = Flight(cassandra.sendRaw, give_up_after_sec)
+        self._flight = Flight(cassandra.send_raw, give_up_after_sec)
         self._buckets: dict[tuple[str, str, int], OpenBucket] = {}
         self._slots = SlotNotes(self._directory)
         self._lock = threading.RLock()
@@ -96,17 +96,17 @@ class RowWriter:
             WriteFailed: Earlier rows were given up (only without on_loss).
         """
         with self._lock:
-            self._raiseError()
+            self._raise_error()
             try:
                 if table.named:
-                    bucket = self._nameBucket(table, node, row.name)
+                    bucket = self._name_bucket(table, node, row.name)
                 else:
-                    bucket = self._bucket(table, node, table.bucketOf(row.t))
-                if not isLarge(len(row.wire)):
+                    bucket = self._bucket(table, node, table.bucket_of(row.t))
+                if not is_large(len(row.wire)):
                     odd, raw = row.odd, row.raw
                     own = (None, None, odd, raw) if odd or raw is not None else None
                     bucket.add(row, row.columns, own)
-                    if table.named or bucket.isFull():
+                    if table.named or bucket.is_full():
                         self._send(bucket)
                     return
                 if bucket.batch.rows:
@@ -116,7 +116,7 @@ class RowWriter:
                 self.gone.add(table.name)
                 raise
 
-    def _nameBucket(self, table: RowTable, node: str, name: str) -> OpenBucket:
+    def _name_bucket(self, table: RowTable, node: str, name: str) -> OpenBucket:
         # The directory only tells which nodes there are: the table itself lists its names.
         self._slots.note(table, node, 0)
         self.stats.setdefault(table.name, WriteStats())
@@ -187,14 +187,14 @@ class RowWriter:
             stats = self.stats[table.name]
             stats.lost += rows
             stats.reason = stats.reason or str(error)
-            if isTableGone(exc):
+            if is_table_gone(exc):
                 self.gone.add(table.name)
         if self._on_loss is not None:
             self._on_loss(topic, rows, error)
         elif self._error is None:
             self._error = error
 
-    def _raiseError(self) -> None:
+    def _raise_error(self) -> None:
         if self._error is not None:
             error, self._error = self._error, None
             raise error
@@ -208,7 +208,7 @@ class RowWriter:
                 now = time.monotonic()
                 with self._lock:
                     self._large.commit()
-                    self._sendOld(now)
+                    self._send_old(now)
                 if now - beat > HEARTBEAT_SEC:
                     beat = now
                     self._heartbeats(now)
@@ -216,7 +216,7 @@ class RowWriter:
                 # The directory is behind, never wrong: its buckets still count as open.
                 _log.warning("the directory of buckets could not be updated: %s", exc)
 
-    def _sendOld(self, now: float) -> None:
+    def _send_old(self, now: float) -> None:
         for bucket in list(self._buckets.values()):
             if bucket.batch.rows and now - bucket.batch.since > self._linger_sec:
                 if now - bucket.marked > REOPEN_SEC:
@@ -231,7 +231,7 @@ class RowWriter:
             if idle or bucket.changed:
                 with self._lock:
                     if idle and not bucket.in_air and not bucket.batch.rows:
-                        self._closeOrLeave(bucket)
+                        self._close_or_leave(bucket)
                         del self._buckets[key]
                     else:
                         self._mark(bucket)
@@ -269,7 +269,7 @@ class RowWriter:
                 if bucket.batch.rows:
                     self._send(bucket)
             self._flight.wait()
-            self._raiseError()
+            self._raise_error()
 
     def close(self) -> None:
         """Flush, close the buckets in the directory, end the threads. Twice is harmless.
@@ -285,9 +285,9 @@ class RowWriter:
             self._closing.set()
             self._ticker.join()
             self._flight.close()
-        self._closeAll()
+        self._close_all()
 
-    def _closeOrLeave(self, bucket: OpenBucket) -> None:
+    def _close_or_leave(self, bucket: OpenBucket) -> None:
         if bucket.table.name in self.gone:
             return  # its directory went with it, and each try would wait for the table
         try:
@@ -297,10 +297,10 @@ class RowWriter:
         except CassandraRosError as exc:
             _log.warning("a bucket of topic %s stays open: %s", bucket.table.metadata.topic, exc)
 
-    def _closeAll(self) -> None:
+    def _close_all(self) -> None:
         try:
             for bucket in self._buckets.values():
-                self._closeOrLeave(bucket)
+                self._close_or_leave(bucket)
         except StoreUnavailable as exc:
             # Nothing is lost: buckets that stay open are counted live by the next reader.
             _log.warning("buckets stay open in the directory: %s", exc)

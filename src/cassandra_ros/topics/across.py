@@ -57,12 +57,12 @@ class AcrossTopics:
         rows = self._merged(first.tables, filters, stretch, node)
         low, high = max(0, stretch.low - reach_ns), min(LAST_NS, stretch.high + reach_ns)
         partners = self._merged(second.tables, filters, Stretch(low, high), node)
-        return nearestPairs(rows, partners, reach_ns, unpaired)
+        return nearest_pairs(rows, partners, reach_ns, unpaired)
 
     def tables(self, topics: Optional[Iterable[str]]) -> List[TopicTable]:
         """List the tables of some topics, None = of all topics that can be read."""
         if topics is None:
-            return self._topics.readableTables()
+            return self._topics.readable_tables()
         # A topic may be named twice: with and without its leading slash.
         named = {topic.name: topic for topic in map(self._topics.get, topics)}
         return [table for topic in named.values() for table in topic.tables]
@@ -115,7 +115,7 @@ class AcrossTopics:
         return heapq.merge(*streams, key=attrgetter("arrival" if received else "position"))
 
 
-def nearestPairs(
+def nearest_pairs(
     first: Iterator[StoredRow],
     second: Iterator[StoredRow],
     tolerance_ns: int,

@@ -17,12 +17,12 @@ from cassandra_ros.arguments import (
     check_text,
     check_user_keys,
 )
-from cassandra_ros.arrays.frames import readFrame
-from cassandra_ros.arrays.gather import readArrays
+from cassandra_ros.arrays.frames import read_frame
+from cassandra_ros.arrays.gather import read_arrays
 from cassandra_ros.errors import InvalidKey, MessageNotFound, TopicNotFound, TypeMismatch
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.keys import Position
-from cassandra_ros.messages.stamps import toNs
+from cassandra_ros.messages.stamps import to_ns
 from cassandra_ros.metadata import MetaView
 from cassandra_ros.query.protocols import TopicChooser
 from cassandra_ros.topics.finding import Filter, Finder, Where
@@ -30,7 +30,7 @@ from cassandra_ros.topics.indexes import Progress, TopicIndexes
 from cassandra_ros.topics.keyspace import Keyspace, Wish
 from cassandra_ros.topics.message_writer import Adder
 from cassandra_ros.topics.reading import Columns
-from cassandra_ros.topics.selection import AnyKey, Time, TopicKeys, stretchOf
+from cassandra_ros.topics.selection import AnyKey, Time, TopicKeys, stretch_of
 from cassandra_ros.topics.stored_row import Key, StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -73,7 +73,7 @@ class CassandraTopic:
     @property
     def tables(self) -> list[TopicTable]:
         """The tables of the topic, one for each md5 and format; none before the first message."""
-        return self._keyspace.tables.ofTopic(self.name)
+        return self._keyspace.tables.of_topic(self.name)
 
     @property
     def getMeta(self) -> MetaView:
@@ -107,7 +107,7 @@ class CassandraTopic:
             check_text("comment", comment)
         check_user_keys(keys)
         self._typed("; give metadata= to addTopic")
-        self._keyspace.schema.changeTopic(self.name, lambda m: m.with_user(keys, comment))
+        self._keyspace.schema.change_topic(self.name, lambda m: m.with_user(keys, comment))
 
     @property
     def format(self) -> CassandraTopic_:
@@ -160,7 +160,7 @@ class CassandraTopic:
             TypeMismatch: The message is of another type; nothing is stored.
             InvalidKey, InvalidName, ClockNotSet, WriteFailed.
         """
-        node = self._wish.nodeID if nodeID is None else check_node(nodeID)
+        node = self._wish.node if nodeID is None else check_node(nodeID)
         table = self._keyspace.table_for(self.name, self._wish, msg)
         kind = table.metadata.key_format
         if kind == "manual":
@@ -171,7 +171,7 @@ class CassandraTopic:
                 f"the key of a message of topic {self.name} comes from the message itself "
                 f"(key_format {kind}): leave key out"
             )
-        return self._adder.add(table, msg, self._adder.now() if key is None else toNs(key), node)
+        return self._adder.add(table, msg, self._adder.now() if key is None else to_ns(key), node)
 
     def getData(
         self,
@@ -307,7 +307,7 @@ class CassandraTopic:
             raise InvalidKey(f"after={after!r:.80} is no place: give the position of a row")
         rows = self._keyspace.rows.read(
             self._stored(),
-            stretchOf(key, to_key),
+            stretch_of(key, to_key),
             nodes=check_nodes(nodeID),
             after=after,
             reverse=reverse,
@@ -412,7 +412,7 @@ class CassandraTopic:
             InvalidKey: key or to_key cannot be one.
         """
         read = partial(self._finder(nodeID, where).columns, key, to_key)
-        return readArrays(self, fields, where, read)
+        return read_arrays(self, fields, where, read)
 
     def toDataFrame(
         self,
@@ -438,7 +438,7 @@ class CassandraTopic:
             InvalidQuery, InvalidKey: As of getArrays.
         """
         read = partial(self._finder(nodeID, where).columns, key, to_key)
-        return readFrame(self, fields, where, read)
+        return read_frame(self, fields, where, read)
 
     def createIndex(self, field: str, progress: Optional[Progress] = None) -> int:
         """Make an index on a field, so that conditions on it read only the rows that they find.

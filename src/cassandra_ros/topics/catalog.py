@@ -19,12 +19,12 @@ from cassandra_ros.errors import (
     TopicExists,
     TopicNotFound,
 )
-from cassandra_ros.messages.classes import installedDefinition
+from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.graph import topicType
+from cassandra_ros.messages.graph import topic_type
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
-from cassandra_ros.topics.indexes import checkUnnamed
+from cassandra_ros.topics.indexes import check_unnamed
 from cassandra_ros.topics.keyspace import Keyspace, Wish
 from cassandra_ros.topics.message_writer import Adder
 from cassandra_ros.topics.topic_table import TopicTable
@@ -47,12 +47,12 @@ class Catalog:
     def add(self, topic: str, wish: Wish, msg_type: Optional[str]) -> CassandraTopic:
         """Make a topic, or find it; see RosCassandra.addTopic."""
         if wish.index:
-            checkUnnamed(topic, wish.key_format)
+            check_unnamed(topic, wish.key_format)
         self._keyspace.schema.tables(fresh=True)
         format_name = self._keyspace.format_for(topic, asked=wish.format)
         wish = replace(wish, format=format_name, asked=bool(wish.format))
-        stored = self._keyspace.tables.ofTopic(topic)
-        definition = self._definitionFor(topic, msg_type, known=bool(stored))
+        stored = self._keyspace.tables.of_topic(topic)
+        definition = self._definition_for(topic, msg_type, known=bool(stored))
         for table in stored:
             wish.check(table.metadata, definition)
         found = CassandraTopic(self._keyspace, self._adder, topic, wish)
@@ -72,14 +72,14 @@ class Catalog:
                 found.createIndex(field)
         return found
 
-    def _definitionFor(
+    def _definition_for(
         self, topic: str, msg_type: Optional[str], known: bool
     ) -> Optional[Definition]:
         if msg_type is not None:
-            return installedDefinition(msg_type)
-        found = None if known else topicType(topic)
+            return installed_definition(msg_type)
+        found = None if known else topic_type(topic)
         try:
-            return None if found is None else installedDefinition(found)
+            return None if found is None else installed_definition(found)
         except DefinitionError as exc:
             _log.info("the type of topic %s is fixed by its first message: %s", topic, exc)
             return None
@@ -123,7 +123,7 @@ class Catalog:
                     del self._pending[name]  # its first message has come
             return {metadata.topic for metadata in tables.values()} | set(self._pending)
 
-    def readableTables(self) -> list[TopicTable]:
+    def readable_tables(self) -> list[TopicTable]:
         """List the tables of all topics; one whose definition is unusable is left out, and said."""
         found: list[TopicTable] = []
         for topic in self.all(None):
@@ -147,7 +147,7 @@ class Catalog:
     def _drop(self, name: str, renew: bool) -> None:
         self._adder.close()
         space = self._keyspace
-        for table in space.schema.dropTopic(name, renew=renew):
+        for table in space.schema.drop_topic(name, renew=renew):
             space.directory.forget(table)
             space.registry.forget(table)
 
@@ -169,8 +169,8 @@ class Catalog:
 
         with self._mutex:
             wish = self._pending.get(name)
-        if wish is None or self._keyspace.tables.ofTopic(name):
-            self._keyspace.schema.changeTopic(name, lambda m: m.with_(topic=new_name), check)
+        if wish is None or self._keyspace.tables.of_topic(name):
+            self._keyspace.schema.change_topic(name, lambda m: m.with_(topic=new_name), check)
         else:
             check(self._keyspace.schema.tables(fresh=True))
         self._adder.close()

@@ -8,13 +8,13 @@ import hashlib
 import threading
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.messages.connection import Connection, cutDefinition, joinDefinition
+from cassandra_ros.messages.connection import Connection, cut_definition, join_definition
 from cassandra_ros.store.registry import Registry, StoredHeader
 
 MAX_KNOWN = 1024
 
 
-def connectionId(connection: Connection) -> int:
+def connection_id(connection: Connection) -> int:
     """Number a connection: first 8 bytes of the md5 of topic, number in its bag, and header.
 
     Identical headers under two numbers of a bag stay two connections.
@@ -34,11 +34,11 @@ class ConnectionCache:
 
     def put(self, table: str, connection: Connection) -> int:
         """Store a connection of a table, before its first row; return its number."""
-        number = connectionId(connection)
+        number = connection_id(connection)
         with self._mutex:
             if (table, number) in self._known:
                 return number
-        header, offset, definition = cutDefinition(connection.header)
+        header, offset, definition = cut_definition(connection.header)
         row = StoredHeader(
             topic=connection.topic,
             number=connection.number,
@@ -66,7 +66,7 @@ class ConnectionCache:
                     f"connection header {number} of table {table} is missing: the side tables "
                     "cr_connection and cr_definition were changed by hand; import or record again"
                 )
-            header = joinDefinition(row.header, row.def_offset, row.definition)
+            header = join_definition(row.header, row.def_offset, row.definition)
             connection = Connection(row.topic, header, row.number)
             self._keep(table, number, connection)
         return connection

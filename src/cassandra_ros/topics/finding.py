@@ -11,7 +11,7 @@ from typing import Any, Callable, Iterator, Optional, Sequence, Tuple, Union
 from cassandra_ros.arguments import check_limit, check_nodes
 from cassandra_ros.errors import InvalidKey, InvalidQuery, MessageNotFound
 from cassandra_ros.keys import SECOND_NS, RowName
-from cassandra_ros.messages.stamps import Stamp, isoTime
+from cassandra_ros.messages.stamps import Stamp, iso_time
 from cassandra_ros.query.conditions import Condition
 from cassandra_ros.query.protocols import Source, Table
 from cassandra_ros.topics.keyspace import Keyspace
@@ -96,9 +96,9 @@ class Finder:
             )
         if key is None or to_key is not None:
             return self._remove(self.keys.several(key, to_key))
-        if self._isExact(key):
+        if self._is_exact(key):
             row = self._exact(key)  # and no other of the same time
-            count = 0 if row is None else self.keyspace.removal.deleteRows([row])
+            count = 0 if row is None else self.keyspace.removal.delete_rows([row])
         else:
             count = self._remove(self.keys.one(key))
         if not count:
@@ -109,13 +109,13 @@ class Finder:
         removal = self.keyspace.removal
         if isinstance(wanted, Stretch) and self.where is None:
             return removal.delete(self.tables, *wanted, self._nodes)
-        return removal.deleteRows(self._select(wanted, bare=True))
+        return removal.delete_rows(self._select(wanted, bare=True))
 
     def find(self, key: AnyKey, nearest: Optional[str]) -> Optional[StoredRow]:
         """Find the one row that getData means by a key; None where there is none."""
         if nearest is not None:
             return self._near(key, nearest)
-        if self._isExact(key) and self._tableOf(key) is not None:
+        if self._is_exact(key) and self._table_of(key) is not None:
             return self._exact(key)
         wanted = self.keys.one(key)
         if isinstance(wanted, Stretch):
@@ -129,18 +129,18 @@ class Finder:
             return self.keyspace.rows.at(self.tables, t, self._nodes)
         return next(self._select(Stretch(t, t), limit=1), None)
 
-    def _tableOf(self, key: AnyKey) -> Optional[TopicTable]:
+    def _table_of(self, key: AnyKey) -> Optional[TopicTable]:
         """Return the table in which a key of ours lies; None where it is gone."""
-        table = self.keyspace.tables.byName(key.table)
+        table = self.keyspace.tables.by_name(key.table)
         return table if table is not None and table.metadata.topic == self.topic else None
 
     def _exact(self, key: AnyKey) -> Optional[StoredRow]:
-        table = self._tableOf(key)
+        table = self._table_of(key)
         row = None if table is None else self.keyspace.rows.exact(table, key)
         passes = row is None or self.where is None or self.where.test(row)
         return row if passes else None
 
-    def _isExact(self, key: AnyKey) -> bool:
+    def _is_exact(self, key: AnyKey) -> bool:
         """Say whether a key is one that the store gave: it knows its row."""
         known = isinstance(key, (RowName, Stamp)) and bool(key.table)
         return known and self.node in (None, key.node)
@@ -186,7 +186,7 @@ class Finder:
         if not isinstance(wanted, Stretch):
             return f"{none} whose key field is {key!r:.80}"
         t = wanted.low
-        none += f" {nearest or 'at'} {isoTime(t)} ({t} ns)"
+        none += f" {nearest or 'at'} {iso_time(t)} ({t} ns)"
         if isinstance(key, int) and 0 < t < _SECONDS_BELOW:
             return none + "; integers are nanoseconds; did you mean seconds (a float)?"
         # The nearest that satisfies a condition may be far, and long to look for.
@@ -195,7 +195,7 @@ class Finder:
         if near is None:
             return none
         if abs(near.t - t) > _NEAR_NS:
-            return none + f"; the nearest lies at {isoTime(near.t)} ({near.t} ns)"
+            return none + f"; the nearest lies at {iso_time(near.t)} ({near.t} ns)"
         secs, nsecs = divmod(near.t, SECOND_NS)
         return none + (
             f"; one lies {abs(near.t - t)} ns away: write the time as "

@@ -16,15 +16,15 @@ from cassandra_ros.errors import (
     StoreUnavailable,
     TopicNotFound,
 )
-from cassandra_ros.keys import NAMED_FORMATS, splitSeq
-from cassandra_ros.messages.index_field import IndexField, nearestFields
+from cassandra_ros.keys import NAMED_FORMATS, split_seq
+from cassandra_ros.messages.index_field import IndexField, nearest_fields
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.directory import STALE_SEC, BucketRow, BucketTotals, Directory
 from cassandra_ros.store.index.backfill import Backfill, Update, Written
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import Adder
-from cassandra_ros.topics.stored_row import readWire
-from cassandra_ros.topics.topic_table import TopicTable, definitionIn
+from cassandra_ros.topics.stored_row import read_wire
+from cassandra_ros.topics.topic_table import TopicTable, definition_in
 
 _log = logging.getLogger(__name__)
 
@@ -49,21 +49,21 @@ class TopicIndexes:
 
     @property
     def _tables(self) -> list[TopicTable]:
-        return self.keyspace.tables.ofTopic(self.topic)
+        return self.keyspace.tables.of_topic(self.topic)
 
     def create(self, field: str, progress: Optional[Progress] = None) -> int:
         """Make an index, or complete it; return how many stored messages were indexed."""
         space = self.keyspace
         space.schema.tables(fresh=True)
-        checkIndexable(self.topic, self._tables, field)
-        space.indexes.add(self.topic, field, lambda metadata: _typeOf(metadata, field))
+        check_indexable(self.topic, self._tables, field)
+        space.indexes.add(self.topic, field, lambda metadata: _type_of(metadata, field))
         self.adder.close()  # what it holds open could not be filled
         filling = IndexFilling(space.directory, field, progress)
         return filling.fill(self._tables)
 
     def has(self, field: str) -> bool:
         """Say whether every table whose type has the field has an index on it."""
-        able = [table for table in self._tables if _typeOf(table.metadata, field) is not None]
+        able = [table for table in self._tables if _type_of(table.metadata, field) is not None]
         return bool(able) and all(field in table.metadata.indexes for table in able)
 
     def remove(self, field: str) -> None:
@@ -80,27 +80,27 @@ class TopicIndexes:
             )
         listed = any(field in table.metadata.indexes for table in tables)
         if not listed and tables:
-            checkIndexable(self.topic, tables, field)
+            check_indexable(self.topic, tables, field)
         if not space.indexes.drop(self.topic, field):
             known = sorted({name for table in tables for name in table.metadata.indexes})
-            hint = nearestFields(field, known) if known else "it has none"
+            hint = nearest_fields(field, known) if known else "it has none"
             raise InvalidName(f"topic {self.topic} has no index on {field!r}; {hint}")
 
 
-def checkIndexable(topic: str, tables: list[TopicTable], field: str) -> None:
+def check_indexable(topic: str, tables: list[TopicTable], field: str) -> None:
     """Check that an index on a field can be made in at least one of the tables of a topic."""
     if not tables:
         raise TopicNotFound(
             f"topic {topic} has no type yet: its first message fixes it; give index= to addTopic"
         )
     for table in tables:
-        checkUnnamed(topic, table.metadata.key_format)
+        check_unnamed(topic, table.metadata.key_format)
         if table.digest is not None and table.digest.field == field:
             raise InvalidOption(
                 f"field {field} is the key_part of topic {topic} and has an index for whole "
                 "arrays; one for their elements cannot be made besides"
             )
-    if not any(_typeOf(table.metadata, field) for table in tables):
+    if not any(_type_of(table.metadata, field) for table in tables):
         for table in tables:
             if table.definition is not None:
                 IndexField(table.definition, field, "")  # names the nearest field
@@ -110,7 +110,7 @@ def checkIndexable(topic: str, tables: list[TopicTable], field: str) -> None:
         )
 
 
-def checkUnnamed(topic: str, key_format: str) -> None:
+def check_unnamed(topic: str, key_format: str) -> None:
     """Check that messages are not kept under names.
 
     Raises:
@@ -123,8 +123,8 @@ def checkUnnamed(topic: str, key_format: str) -> None:
         )
 
 
-def _typeOf(metadata: TopicMetadata, field: str) -> Optional[str]:
-    definition = definitionIn(metadata)
+def _type_of(metadata: TopicMetadata, field: str) -> Optional[str]:
+    definition = definition_in(metadata)
     with suppress(InvalidName):
         return None if definition is None else IndexField(definition, field, "").cql_type
     return None
@@ -146,7 +146,7 @@ class IndexFilling:
             # Buckets that were closed meanwhile are found in another round.
             buckets = list(self._lacking(tables))
             self._total = self._done + sum(row.rows for _, _, rows in buckets for row in rows)
-            marked = [self._fillBucket(*bucket) for bucket in buckets]
+            marked = [self._fill_bucket(*bucket) for bucket in buckets]
             filled += sum(rows for rows, _ in marked)
             if not any(count for _, count in marked):
                 break
@@ -169,7 +169,7 @@ class IndexFilling:
             for key in sorted(found):
                 yield table, index, found[key]
 
-    def _fillBucket(
+    def _fill_bucket(
         self, table: TopicTable, index: IndexField, writers: List[BucketRow]
     ) -> Tuple[int, int]:
         """Return the rows that were filled, and for how many writers the bucket is done."""
@@ -197,11 +197,11 @@ class IndexFilling:
     ) -> Iterator[Update]:
         for written in page:
             row = written.row
-            counted = totals.get(splitSeq(row.seq)[0])
+            counted = totals.get(split_seq(row.seq)[0])
             if counted is None:
                 continue
             try:
-                value, odd = index.value(readWire(table, row))
+                value, odd = index.value(read_wire(table, row))
             except CorruptMessage as exc:
                 topic = table.metadata.topic
                 _log.warning("a message of topic %s cannot be indexed: %s", topic, exc)
@@ -216,14 +216,14 @@ class IndexFilling:
         uncertain = False
         for _ in range(MAX_TRIES):
             try:
-                done = self._directory.putRecount(table.name, wanted, totals, table.metadata.ttl)
-                return done or (uncertain and self._isMarked(table, row, shadow))
+                done = self._directory.put_recount(table.name, wanted, totals, table.metadata.ttl)
+                return done or (uncertain and self._is_marked(table, row, shadow))
             except StoreUnavailable as exc:
                 # Another transaction was in the way; this one may be done or not.
                 _log.debug("a bucket of topic %s is not marked: %s", table.metadata.topic, exc)
                 uncertain = True
         return False
 
-    def _isMarked(self, table: TopicTable, row: BucketRow, shadow: str) -> bool:
+    def _is_marked(self, table: TopicTable, row: BucketRow, shadow: str) -> bool:
         found = self._directory.find(table.name, row.node, row.bucket)
         return any(one.writer == row.writer and shadow in one.filled for one in found)

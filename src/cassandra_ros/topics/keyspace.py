@@ -10,14 +10,14 @@ from datetime import datetime, timezone
 from typing import Any, Mapping, Optional, Sequence
 
 from cassandra_ros.errors import InvalidKey, InvalidName, TopicExists, TypeMismatch, WriteFailed
-from cassandra_ros.formats.table import DEFAULT_FORMAT, FALLBACK_FORMAT, formatClass
+from cassandra_ros.formats.table import DEFAULT_FORMAT, FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.messages.definition import Definition, definitionOf
+from cassandra_ros.messages.definition import Definition, definition_of
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
-from cassandra_ros.metadata import TopicMetadata, shadowColumn
+from cassandra_ros.metadata import TopicMetadata, shadow_column
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.directory import Directory, limitForTtl
+from cassandra_ros.store.directory import Directory, limit_for_ttl
 from cassandra_ros.store.index.changes import IndexChanges
 from cassandra_ros.store.registry import Registry
 from cassandra_ros.store.schema import Planned, Schema
@@ -25,7 +25,7 @@ from cassandra_ros.store.side_tables import SideTables
 from cassandra_ros.topics.connections import ConnectionCache
 from cassandra_ros.topics.reading import RowReader
 from cassandra_ros.topics.removal import Removal
-from cassandra_ros.topics.topic_table import TopicTable, TopicTables, definitionIn
+from cassandra_ros.topics.topic_table import TopicTable, TopicTables, definition_in
 from cassandra_ros.topics.totals import TopicTotals
 
 _log = logging.getLogger(__name__)
@@ -70,15 +70,15 @@ class Keyspace:
             UnknownFormat: There is no format of the name that was asked for.
         """
         if asked:
-            formatClass(asked)
+            format_class(asked)
             return asked
         tables = [m for m in self.schema.tables().values() if m.topic == topic]
         # One publisher without a usable definition must not decide for all others.
-        chosen = [m for m in tables if m.format != FALLBACK_FORMAT or definitionIn(m)] or tables
+        chosen = [m for m in tables if m.format != FALLBACK_FORMAT or definition_in(m)] or tables
         newest = max(chosen, key=lambda m: (m.md5sum == md5sum, m.date, m.format), default=None)
         return DEFAULT_FORMAT if newest is None else newest.format
 
-    def makeTable(self, metadata: TopicMetadata, definition: Optional[Definition]) -> TopicTable:
+    def make_table(self, metadata: TopicMetadata, definition: Optional[Definition]) -> TopicTable:
         """Find the table for a topic, md5 and format, or make it.
 
         Args:
@@ -90,24 +90,24 @@ class Keyspace:
         Raises:
             InvalidKey: The type has no such field as key_part, and the topic is new.
         """
-        for table in self.tables.ofTopic(metadata.topic):
+        for table in self.tables.of_topic(metadata.topic):
             if (table.metadata.md5sum, table.metadata.format) == (metadata.md5sum, metadata.format):
                 return table
-        fmt = formatClass(metadata.format)(metadata.msg_type, metadata.md5sum, definition)
+        fmt = format_class(metadata.format)(metadata.msg_type, metadata.md5sum, definition)
 
         def plan(others: Sequence[TopicMetadata]) -> Planned:
             wanted = _beside(metadata, others)
             wanted, shadows = _indexed(wanted, definition, new=not others)
             wanted = wanted.with_(
-                bucket_ns=limitForTtl(wanted.bucket_ns, wanted.ttl),
+                bucket_ns=limit_for_ttl(wanted.bucket_ns, wanted.ttl),
                 columns=tuple(fmt.describe()),
                 date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
             )
             return wanted, fmt.getColValidationClasses(), shadows
 
         key = (metadata.topic, metadata.md5sum, metadata.format)
-        name = self.schema.ensureTable(key, plan)
-        found = self.tables.byName(name)
+        name = self.schema.ensure_table(key, plan)
+        found = self.tables.by_name(name)
         if found is None:
             raise WriteFailed(
                 f"the table of topic {metadata.topic} was dropped as soon as it was made: another "
@@ -119,7 +119,7 @@ class Keyspace:
         """Find or make the table for messages of this definition, in the format asked for."""
         for path in wish.index:
             IndexField(definition, path, "")  # raises InvalidName where there is none
-        table = self.makeTable(wish.metadata(topic, definition), definition)
+        table = self.make_table(wish.metadata(topic, definition), definition)
         wish.check(table.metadata, None)  # another client may have been quicker
         return table
 
@@ -134,8 +134,8 @@ class Keyspace:
                 f"{msg!r:.80} is no message: give topic {topic} a message object, as "
                 "std_msgs.msg.String(data='x'); nothing was stored"
             )
-        definition = definitionOf(type(msg))
-        tables = self.tables.ofTopic(topic)
+        definition = definition_of(type(msg))
+        tables = self.tables.of_topic(topic)
         fitting = [t for t in tables if t.metadata.md5sum == definition.md5sum]
         wished = [t for t in fitting if t.metadata.format == wish.format]
         if wished or (fitting and not wish.asked):
@@ -183,27 +183,27 @@ def _indexed(
 ) -> tuple[TopicMetadata, dict[str, str]]:
     """Return the metadata with the indexes of the table, and the columns that carry them."""
     wished = list(metadata.indexes)
-    part = _keyPart(metadata, definition, new)
+    part = _key_part(metadata, definition, new)
     own_time = metadata.key_format == "hash" or (part is not None and part.is_time)
     metadata = metadata.with_(own_time=own_time, indexes={}, index_count=0)
     shadows = {}
     if part is not None and not part.is_time:
-        metadata = metadata.withIndex(part.field, 0)
-        shadows[shadowColumn(0)] = part.cql_type
+        metadata = metadata.with_index(part.field, 0)
+        shadows[shadow_column(0)] = part.cql_type
     for path in wished:
         if definition is None or metadata.named or path in metadata.indexes:
             continue
         try:
-            index = IndexField(definition, path, shadowColumn(metadata.nextShadow))
+            index = IndexField(definition, path, shadow_column(metadata.next_shadow))
         except InvalidName as exc:
             _log.info("messages of topic %s are stored without an index: %s", metadata.topic, exc)
             continue
-        metadata = metadata.withIndex(path, metadata.nextShadow)
+        metadata = metadata.with_index(path, metadata.next_shadow)
         shadows[index.shadow] = index.cql_type
     return metadata, shadows
 
 
-def _keyPart(
+def _key_part(
     metadata: TopicMetadata, definition: Optional[Definition], new: bool
 ) -> Optional[KeyPart]:
     """Return the key field of a table that is made, None where its type has none."""
@@ -220,7 +220,7 @@ def _keyPart(
         return None
 
 
-def defaultBucket(definition: Optional[Definition]) -> int:
+def default_bucket(definition: Optional[Definition]) -> int:
     """Return the bucket length where the rate is unknown: 1 min for types with arrays."""
     arrays = definition is None or any(
         field.is_array for spec in definition.specs.values() for field in spec.fields
@@ -234,7 +234,7 @@ class Wish:
 
     format: str
     """'' = as it is stored; the catalog fills it in."""
-    nodeID: str = ""
+    node: str = ""
     ttl: int = 0
     comment: str = ""
     key_format: str = ""
@@ -253,7 +253,7 @@ class Wish:
         """Return the wish for a topic as it is stored, and goes on in a format."""
         return cls(
             format=format,
-            nodeID=metadata.nodeID,
+            node=metadata.nodeID,
             ttl=metadata.ttl,
             comment=metadata.comment,
             key_format=metadata.key_format,
@@ -290,9 +290,9 @@ class Wish:
             md5sum=definition.md5sum if definition else "",
             definition=definition.text if definition else "",
             format=self.format,
-            bucket_ns=defaultBucket(definition),
+            bucket_ns=default_bucket(definition),
             ttl=self.ttl,
-            nodeID=self.nodeID,
+            nodeID=self.node,
             comment=self.comment,
             key_format=self.key_format or "time",
             key_part=self.key_part,

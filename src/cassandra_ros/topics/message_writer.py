@@ -24,17 +24,17 @@ from cassandra_ros.errors import (
     TopicNotFound,
     WriteFailed,
 )
-from cassandra_ros.formats.table import FALLBACK_FORMAT, formatClass
-from cassandra_ros.keys import COUNTER_BITS, MAX_NS, Position, RowName, joinSeq, newWriterId
-from cassandra_ros.messages.classes import installedDefinition, serialize
-from cassandra_ros.messages.connection import Connection, apiConnection
-from cassandra_ros.messages.definition import Definition, definitionOf, parseDefinition
-from cassandra_ros.messages.stamps import Stamp, toNs
+from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
+from cassandra_ros.keys import COUNTER_BITS, MAX_NS, Position, RowName, join_seq, new_writer_id
+from cassandra_ros.messages.classes import installed_definition, serialize
+from cassandra_ros.messages.connection import Connection, api_connection
+from cassandra_ros.messages.definition import Definition, definition_of, parse_definition
+from cassandra_ros.messages.stamps import Stamp, to_ns
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.row_table import NewRow
 from cassandra_ros.store.writer import LossCallback, RowWriter, WriteStats
-from cassandra_ros.topics.keyspace import Keyspace, defaultBucket
+from cassandra_ros.topics.keyspace import Keyspace, default_bucket
 from cassandra_ros.topics.selection import Time
 from cassandra_ros.topics.stored_row import Key
 from cassandra_ros.topics.topic_table import TopicTable
@@ -97,7 +97,7 @@ class MessageWriter:
         on_loss: Optional[LossCallback] = None,
     ) -> None:
         if format is not None:
-            formatClass(format)
+            format_class(format)
         keyspace.side_tables.make()
         self.writer_id = writer_id
         self._keyspace = keyspace
@@ -109,11 +109,11 @@ class MessageWriter:
         self._topics: dict[str, str] = {}
         self._refused: dict[str, WriteStats] = {}
         self._mutex = threading.Lock()
-        self._high = joinSeq(writer_id, 0)
+        self._high = join_seq(writer_id, 0)
         self._closed = False
         self._run = run
         if run is not None:
-            keyspace.registry.putRun(run, started=True)
+            keyspace.registry.put_run(run, started=True)
         self._rows = RowWriter(
             keyspace.cassandra,
             keyspace.schema,
@@ -155,7 +155,7 @@ class MessageWriter:
         with self._mutex:
             known = self._handles.get(key)
         if known is not None:
-            stored = self._keyspace.tables.byName(known.table.name)
+            stored = self._keyspace.tables.by_name(known.table.name)
             if stored is not None and stored.metadata.topic == connection.topic:
                 return known
             # The topic was renamed or removed by another client.
@@ -163,24 +163,24 @@ class MessageWriter:
         check_new_topic(connection.topic)
         asked = key[1] or (like.format if like is not None else None)
         wanted = self._keyspace.format_for(connection.topic, connection.md5sum, asked)
-        definition, warning = usableDefinition(connection, wanted)
+        definition, warning = usable_definition(connection, wanted)
         metadata = replace(
             like or TopicMetadata("", "", "", "", 0, ttl=self._ttl or 0),
             topic=connection.topic,
             msg_type=connection.type,
             md5sum=connection.md5sum,
             format=wanted if definition is not None else FALLBACK_FORMAT,
-            bucket_ns=bucket_ns or defaultBucket(definition),
+            bucket_ns=bucket_ns or default_bucket(definition),
             definition=definition.text if definition else connection.definition_text,
         )
-        table = self._keyspace.makeTable(metadata, definition)
-        warning = warning or self._otherTtl(table)
+        table = self._keyspace.make_table(metadata, definition)
+        warning = warning or self._other_ttl(table)
         conn = self._keyspace.connections.put(table.name, connection)
         if warning:
             _log.warning("%s", warning)
         return self._keep(key, Handle(connection, table, conn, node, key[1], warning))
 
-    def _otherTtl(self, table: TopicTable) -> Optional[str]:
+    def _other_ttl(self, table: TopicTable) -> Optional[str]:
         if self._ttl is None or table.metadata.ttl == self._ttl:
             return None
         return (
@@ -256,7 +256,7 @@ class MessageWriter:
             return None
 
     def _put(self, handle: Handle, t_ns: int, seq: int, wire: bytes, name: str) -> NewRow:
-        row = handle.table.newRow(t_ns, seq, handle.conn, wire, name)
+        row = handle.table.make_row(t_ns, seq, handle.conn, wire, name)
         self._rows.add(handle.table, handle.node, row)
         return row
 
@@ -302,7 +302,7 @@ class MessageWriter:
             if lost is None:
                 lost = {topic: part.lost for topic, part in stats.items() if part.lost}
             run = replace(self._run, stored=stored, lost=lost)
-            self._keyspace.registry.putRun(run, ended=True)
+            self._keyspace.registry.put_run(run, ended=True)
 
     def __enter__(self) -> MessageWriter:
         return self
@@ -311,15 +311,15 @@ class MessageWriter:
         self.close()
 
 
-def usableDefinition(
+def usable_definition(
     connection: Connection, format_name: str
 ) -> tuple[Optional[Definition], Optional[str]]:
     """Return the definition of a connection that a format can work with, or why there is none."""
     try:
         definition = _definition(connection)
-        fmt = formatClass(format_name)(connection.type, connection.md5sum, definition)
+        fmt = format_class(format_name)(connection.type, connection.md5sum, definition)
         if format_name != FALLBACK_FORMAT:
-            fmt.requireClass()
+            fmt.require_class()
         return definition, None
     except (DefinitionError, CorruptMessage) as exc:
         return None, (
@@ -332,10 +332,10 @@ def _definition(connection: Connection) -> Definition:
     if not text.strip():
         # Some publishers leave the definition out; an installed type of the md5 is as good.
         with suppress(DefinitionError):
-            installed = installedDefinition(connection.type)
+            installed = installed_definition(connection.type)
             if installed.md5sum == md5sum:
                 return installed
-    return parseDefinition(connection.type, text, md5sum)
+    return parse_definition(connection.type, text, md5sum)
 
 
 class Adder:
@@ -360,16 +360,16 @@ class Adder:
     def add(self, table: TopicTable, msg: object, t: int, node: str, name: str = "") -> Key:
         """Store a message of the table's type; return its key when it is acknowledged."""
         wire = serialize(msg)
-        connection = apiConnection(table.metadata.topic, definitionOf(type(msg)), _caller_id())
+        connection = api_connection(table.metadata.topic, definition_of(type(msg)), _caller_id())
         # One at a time: a failure is raised to whoever flushes, and must be that message's.
         with self._mutex:
             writer = self._writer
             if writer is None:
-                writer = MessageWriter(self._keyspace, newWriterId(), linger_sec=0.0, ttl=None)
+                writer = MessageWriter(self._keyspace, new_writer_id(), linger_sec=0.0, ttl=None)
                 self._writer, self._counter = writer, itertools.count()
             handle = writer.connect(connection, format=table.metadata.format, node=node)
             counter = next(self._counter)
-            seq = joinSeq(writer.writer_id, counter)
+            seq = join_seq(writer.writer_id, counter)
             row = writer.write(handle, t, counter, wire, name)
             try:
                 writer.flush()
@@ -384,7 +384,7 @@ class Adder:
             raise AssertionError("a writer without on_loss raises what it refuses")
         if stored.named:
             return RowName.of(Position(t, node, seq, stored.name, row.name))
-        return Stamp.fromNs(row.t, node=node, seq=row.seq, table=stored.name)
+        return Stamp.from_ns(row.t, node=node, seq=row.seq, table=stored.name)
 
     def close(self) -> None:
         """Close the writer; the next add opens another."""
@@ -410,7 +410,7 @@ def now_ns(clock: Optional[Clock]) -> int:
     """Tell the time: the given clock's, else rospy's where a node runs here, else wall time.
 
     Args:
-        clock: Returns a time of any kind that toNs takes, or None.
+        clock: Returns a time of any kind that to_ns takes, or None.
 
     Returns:
         Nanoseconds since 1970.
@@ -419,7 +419,7 @@ def now_ns(clock: Optional[Clock]) -> int:
         ClockNotSet: The node uses simulated time and no /clock message has come.
     """
     if clock is not None:
-        return toNs(clock())
+        return to_ns(clock())
     rospy = _rospy()
     now = time.time_ns() if rospy is None else int(rospy.rostime.get_rostime().to_nsec())
     if not now:

@@ -8,19 +8,26 @@ import heapq
 from typing import Callable, Iterable, Iterator, Optional, Sequence, Union, cast
 
 from cassandra_ros.errors import InvalidKey
-from cassandra_ros.keys import Position, RowName, isBehind
+from cassandra_ros.keys import Position, RowName, is_behind
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query import protocols
 from cassandra_ros.store import reader
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import Directory
-from cassandra_ros.store.fetch import Wanted, fetchRows, firstAt, keysByShadow, listNames, versions
-from cassandra_ros.store.reader import Scan, readRows
+from cassandra_ros.store.fetch import (
+    Wanted,
+    fetch_rows,
+    first_at,
+    keys_by_shadow,
+    list_names,
+    versions,
+)
+from cassandra_ros.store.reader import Scan, read_rows
 from cassandra_ros.store.row_table import RowTable, TableRow
 from cassandra_ros.topics.connections import ConnectionCache
 from cassandra_ros.topics.selection import LAST_NS, AnyKey, Named, Selection, Stretch, Valued
-from cassandra_ros.topics.stored_row import StoredRow, fetchRow
+from cassandra_ros.topics.stored_row import StoredRow, fetch_row
 from cassandra_ros.topics.topic_table import TopicTable
 
 Nodes = Optional[Sequence[str]]
@@ -86,7 +93,7 @@ class RowReader:
             cast("Optional[reader.Chooser]", chooser),
         )
         timed = [table for table in tables if not table.named]
-        rows: Iterable[TableRow] = readRows(self._directory, timed, scan)
+        rows: Iterable[TableRow] = read_rows(self._directory, timed, scan)
         if len(timed) < len(tables):
             named = self._named([t for t in tables if t.named], scan)
             rows = heapq.merge(rows, named, key=lambda row: row.position, reverse=reverse)
@@ -104,12 +111,12 @@ class RowReader:
         keys = [
             Wanted(table, key.position)
             for table in tables
-            for key in listNames(table, scan.nodes)
+            for key in list_names(table, scan.nodes)
             if scan.low <= key.position.t <= scan.high
-            and isBehind(key.position, scan.after, scan.reverse)
+            and is_behind(key.position, scan.after, scan.reverse)
         ]
         keys.sort(key=lambda key: key.position, reverse=scan.reverse)
-        return fetchRows(keys)
+        return fetch_rows(keys)
 
     def _versions(
         self, tables: Sequence[TopicTable], name: str, nodes: Nodes, reverse: bool
@@ -126,17 +133,17 @@ class RowReader:
         self, tables: Sequence[TopicTable], wanted: Valued, nodes: Nodes, reverse: bool
     ) -> Iterator[TableRow]:
         every = encoded(tables, wanted.value)
-        keys = [self._keysOf(table, part, value, nodes) for table, part, value in every]
+        keys = [self._keys_of(table, part, value, nodes) for table, part, value in every]
         merged: Iterable[Wanted] = heapq.merge(*keys, key=lambda key: key.position)
-        yield from fetchRows(reversed(list(merged)) if reverse else merged)
+        yield from fetch_rows(reversed(list(merged)) if reverse else merged)
 
-    def _keysOf(
+    def _keys_of(
         self, table: TopicTable, part: KeyPart, wanted: bytes, nodes: Nodes
     ) -> Iterator[Wanted]:
         index = part.index(wanted)
         if index is not None:
             shadow = table.metadata.indexes[part.field]
-            yield from keysByShadow(self._directory, table, shadow, index, nodes)
+            yield from keys_by_shadow(self._directory, table, shadow, index, nodes)
             return
         # A text that is too long for the index: its rows are marked, but not by a value.
         for row in self.read([table], Stretch(), nodes=nodes):
@@ -155,11 +162,11 @@ class RowReader:
         scan = Scan(0, LAST_NS, None, nodes, columns=lambda table: ())
         keys = sorted(
             (r.received, r.node, r.seq, r.table, r.position)
-            for r in readRows(self._directory, list(foreign.values()), scan)
+            for r in read_rows(self._directory, list(foreign.values()), scan)
             if stretch.low <= r.received <= stretch.high
         )
         wanted = (Wanted(foreign[position.table], position) for *_, position in keys)
-        late = self._stored(fetchRows(wanted), tables)
+        late = self._stored(fetch_rows(wanted), tables)
         return heapq.merge(own, late, key=lambda row: row.arrival)
 
     # ---------------------------------------------------------------- one
@@ -169,12 +176,12 @@ class RowReader:
         name = str(key) if isinstance(key, RowName) else ""
         t = key.t if isinstance(key, RowName) else key.ns
         position = Position(t, key.node or "", key.seq or 0, table.name, name)
-        return self._single(fetchRow(table, position), [table])
+        return self._single(fetch_row(table, position), [table])
 
     def at(self, tables: Sequence[TopicTable], t: int, nodes: Nodes) -> Optional[StoredRow]:
         """Read the first row with exactly this time."""
         timed = [table for table in tables if not table.named]
-        return self._single(firstAt(self._directory, timed, t, nodes), tables)
+        return self._single(first_at(self._directory, timed, t, nodes), tables)
 
     def _single(self, row: Optional[TableRow], tables: Sequence[TopicTable]) -> Optional[StoredRow]:
         return next(self._stored([] if row is None else [row], tables), None)

@@ -21,9 +21,9 @@ from cassandra_ros.arguments import (
     check_writer_id,
 )
 from cassandra_ros.errors import InvalidKey, InvalidName, InvalidOption, KeyspaceNotFound
-from cassandra_ros.keys import Position, newWriterId
+from cassandra_ros.keys import Position, new_writer_id
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.messages.stamps import durationNs
+from cassandra_ros.messages.stamps import duration_ns
 from cassandra_ros.query.explain import Explanation
 from cassandra_ros.query.run import QueryResult, Rows
 from cassandra_ros.store.address import from_environment
@@ -35,7 +35,7 @@ from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.keyspace import Keyspace, Wish
 from cassandra_ros.topics.message_writer import Adder, Clock, MessageWriter
-from cassandra_ros.topics.selection import Time, stretchOf
+from cassandra_ros.topics.selection import Time, stretch_of
 from cassandra_ros.topics.statements import Statements
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.totals import TopicInfo
@@ -205,7 +205,7 @@ class RosCassandra:
             check_text("msg_type", msg_type, error=InvalidName, wanted="one like 'std_msgs/String'")
         wish = Wish(
             format=format or "",
-            nodeID=check_node(nodeID),
+            node=check_node(nodeID),
             ttl=check_ttl(ttl),
             comment=check_text("comment", comment),
             key_format=check_key_format(key_format, key_part),
@@ -303,7 +303,7 @@ class RosCassandra:
             raise InvalidOption(f"run={run!r:.80} describes no run: give a store.registry.Run")
         return MessageWriter(
             self.parts,
-            newWriterId() if writer_id is None else check_writer_id(writer_id),
+            new_writer_id() if writer_id is None else check_writer_id(writer_id),
             format=format,
             node=check_node(nodeID),
             ttl=check_ttl(ttl),
@@ -356,7 +356,7 @@ class RosCassandra:
             InvalidOption: A condition is for a topic that is not read.
             InvalidQuery: A condition is none; shows it with a caret under the spot.
         """
-        names, stretch = check_topics(topics), stretchOf(key, to_key)
+        names, stretch = check_topics(topics), stretch_of(key, to_key)
         return self._open.across.read(names, stretch, nodeID, received, where)
 
     def nearestMessages(
@@ -395,7 +395,7 @@ class RosCassandra:
             InvalidKey: tolerance is no length of time, or negative.
             InvalidQuery: A condition is none.
         """
-        reach, stretch = durationNs(tolerance), stretchOf(key, to_key)
+        reach, stretch = duration_ns(tolerance), stretch_of(key, to_key)
         return self._open.across.nearest(topic_a, topic_b, reach, stretch, nodeID, where, unpaired)
 
     @property

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Optional, Sequence, Union
 from cassandra_ros.arguments import check_message_name
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import NAMED_FORMATS
-from cassandra_ros.messages.stamps import Stamp, isIsoText, isTime, toNs
+from cassandra_ros.messages.stamps import Stamp, is_iso_text, is_time, to_ns
 from cassandra_ros.topics.topic_table import TopicTable
 
 LAST_NS = 2**63 - 1
@@ -43,10 +43,10 @@ class Valued(NamedTuple):
 Selection = Union[Stretch, Named, Valued]
 
 
-def stretchOf(key: Optional[Time], to_key: Optional[Time]) -> Stretch:
+def stretch_of(key: Optional[Time], to_key: Optional[Time]) -> Stretch:
     """Return the stretch between two times, both included; None = open."""
-    low = 0 if key is None else toNs(key)
-    return Stretch(low, LAST_NS if to_key is None else toNs(to_key))
+    low = 0 if key is None else to_ns(key)
+    return Stretch(low, LAST_NS if to_key is None else to_ns(to_key))
 
 
 class TopicKeys:
@@ -82,15 +82,15 @@ class TopicKeys:
                 f"{self._format}), and names have no order: there is no stretch between two of "
                 "them; give one key, or none for all"
             )
-        if to_key is None and (self._named or self._isValue(key)):
+        if to_key is None and (self._named or self._is_value(key)):
             return self.one(key)
-        if self._isValue(key) or self._isValue(to_key):
+        if self._is_value(key) or self._is_value(to_key):
             raise InvalidKey(
                 f"the key of topic {self._topic} is its field {self._parts[0].field}, and its "
                 "messages lie in the order of time: a stretch goes from one genpy.Time to "
                 "another; ask for a range of values with executeCQL"
             )
-        return stretchOf(key, to_key)
+        return stretch_of(key, to_key)
 
     def one(self, key: AnyKey) -> Selection:
         """Say what a single key means: one time, one name, or one value.
@@ -100,20 +100,20 @@ class TopicKeys:
         """
         if self._named:
             return Named(check_message_name(self._topic, key))
-        if self._isValue(key):
+        if self._is_value(key):
             return Valued(key)
-        t = toNs(key)
+        t = to_ns(key)
         return Stretch(t, t)
 
-    def _isValue(self, key: AnyKey) -> bool:
-        return bool(self._parts) and key is not None and not isTime(key)
+    def _is_value(self, key: AnyKey) -> bool:
+        return bool(self._parts) and key is not None and not is_time(key)
 
     def of_text(self, text: str) -> AnyKey:
         """Read a key that a person typed; see CassandraTopic.keyOfText."""
         if self._named or any(table.named for table in self._tables):
             return text
         if self._parts:
-            return Stamp.fromNs(toNs(text)) if isIsoText(text) else self._value(text)
+            return Stamp.from_ns(to_ns(text)) if is_iso_text(text) else self._value(text)
         text = text.strip()
         return int(text) if text.isascii() and text.isdigit() and len(text) < 40 else text
 
@@ -122,7 +122,7 @@ class TopicKeys:
         problem: Optional[InvalidKey] = None
         for part in sorted(self._parts, key=lambda part: part.is_text):
             try:
-                return part.fromText(text)
+                return part.from_text(text)
             except InvalidKey as exc:
                 problem = problem or exc
         raise problem or InvalidKey(f"{text!r:.80} is no key")

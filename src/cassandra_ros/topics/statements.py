@@ -17,10 +17,10 @@ from cassandra_ros.arguments import check_limit, check_nodes
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, TopicNotFound
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.query.conditions import SECONDS_BELOW, Condition, meantAsSeconds
+from cassandra_ros.query.conditions import SECONDS_BELOW, Condition, meant_as_seconds
 from cassandra_ros.query.explain import Explanation, explain
 from cassandra_ros.query.names import nearest
-from cassandra_ros.query.parse import parseSelect, parseStatement
+from cassandra_ros.query.parse import parse_select, parse_statement
 from cassandra_ros.query.run import Cursor, QueryResult, Rows, select_rows
 from cassandra_ros.query.syntax import (
     Change,
@@ -35,7 +35,7 @@ from cassandra_ros.query.syntax import (
 from cassandra_ros.store.schema import Schema
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.indexes import checkIndexable
+from cassandra_ros.topics.indexes import check_indexable
 from cassandra_ros.topics.keyspace import Keyspace
 
 
@@ -58,7 +58,7 @@ class Statements:
         if isinstance(statement, (Select, Delete, Truncate, CreateIndex, DropIndex)):
             parsed: Union[Select, Change] = statement
         else:
-            parsed = parseStatement(statement, params)
+            parsed = parse_statement(statement, params)
         if isinstance(parsed, Select):
             result = self.select(parsed, node=node, limit=limit)
             return Rows(result, result.columns)
@@ -99,9 +99,9 @@ class Statements:
         """
         check_limit(limit)
         check_nodes(node)
-        select = statement if isinstance(statement, Select) else parseSelect(statement, params)
+        select = statement if isinstance(statement, Select) else parse_select(statement, params)
         topic = self._topic(select)
-        return select_rows(select, topic, nodeID=node, limit=limit, after=after, plan=plan)
+        return select_rows(select, topic, node=node, limit=limit, after=after, plan=plan)
 
     def explain(
         self, statement: str, params: Sequence[Any] = (), node: Optional[str] = None
@@ -121,15 +121,15 @@ class Statements:
     def _delete(self, statement: Delete, node: Optional[str]) -> int:
         topic = self._topic(statement)
         named = any(table.named for table in topic.tables)
-        condition = Condition.ofStatement(statement, node)
+        condition = Condition.of_statement(statement, node)
         bounds = condition.bounds(named)
         if not named:
-            _refuseSeconds(topic, statement)
+            _refuse_seconds(topic, statement)
         if named or not bounds.whole:
-            return self._keyspace.removal.deleteRows(condition.rows(topic))
+            return self._keyspace.removal.delete_rows(condition.rows(topic))
         if bounds.empty or not topic.tables:
             return 0
-        low, high = Stamp.fromNs(bounds.low), Stamp.fromNs(bounds.high)
+        low, high = Stamp.from_ns(bounds.low), Stamp.from_ns(bounds.high)
         return topic.removeData(low, high, nodeID=bounds.node)
 
     def _create_index(self, statement: CreateIndex) -> None:
@@ -145,10 +145,10 @@ class Statements:
                 "and completes one whose making was interrupted",
             )
         with _at(text, on.field.position):
-            checkIndexable(topic.name, topic.tables, field)
+            check_indexable(topic.name, topic.tables, field)
         if name is not None:
             with _at(text, name.position):
-                _giveName(self._keyspace.schema, topic.name, field, name.text)
+                _give_name(self._keyspace.schema, topic.name, field, name.text)
         topic.createIndex(field)
 
     def _drop_index(self, statement: DropIndex) -> None:
@@ -165,7 +165,7 @@ class Statements:
     def _index_named(
         self, statement: DropIndex, name: IndexName
     ) -> Optional[tuple[CassandraTopic, str]]:
-        known = namesOfIndexes(self._keyspace.schema)
+        known = names_of_indexes(self._keyspace.schema)
         found = known.get(name.text, [])
         if len(found) == 1:
             return self._catalog.get(found[0][0]), found[0][1]
@@ -214,9 +214,9 @@ def _refused(statement: Change, reason: str) -> InvalidQuery:
     return InvalidQuery(text, len(text) - len(text.lstrip()), reason)
 
 
-def _refuseSeconds(topic: CassandraTopic, statement: Delete) -> None:
+def _refuse_seconds(topic: CassandraTopic, statement: Delete) -> None:
     """Refuse integers that were meant as seconds: a lower end in 1970 removes every message."""
-    for literal in meantAsSeconds(statement.condition):
+    for literal in meant_as_seconds(statement.condition):
         first = topic.first() if topic.tables else None
         if isinstance(first, Stamp) and first.ns >= SECONDS_BELOW:
             raise InvalidQuery(
@@ -227,7 +227,7 @@ def _refuseSeconds(topic: CassandraTopic, statement: Delete) -> None:
             )
 
 
-def namesOfIndexes(schema: Schema) -> dict[str, list[tuple[str, str]]]:
+def names_of_indexes(schema: Schema) -> dict[str, list[tuple[str, str]]]:
     """Return name -> (topic, field) of each index of a keyspace that bears it, mostly one."""
     return _named(schema.tables(fresh=True))
 
@@ -241,7 +241,7 @@ def _named(tables: Mapping[str, TopicMetadata]) -> dict[str, list[tuple[str, str
     return {name: sorted(indexed) for name, indexed in found.items()}
 
 
-def _giveName(schema: Schema, topic: str, field: str, name: str) -> None:
+def _give_name(schema: Schema, topic: str, field: str, name: str) -> None:
     """Call the index of a field so; it need not be there yet.
 
     Raises:
@@ -259,4 +259,4 @@ def _giveName(schema: Schema, topic: str, field: str, name: str) -> None:
     def change(metadata: TopicMetadata) -> TopicMetadata:
         return metadata.with_(index_names={**metadata.index_names, name: field})
 
-    schema.changeTopic(topic, change, check)
+    schema.change_topic(topic, change, check)

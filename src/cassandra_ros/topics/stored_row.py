@@ -9,12 +9,12 @@ from typing import Any, Optional, Union
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError, MessageNotFound
 from cassandra_ros.keys import Position, RowName
-from cassandra_ros.messages.classes import deserialize, messageClass, rawClass
+from cassandra_ros.messages.classes import deserialize, message_class, raw_class
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.messages.definition import parseDefinition
+from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.store.fetch import Wanted, fetchRows
-from cassandra_ros.store.large import readChunks
+from cassandra_ros.store.fetch import Wanted, fetch_rows
+from cassandra_ros.store.large import read_chunks
 from cassandra_ros.store.row_table import TableRow
 from cassandra_ros.topics.connections import ConnectionCache
 from cassandra_ros.topics.topic_table import TopicTable
@@ -92,13 +92,13 @@ class StoredRow:
         """The row key: exact time or name, and where the row lies."""
         if self.name:
             return RowName.of(self.position)
-        return Stamp.fromNs(self.t, node=self.node, seq=self.seq, table=self.table.name)
+        return Stamp.from_ns(self.t, node=self.node, seq=self.seq, table=self.table.name)
 
     @property
     def wire(self) -> bytes:
         """The serialised message, byte for byte as it was sent."""
         if self._wire is None:
-            self._wire = readWire(self.table, self._row)
+            self._wire = read_wire(self.table, self._row)
         return self._wire
 
     @property
@@ -116,29 +116,29 @@ class StoredRow:
         """md5 of the message definition."""
         return self.table.metadata.md5sum
 
-    def messageClass(self) -> Any:
+    def message_class(self) -> Any:
         """Return the class of the message: installed, generated, or RawMessage."""
         known = self.table.classes.get(self.conn)
         if known is None:
             if len(self.table.classes) >= MAX_CLASSES:
                 self.table.classes.clear()
-            known = self.table.classes[self.conn] = self._findClass()
+            known = self.table.classes[self.conn] = self._find_class()
         return known
 
-    def _findClass(self) -> Any:
+    def _find_class(self) -> Any:
         type_, definition = self.type, self.table.definition
         if definition is None:
-            return rawClass(type_, self.md5sum)
+            return raw_class(type_, self.md5sum)
         try:
             text = self.connection.definition_text
             if type_ != definition.type or (text and text != definition.text):
                 # The same md5 under another name, as tf/tfMessage and tf2_msgs/TFMessage, or of
                 # another text: it does not tell an array of messages from a single one.
-                definition = parseDefinition(type_, text, self.md5sum)
-            return messageClass(definition)
+                definition = parse_definition(type_, text, self.md5sum)
+            return message_class(definition)
         except DefinitionError as exc:
             _log.debug("messages of topic %s are given back as bytes: %s", self.topic, exc)
-            return rawClass(type_, self.md5sum)
+            return raw_class(type_, self.md5sum)
 
     def message(self) -> Any:
         """Deserialise the message.
@@ -146,15 +146,15 @@ class StoredRow:
         Raises:
             CorruptMessage: The bytes are not a message of the type.
         """
-        return deserialize(self.messageClass(), self.wire)
+        return deserialize(self.message_class(), self.wire)
 
 
-def fetchRow(table: TopicTable, position: Position) -> Optional[TableRow]:
+def fetch_row(table: TopicTable, position: Position) -> Optional[TableRow]:
     """Read one row by its place: one SELECT. None where there is none."""
-    return next(fetchRows([Wanted(table, position)], ahead=1), None)
+    return next(fetch_rows([Wanted(table, position)], ahead=1), None)
 
 
-def readWire(table: TopicTable, row: TableRow) -> bytes:
+def read_wire(table: TopicTable, row: TableRow) -> bytes:
     """Return the serialised message of a row.
 
     Raises:
@@ -163,15 +163,15 @@ def readWire(table: TopicTable, row: TableRow) -> bytes:
     """
     topic = table.metadata.topic
     if row.nchunks:
-        return readChunks(table, row)
+        return read_chunks(table, row)
     if row.raw is None and len(row.columns) < len(table.columns):
-        whole = fetchRow(table, row.position)
+        whole = fetch_row(table, row.position)
         if whole is None:
             raise MessageNotFound(
                 f"the message of topic {topic} at {row.t} was removed while it was read"
             )
         row = whole
-    wire = table.format.decodeWire(row.columns, row.raw)
+    wire = table.format.decode_wire(row.columns, row.raw)
     if len(wire) != row.size:
         raise CorruptMessage(
             f"the message of topic {topic} at {row.t} has {len(wire)} bytes instead of "

@@ -12,14 +12,14 @@ from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import DefinitionError, InvalidName
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
-from cassandra_ros.formats.table import formatClass
+from cassandra_ros.formats.table import format_class
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.messages.definition import Definition, parseDefinition
+from cassandra_ros.messages.definition import Definition, parse_definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.row_table import Indexed, NewRow, RowTable, Shadows, encodeLong
+from cassandra_ros.store.row_table import Indexed, NewRow, RowTable, Shadows, encode_long
 from cassandra_ros.store.schema import Schema
 
 _log = logging.getLogger(__name__)
@@ -41,12 +41,12 @@ class TopicTable(RowTable):
     ) -> None:
         self.definition = definition
         """None where the stored definition is not one; the rows are bytes then."""
-        self.format: CassandraTopic_ = formatClass(metadata.format)(
+        self.format: CassandraTopic_ = format_class(metadata.format)(
             metadata.msg_type, metadata.md5sum, definition
         )
         columns = tuple(self.format.getColValidationClasses())
         super().__init__(cassandra, keyspace, name, metadata, columns)
-        self.key_part = _keyPart(metadata, definition)
+        self.key_part = _key_part(metadata, definition)
         """The field that is the key, where there is one."""
         timed = self.key_part is None or self.key_part.is_time
         self.value_part = None if timed else self.key_part
@@ -107,7 +107,7 @@ class TopicTable(RowTable):
             return Shadows(tuple(values), lambda wire: _alone(every[0](wire)))
         return Shadows(tuple(values), lambda wire: _together([value(wire) for value in every]))
 
-    def newRow(self, received: int, seq: int, conn: int, wire: bytes, name: str = "") -> NewRow:
+    def make_row(self, received: int, seq: int, conn: int, wire: bytes, name: str = "") -> NewRow:
         """Make the row of a message: its columns, and its place by the topic's key format.
 
         Args:
@@ -118,19 +118,19 @@ class TopicTable(RowTable):
             name: Where messages are kept under names: this one's; '' = the topic's.
         """
         metadata = self.metadata
-        columns, odd, raw = self.format.encodeWire(wire)
+        columns, odd, raw = self.format.encode_wire(wire)
         if metadata.key_format == "time":
             return NewRow(received, seq, conn, wire, columns, odd, raw)
         if metadata.key_format == "manual":
             return NewRow(received, seq, conn, wire, columns, odd, raw, name or metadata.topic)
         if metadata.key_format == "hash":
-            columns = (*columns, encodeLong(received), encodeLong(seq))
+            columns = (*columns, encode_long(received), encode_long(seq))
             digest = hashlib.md5(metadata.msg_type.encode("utf-8") + b"\0" + wire).hexdigest()
             return NewRow(0, 0, conn, wire, columns, odd, raw, digest)
         if self.key_part is None or self.value_part is not None:
             return NewRow(received, seq, conn, wire, columns, odd, raw)
         t = self.key_part.time(wire)
-        columns = (*columns, encodeLong(received))
+        columns = (*columns, encode_long(received))
         # What has no time lies where it was received; nsecs may pass the end of time.
         t = received if t is None else min(t, MAX_NS)
         return NewRow(t, seq, conn, wire, columns, odd, raw)
@@ -150,7 +150,7 @@ class TopicTables:
         with self._mutex:
             table = self._made.get(name)
             if table is None:
-                definition = definitionIn(metadata)
+                definition = definition_in(metadata)
                 table = TopicTable(
                     self._cassandra, self._schema.keyspace, name, metadata, definition
                 )
@@ -158,12 +158,12 @@ class TopicTables:
             table.metadata = metadata
             return table
 
-    def byName(self, name: str) -> Optional[TopicTable]:
+    def by_name(self, name: str) -> Optional[TopicTable]:
         """Return a table by its name, or None where there is none of this name now."""
         metadata = self._schema.tables().get(name)
         return None if metadata is None else self.get(name, metadata)
 
-    def ofTopic(self, topic: str) -> list[TopicTable]:
+    def of_topic(self, topic: str) -> list[TopicTable]:
         """List the tables of a topic: one for each md5 and format."""
         tables = sorted(self._schema.tables().items())
         return [self.get(name, m) for name, m in tables if m.topic == topic]
@@ -182,16 +182,16 @@ def _together(values: Sequence[tuple[Optional[bytes], bool]]) -> Indexed:
     return [value for value, _ in values], any(odd for _, odd in values)
 
 
-def definitionIn(metadata: TopicMetadata) -> Optional[Definition]:
+def definition_in(metadata: TopicMetadata) -> Optional[Definition]:
     """Return the definition that a comment holds, None where it is unusable."""
     try:
-        return parseDefinition(metadata.msg_type, metadata.definition, metadata.md5sum)
+        return parse_definition(metadata.msg_type, metadata.definition, metadata.md5sum)
     except DefinitionError as exc:
         _log.debug("topic %s has no usable definition: %s", metadata.topic, exc)
         return None
 
 
-def _keyPart(metadata: TopicMetadata, definition: Optional[Definition]) -> Optional[KeyPart]:
+def _key_part(metadata: TopicMetadata, definition: Optional[Definition]) -> Optional[KeyPart]:
     # A definition that lacks the field has neither index nor receive time; its rows lie by time.
     able = metadata.own_time or metadata.key_part in metadata.indexes
     if metadata.key_format != "msg_part" or definition is None or not able:

@@ -8,9 +8,9 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Optional, Sequence
 
-from cassandra_ros.store.counting import scanKeys, settle
+from cassandra_ros.store.counting import scan_keys, settle
 from cassandra_ros.store.directory import BucketRow, Directory
-from cassandra_ros.store.fetch import NamedKey, listNames
+from cassandra_ros.store.fetch import NamedKey, list_names
 from cassandra_ros.topics.topic_table import TopicTable
 
 _FIRST, _LAST = -(2**63), 2**63 - 1
@@ -57,11 +57,11 @@ class TopicTotals:
 
     def _count(self, table: TopicTable, low: int, high: int, nodes: Optional[Sequence[str]]) -> int:
         if table.named:
-            keys = listNames(table, nodes)
+            keys = list_names(table, nodes)
             return sum(low <= key.position.t <= high for key in keys)
         length = table.metadata.bucket_ns
         rows = self._directory.buckets(
-            table.name, table.bucketOf(low), table.bucketOf(high), nodes, table.metadata.ttl
+            table.name, table.bucket_of(low), table.bucket_of(high), nodes, table.metadata.ttl
         )
         inner = [
             r for r in rows if low <= r.bucket * length and (r.bucket + 1) * length - 1 <= high
@@ -69,7 +69,7 @@ class TopicTotals:
         settled = settle(self._directory, table, inner)
         edges = {(r.node, r.bucket) for r in rows} - {(r.node, r.bucket) for r in inner}
         return sum(row.rows for row in settled) + sum(
-            1 for node, bucket in edges for _ in scanKeys(table, node, bucket, low, high)
+            1 for node, bucket in edges for _ in scan_keys(table, node, bucket, low, high)
         )
 
     def count_buckets(self, tables: Sequence[TopicTable]) -> int:
@@ -86,7 +86,7 @@ class TopicTotals:
         found: list[TopicInfo] = []
         for table in tables:
             if table.named:
-                rows = _namesAsBuckets(table)
+                rows = _names_as_buckets(table)
             else:
                 rows = self._directory.buckets(table.name, _FIRST, _LAST, ttl=table.metadata.ttl)
                 rows = settle(self._directory, table, rows)
@@ -95,16 +95,16 @@ class TopicTotals:
         return found
 
 
-def _namesAsBuckets(table: TopicTable) -> list[BucketRow]:
+def _names_as_buckets(table: TopicTable) -> list[BucketRow]:
     """Describe each named message as if its name were a bucket."""
     numbers: dict[str, int] = {}
     return [
-        _asBucket(numbers.setdefault(key.position.name, len(numbers)), key)
-        for key in listNames(table, None)
+        _as_bucket(numbers.setdefault(key.position.name, len(numbers)), key)
+        for key in list_names(table, None)
     ]
 
 
-def _asBucket(number: int, key: NamedKey) -> BucketRow:
+def _as_bucket(number: int, key: NamedKey) -> BucketRow:
     t = key.position.t
     return BucketRow(
         node=key.position.node,

@@ -59,7 +59,7 @@ class Buffer:
         self._time = time
         moving = list(moving)
         self._scales = _scales(moving, time)
-        whole = Stamp.fromNs(2 * REACH_NS + SECOND_NS) - Stamp.fromNs(0)
+        whole = Stamp.from_ns(2 * REACH_NS + SECOND_NS) - Stamp.from_ns(0)
         self._core = tf2_py.BufferCore(whole)
         for sample in moving:
             self._core.set_transform(_message(sample, self._place(sample)), _AUTHORITY)
@@ -77,7 +77,7 @@ class Buffer:
             TransformException: tf2 raises one.
         """
         try:
-            return self._core.lookup_transform_core(target, source, Stamp.fromNs(_BASE_NS))
+            return self._core.lookup_transform_core(target, source, Stamp.from_ns(_BASE_NS))
         except tf2_py.TransformException as exc:
             kind = _ERRORS.get(type(exc), TransformException)
             raise kind(explain(kind)) from exc
@@ -104,7 +104,7 @@ def _scales(samples: Iterable[Sample], time: Optional[int]) -> dict[str, Optiona
 
 def _message(sample: Sample, ns: int) -> TransformStamped:
     message = TransformStamped()
-    message.header.stamp = Stamp.fromNs(ns)
+    message.header.stamp = Stamp.from_ns(ns)
     message.header.frame_id = sample.parent
     message.child_frame_id = sample.child
     moved, turned = message.transform.translation, message.transform.rotation

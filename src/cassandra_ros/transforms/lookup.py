@@ -12,7 +12,7 @@ from geometry_msgs.msg import TransformStamped
 from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import InvalidName, LookupException, TopicNotFound, TransformException
 from cassandra_ros.keys import MAX_NS, SECOND_NS
-from cassandra_ros.messages.stamps import Stamp, isoTime, toNs
+from cassandra_ros.messages.stamps import Stamp, iso_time, to_ns
 from cassandra_ros.query.protocols import Row, Source
 from cassandra_ros.transforms.buffer import Buffer
 from cassandra_ros.transforms.samples import (
@@ -47,7 +47,7 @@ class TransformFinder:
         """Return the transform that takes points of one frame to another; see RosCassandra."""
         frames = (_frame(target), _frame(source))
         check_nodes(self._node)
-        asked = toNs(time)
+        asked = to_ns(time)
         moving, fixed = (self._recorded(name) for name in (tf, tf_static))
         if moving is None and fixed is None:
             self._find(tf)  # raises with the nearest names
@@ -125,7 +125,7 @@ class _Lookup:
             fixed.extend(named(frame) for frame in known)
         buffer = Buffer(time, moving, fixed)
         found = buffer.lookup(*self._failure.frames, lambda kind: self._failure.text(kind, tree))
-        found.header.stamp = Stamp.fromNs(time or 0)
+        found.header.stamp = Stamp.from_ns(time or 0)
         return found
 
 
@@ -212,7 +212,7 @@ class Failure:
 
 
 def _shown(ns: int) -> str:
-    return f"{isoTime(ns)} ({ns} ns)"
+    return f"{iso_time(ns)} ({ns} ns)"
 
 
 def _ignored(frame: str, tree: FrameTree) -> str:

@@ -18,7 +18,7 @@ from typing import Any, Iterator, NamedTuple, Optional, Sequence, Tuple
 from cassandra_ros.errors import CorruptMessage, TypeMismatch
 from cassandra_ros.keys import MAX_NS, SECOND_NS, Position
 from cassandra_ros.query.extract import Extractor
-from cassandra_ros.query.names import allFields
+from cassandra_ros.query.names import all_fields
 from cassandra_ros.query.protocols import Row, Source, Table
 
 _log = logging.getLogger(__name__)
@@ -219,7 +219,7 @@ class Recorded:
                     f"topic {self._topic.name} holds {table.msg_type}, no transforms: name the "
                     "topics of tf2_msgs/TFMessage with tf= and tf_static="
                 )
-            refs = {ref.name: ref for ref in allFields(definition)}
+            refs = {ref.name: ref for ref in all_fields(definition)}
             head, rest = (
                 Extractor(definition, [refs[f"transforms.{name}"] for name in names], ())
                 for names in (_HEAD, _REST)
@@ -258,21 +258,21 @@ class Search:
             None where nothing connects the frames at the time, and everything was read.
         """
         reach = FIRST_REACH_NS
-        while self._recorded is not None and not self._isFinal() and not self._isWhole():
+        while self._recorded is not None and not self._is_final() and not self._is_whole():
             self._widen(self._recorded, max(0, centre - reach), min(MAX_NS, centre + reach))
             reach *= 2
         return self.tree.path(*self._frames)
 
-    def _isFinal(self) -> bool:
+    def _is_final(self) -> bool:
         """Say whether there is a path that more transforms cannot change."""
         path = self.tree.path(*self._frames)
         if path is None:
             return False
         if not path and self.tree.nearest.time is None:
             return self._window is not None  # a frame to itself: its newest time
-        return all(self._isNearest(sample) for sample in self.tree.moving(path))
+        return all(self._is_nearest(sample) for sample in self.tree.moving(path))
 
-    def _isNearest(self, before: Sample) -> bool:
+    def _is_nearest(self, before: Sample) -> bool:
         """Say whether a nearer transform would have been read.
 
         It would have come between the two that are known, had its delay been between theirs.
@@ -285,7 +285,7 @@ class Search:
         low, high = before.stamp + min(delays), after.stamp + max(delays)
         return self._window is not None and self._window[0] <= low and high <= self._window[1]
 
-    def _isWhole(self) -> bool:
+    def _is_whole(self) -> bool:
         if self._recorded is None or self._window is None:
             return False
         first, last = self._recorded.ends

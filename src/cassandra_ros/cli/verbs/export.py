@@ -49,13 +49,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Export, and say what was written."""
-    from cassandra_ros.bag.exporter import exportBag
+    from cassandra_ros.bag.exporter import export_bag
 
     where, (start, end) = read_where(options), read_times(options)
     begun = time.monotonic()
-    with open_store(options) as rosCas, MessageBar(f"exporting {options.bag}") as bar:
-        report = exportBag(
-            rosCas,
+    with open_store(options) as ros_cas, MessageBar(f"exporting {options.bag}") as bar:
+        report = export_bag(
+            ros_cas,
             options.bag,
             topics=options.topics,
             start=start,

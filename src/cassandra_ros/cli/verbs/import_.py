@@ -48,10 +48,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Import one bag after the other; the first that fails ends it."""
     status = 0
-    with open_store(options, make=True) as rosCas:
+    with open_store(options, make=True) as ros_cas:
         for path in options.bags:
             try:
-                if _import(rosCas, path, options).lost:
+                if _import(ros_cas, path, options).lost:
                     status = 1
             except (KeyboardInterrupt, SystemExit):
                 hint = "cassandra_bag: interrupted; the same command again completes the import"
@@ -60,12 +60,12 @@ def run(options: argparse.Namespace) -> int:
     return status
 
 
-def _import(rosCas: RosCassandra, path: str, options: argparse.Namespace) -> ImportReport:
-    from cassandra_ros.bag.importer import importBag
-    from cassandra_ros.bag.reader import BagReader, chosenConnections
+def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> ImportReport:
+    from cassandra_ros.bag.importer import import_bag
+    from cassandra_ros.bag.reader import BagReader, chosen_connections
 
     with BagReader(path) as reader:
-        chosen = chosenConnections(reader, options.topics)
+        chosen = chosen_connections(reader, options.topics)
         count = sum(reader.counts[number] for number in chosen)
         total = reader.message_count
     begun, name = time.monotonic(), os.path.basename(path)
@@ -79,8 +79,8 @@ def _import(rosCas: RosCassandra, path: str, options: argparse.Namespace) -> Imp
 
             return add
 
-        report = importBag(
-            rosCas,
+        report = import_bag(
+            ros_cas,
             path,
             format=options.format,
             topics=options.topics,

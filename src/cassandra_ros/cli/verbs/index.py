@@ -43,8 +43,8 @@ def run(options: argparse.Namespace) -> int:
         return _list(options)
     if options.field is None:
         options.parser.error("TOPIC and FIELD are needed, or --list")
-    with open_store(options) as rosCas:
-        topic = rosCas.getTopic(options.topic)
+    with open_store(options) as ros_cas:
+        topic = ros_cas.getTopic(options.topic)
         where = f"index on {shown(options.field)} of topic {shown(topic.name)}"
         if options.remove:
             topic.removeIndex(options.field)
@@ -59,9 +59,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _list(options: argparse.Namespace) -> int:
-    with open_store(options) as rosCas:
+    with open_store(options) as ros_cas:
         topics = (
-            rosCas.getAllTopics() if options.topic is None else [rosCas.getTopic(options.topic)]
+            ros_cas.getAllTopics() if options.topic is None else [ros_cas.getTopic(options.topic)]
         )
         rows = sorted(
             {

@@ -35,9 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the description."""
-    with open_store(options) as rosCas:
-        infos = rosCas.info(options.topics or None)
-        runs = sorted(rosCas.runs(), key=lambda run: str(run.started))
+    with open_store(options) as ros_cas:
+        infos = ros_cas.info(options.topics or None)
+        runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
     if options.yaml:
         _print_yaml(options, infos, runs)
         return 0

@@ -20,10 +20,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print a line for each topic, type and format."""
-    with open_store(options) as rosCas:
+    with open_store(options) as ros_cas:
         rows = [
             (shown(topic.name), table.metadata.msg_type, table.metadata.format)
-            for topic in rosCas.getAllTopics(options.pattern)
+            for topic in ros_cas.getAllTopics(options.pattern)
             for table in topic.tables
         ]
     if rows:

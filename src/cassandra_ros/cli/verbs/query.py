@@ -82,40 +82,40 @@ def run(options: argparse.Namespace) -> int:
     params = [_parameter(text) for text in options.params]
     if options.output == "parquet":
         load_parquet()  # before anything is asked
-    with open_store(options) as rosCas:
+    with open_store(options) as ros_cas:
         if options.explain:
-            print(rosCas.explainCQL(options.statement, params, nodeID=options.node_id))
+            print(ros_cas.explainCQL(options.statement, params, nodeID=options.node_id))
         else:
-            _answer(rosCas, options, params)
+            _answer(ros_cas, options, params)
     return 0
 
 
 def _parameter(text: str) -> object:
-    from cassandra_ros.query.json_values import fromJson
+    from cassandra_ros.query.json_values import from_json
 
     try:
-        return fromJson(text)
+        return from_json(text)
     except InvalidExpression:
         return text
 
 
-def _answer(rosCas: RosCassandra, options: argparse.Namespace, params: Sequence[object]) -> None:
-    from cassandra_ros.arrays.array_types import ArrayType, columnTypes
+def _answer(ros_cas: RosCassandra, options: argparse.Namespace, params: Sequence[object]) -> None:
+    from cassandra_ros.arrays.array_types import ArrayType, column_types
     from cassandra_ros.cli.results import write
-    from cassandra_ros.query.parse import parseStatement
+    from cassandra_ros.query.parse import parse_statement
     from cassandra_ros.query.syntax import Select
 
-    statement, node = parseStatement(options.statement, params), options.node_id
+    statement, node = parse_statement(options.statement, params), options.node_id
     where = (options.output, options.output_file, options.force)
     if isinstance(statement, Select):
-        with rosCas.statements.select(statement, node=node, limit=options.limit) as result:
+        with ros_cas.statements.select(statement, node=node, limit=options.limit) as result:
             kinds = [(name, ArrayType("mixed")) for name in result.columns]
             if options.output == "parquet":
-                kinds = columnTypes(statement, rosCas.getTopic(statement.topic).tables)
+                kinds = column_types(statement, ros_cas.getTopic(statement.topic).tables)
             write(kinds, result, *where)
         return
     if not options.allow_writes:
         raise InvalidOption("the statement changes what is stored; to run it, add --allow-writes")
-    rows = rosCas.statements.run(statement, node=node, limit=options.limit)
+    rows = ros_cas.statements.run(statement, node=node, limit=options.limit)
     if rows.columns:
         write([(name, ArrayType("int64")) for name in rows.columns], rows, *where)

@@ -72,20 +72,20 @@ def run(options: argparse.Namespace) -> int:
 
 def _compare(options: argparse.Namespace) -> VerifyReport:
     from cassandra_ros.bag.reader import BagReader
-    from cassandra_ros.bag.verify import verifyBag, verifyContent
+    from cassandra_ros.bag.verify import verify_bag, verify_content
 
     start, end = read_times(options)
     with BagReader(options.bag) as reader:
         count = reader.message_count
     first = MessageBar(f"reading {options.bag}", count)
     bar = MessageBar(f"verifying {options.bag}", count)
-    with open_store(options) as rosCas, first, bar:
+    with open_store(options) as ros_cas, first, bar:
         if not options.content:
-            return verifyBag(
-                rosCas, options.bag, options.topics, options.node_id, bar.add, first.add
+            return verify_bag(
+                ros_cas, options.bag, options.topics, options.node_id, bar.add, first.add
             )
-        return verifyContent(
-            rosCas,
+        return verify_content(
+            ros_cas,
             options.bag,
             topics=options.topics,
             nodeID=options.node_id,

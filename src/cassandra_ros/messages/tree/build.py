@@ -20,8 +20,8 @@ from cassandra_ros.messages.tree.read import (
     NUMBER_CODES,
     TIME_CODES,
     TIME_NAMES,
-    isBytes,
-    numberRuns,
+    is_bytes,
+    number_runs,
 )
 
 AsBytes = Callable[[object], bytes]
@@ -36,7 +36,7 @@ _ERRORS = (struct.error, KeyError, OverflowError, TypeError, ValueError, Recursi
 _pack_length = struct.Struct("<I").pack
 
 
-def plainBytes(value: object) -> bytes:
+def plain_bytes(value: object) -> bytes:
     """Return the bytes of uint8[] or char[], given as such or as a list of numbers.
 
     Raises:
@@ -50,8 +50,8 @@ def plainBytes(value: object) -> bytes:
 
 
 @lru_cache(maxsize=512)
-def treeBuilder(
-    definition: Definition, as_bytes: AsBytes = plainBytes
+def tree_builder(
+    definition: Definition, as_bytes: AsBytes = plain_bytes
 ) -> Callable[[object], bytes]:
     """Return the function from trees of a definition to wire bytes, compiled once.
 
@@ -84,7 +84,7 @@ class _Compiler:
         if name not in self._memo:
             fields = self._specs[name].fields
             steps: list[_Step] = []
-            for run, fixed in numberRuns(fields):
+            for run, fixed in number_runs(fields):
                 if fixed is not None:
                     steps.append(_numbers_step(run, fixed))
                 else:
@@ -102,7 +102,7 @@ class _Compiler:
         return self.message(field.type)
 
     def _array(self, field: Field) -> _Write:
-        if isBytes(field):
+        if is_bytes(field):
             return _bytes(field.length, self._as_bytes)
         if field.base in NUMBER_CODES:
             return _numbers(NUMBER_CODES[field.base], field.length)

@@ -13,7 +13,7 @@ from typing import Any, Callable, List, Sequence
 
 import yaml
 
-from cassandra_ros.messages.definition import Definition, attributeName
+from cassandra_ros.messages.definition import Definition, attribute_name
 from cassandra_ros.messages.spec import Field
 from cassandra_ros.messages.tree.read import NUMBER_CODES, TIME_CODES, MessageTree
 
@@ -28,7 +28,7 @@ _PLAIN = re.compile(r"[ !#-\[\]-~]{1,70}")
 
 
 @lru_cache(maxsize=512)
-def echoPrinter(definition: Definition) -> Callable[[MessageTree], str]:
+def echo_printer(definition: Definition) -> Callable[[MessageTree], str]:
     """Return the function that prints the trees of a definition, compiled once."""
     lines = _Compiler(definition).message(definition.type)
     return lambda tree: "\n".join(lines(tree, ""))
@@ -44,7 +44,7 @@ class _Compiler:
     def message(self, name: str) -> _Lines:
         if name not in self._memo:
             fields = [
-                (f"{attributeName(field.name)}: ", field.name, self._field(field))
+                (f"{attribute_name(field.name)}: ", field.name, self._field(field))
                 for field in self._specs[name].fields
             ]
 

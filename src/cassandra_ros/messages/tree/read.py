@@ -17,7 +17,7 @@ from typing import Callable, Dict, Iterator, List, Sequence, Tuple, Union
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES, Field
-from cassandra_ros.messages.wire.skip import WIRE_ERRORS, compileFieldSkip, shortBuffer
+from cassandra_ros.messages.wire.skip import WIRE_ERRORS, compile_field_skip, short_buffer
 
 TIME_CODES = {"time": "<II", "duration": "<ii"}
 TIME_NAMES = ("secs", "nsecs")
@@ -84,7 +84,7 @@ _length = struct.Struct("<I").unpack_from
 _CONTINUATION = bytes(range(0x80, 0xC0))
 
 
-def numberRuns(fields: Sequence[Field]) -> Iterator[tuple[list[Field], struct.Struct | None]]:
+def number_runs(fields: Sequence[Field]) -> Iterator[tuple[list[Field], struct.Struct | None]]:
     """Yield fields in order, numbers (or bools) side by side together with what reads them.
 
     A field of another kind stands alone, with None.
@@ -100,7 +100,7 @@ def numberRuns(fields: Sequence[Field]) -> Iterator[tuple[list[Field], struct.St
         yield together, struct.Struct("<" + "".join(codes)) if codes else None
 
 
-def isBytes(field: Field) -> bool:
+def is_bytes(field: Field) -> bool:
     """Return whether a field's tree is bytes."""
     return field.is_array and field.base == "uint8"
 
@@ -136,7 +136,7 @@ class TreeReader:
         if name not in self._memo:
             weight = 0
             steps: list[_Step] = []
-            for run, fixed in numberRuns(self._specs[name].fields):
+            for run, fixed in number_runs(self._specs[name].fields):
                 if fixed is not None:
                     weight += _FIELD * len(run)
                     steps.append(_numbers_step([field.name for field in run], fixed))
@@ -157,9 +157,9 @@ class TreeReader:
         return self._message(field.type)
 
     def _array(self, field: Field) -> _Read:
-        length, skip = field.length, compileFieldSkip(field, self._specs)
+        length, skip = field.length, compile_field_skip(field, self._specs)
         if field.base in NUMBER_CODES:
-            weight, read_elements = 0 if isBytes(field) else _NUMBER, _number_elements(field)
+            weight, read_elements = 0 if is_bytes(field) else _NUMBER, _number_elements(field)
         else:
             element, least = self._field(Field(field.name, field.type))
             weight, read_elements = max(least, _NUMBER), _elements(element)
@@ -179,7 +179,7 @@ class TreeReader:
 
 
 @lru_cache(maxsize=512)
-def treeReader(definition: Definition) -> TreeReader:
+def tree_reader(definition: Definition) -> TreeReader:
     """Return the reader of a definition, compiled once per type and md5."""
     return TreeReader(definition)
 
@@ -217,7 +217,7 @@ def _string(wire: bytes, at: int, budget: Budget) -> tuple[TreeValue, int]:
     at += 4
     end = at + size
     if end > len(wire):
-        raise shortBuffer()
+        raise short_buffer()
     if size > budget.text:
         budget.shortened = True
         return f"<string length: {_characters(wire, at, end)}>", end
@@ -242,7 +242,7 @@ def _number_elements(field: Field) -> _Elements:
     def read(wire: bytes, at: int, count: int, budget: Budget) -> tuple[TreeValue, int]:
         end = at + count * size
         if end > len(wire):
-            raise shortBuffer()
+            raise short_buffer()
         if code == "B":
             budget.charge(count * budget.byte)
             return wire[at:end], end

@@ -8,13 +8,13 @@ import struct
 from itertools import chain
 from typing import Callable, Optional, Sequence, Sized, Tuple, cast
 
-from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, cqlSizes
+from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, cql_sizes
 from cassandra_ros.messages.wire.values import (
-    nsToDuration,
-    nsToTime,
-    splitEqual,
-    splitList,
-    unpackNumbers,
+    ns_to_duration,
+    ns_to_time,
+    split_equal,
+    split_list,
+    unpack_numbers,
 )
 
 Columns = Sequence[bytes]
@@ -31,7 +31,7 @@ BUILD_ERRORS = (struct.error, TypeError, ValueError, OverflowError, IndexError)
 _pack_length = struct.Struct("<I").pack
 
 
-def compileBuild(segments: Sequence[Segment]) -> list[Step]:
+def compile_build(segments: Sequence[Segment]) -> list[Step]:
     """Return the steps that turn all columns of a type into a message."""
     steps: list[Step] = []
     first = 0
@@ -44,7 +44,7 @@ def compileBuild(segments: Sequence[Segment]) -> list[Step]:
     return steps
 
 
-def buildMessage(steps: Sequence[Step], columns: Sequence[bytes | None]) -> bytes:
+def build_message(steps: Sequence[Step], columns: Sequence[bytes | None]) -> bytes:
     """Return the wire bytes of columns.
 
     Raises:
@@ -72,7 +72,7 @@ def _head(fixed: Sequence[Fixed], first: int, after: int, has_length: bool) -> H
         return (lambda columns, count: _pack_length(count)) if has_length else None
     unpack = struct.Struct(">" + "".join(f.big for f in fixed)).unpack
     pack = struct.Struct("<" + "".join(f.little for f in fixed) + "I" * has_length).pack
-    converts = {"time": nsToTime, "duration": nsToDuration}
+    converts = {"time": ns_to_time, "duration": ns_to_duration}
     times = [(i, converts[f.special]) for i, f in enumerate(fixed) if f.special in converts]
     varints = [i for i, f in enumerate(fixed) if f.special == "uint64"]
     blobs = [(first + i, f.cql_size) for i, f in enumerate(fixed) if f.column.kind == "array"]
@@ -134,7 +134,7 @@ def _bytes(index: int, unit: int) -> BuildTail:
 
 def _texts(index: int, length: int | None) -> BuildTail:
     def tail(columns: Columns) -> tuple[int, bytes]:
-        texts = splitList(columns[index])
+        texts = split_list(columns[index])
         if length is not None and len(texts) != length:
             raise struct.error("a list has another length than its array")
         sizes = map(_pack_length, map(len, texts))
@@ -146,8 +146,10 @@ def _texts(index: int, length: int | None) -> BuildTail:
 def _elements(field: Tail, first: int) -> BuildTail:
     """Elements of variable size: each is built as a message of its own."""
     after, length = first + len(field.columns), field.length
-    steps = compileBuild(field.element)
-    splits = [splitList if size is None else splitEqual(size) for size in cqlSizes(field.element)]
+    steps = compile_build(field.element)
+    splits = [
+        split_list if size is None else split_equal(size) for size in cql_sizes(field.element)
+    ]
 
     def tail(columns: Columns) -> tuple[int, bytes]:
         lists = [split(column) for split, column in zip(splits, columns[first:after])]
@@ -163,7 +165,7 @@ def _elements(field: Tail, first: int) -> BuildTail:
 def _numbers(fixed: Sequence[Fixed], first: int, length: int | None) -> BuildTail:
     """Elements of fixed size: column by column, then all at once."""
     after = first + len(fixed)
-    splits = [unpackNumbers(f) for f in fixed]
+    splits = [unpack_numbers(f) for f in fixed]
     pack = struct.Struct("<" + "".join(f.little for f in fixed)).pack
 
     def tail(columns: Columns) -> tuple[int, bytes]:

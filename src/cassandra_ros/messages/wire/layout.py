@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Iterator, Mapping
 
 from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, MessageSpec
-from cassandra_ros.messages.wire.skip import Skip, compileFieldSkip, fixedSize
+from cassandra_ros.messages.wire.skip import Skip, compile_field_skip, fixed_size
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def layout(msg_type: str, specs: Mapping[str, MessageSpec]) -> tuple[Segment, ..
     return _segments(_items(msg_type, specs, "", False))
 
 
-def columnsOf(segments: tuple[Segment, ...]) -> Iterator[FieldColumn]:
+def columns_of(segments: tuple[Segment, ...]) -> Iterator[FieldColumn]:
     """Yield all columns in the order of the wire."""
     for segment in segments:
         for fixed in segment.fixed:
@@ -126,7 +126,7 @@ def columnsOf(segments: tuple[Segment, ...]) -> Iterator[FieldColumn]:
             yield from segment.tail.columns
 
 
-def cqlSizes(segments: tuple[Segment, ...]) -> Iterator[int | None]:
+def cql_sizes(segments: tuple[Segment, ...]) -> Iterator[int | None]:
     """Yield the bytes that each column takes in CQL, None where they vary."""
     for segment in segments:
         for fixed in segment.fixed:
@@ -135,7 +135,7 @@ def cqlSizes(segments: tuple[Segment, ...]) -> Iterator[int | None]:
             yield from [None] * len(segment.tail.columns)
 
 
-def elementOf(column: FieldColumn) -> Fixed:
+def element_of(column: FieldColumn) -> Fixed:
     """Return how one element of a primitive array lies on the wire, and what would hold it."""
     return _fixed(column.name, Field(column.name, column.field_type.partition("[")[0]))
 
@@ -169,7 +169,7 @@ def _items(
                 yield item
         elif field.type == "string":
             column = FieldColumn(name, "text", "text", "string")
-            yield Tail("text", compileFieldSkip(field, specs), columns=(column,))
+            yield Tail("text", compile_field_skip(field, specs), columns=(column,))
         elif field.is_primitive:
             yield _fixed(name, field)
         else:
@@ -185,10 +185,10 @@ def _fixed(name: str, field: Field) -> Fixed:
 def _array(
     name: str, field: Field, specs: Mapping[str, MessageSpec], inside: bool
 ) -> Fixed | Tail | None:
-    skip, length = compileFieldSkip(field, specs), field.length
+    skip, length = compile_field_skip(field, specs), field.length
     if field.is_primitive and field.type != "string":
         return _numbers(name, field, skip)
-    size = None if field.is_primitive else fixedSize(field.type, specs)
+    size = None if field.is_primitive else fixed_size(field.type, specs)
     if length == 0 or (length is not None and size == 0):
         return None  # takes no bytes: no column either
     if inside or size == 0:
@@ -200,7 +200,7 @@ def _array(
     element = _segments(_items(field.type, specs, name + ".", True))
     columns = tuple(
         replace(c, cql_type=f"frozen<list<{c.cql_type}>>", is_list=True, array=name)
-        for c in columnsOf(element)
+        for c in columns_of(element)
     )
     return Tail("elements", skip, length=length, columns=columns, element=element)
 

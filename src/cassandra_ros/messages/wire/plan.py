@@ -9,11 +9,11 @@ from typing import Any, Callable, Sequence
 
 from cassandra_ros.errors import CorruptMessage, InvalidExpression
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.build import BUILD_ERRORS, buildMessage, compileBuild
-from cassandra_ros.messages.wire.layout import FieldColumn, columnsOf, layout
+from cassandra_ros.messages.wire.build import BUILD_ERRORS, build_message, compile_build
+from cassandra_ros.messages.wire.layout import FieldColumn, columns_of, layout
 from cassandra_ros.messages.wire.skip import WIRE_ERRORS
-from cassandra_ros.messages.wire.values import compileDecoder
-from cassandra_ros.messages.wire.walk import Out, Step, compileWalk
+from cassandra_ros.messages.wire.values import compile_decoder
+from cassandra_ros.messages.wire.walk import Out, Step, compile_walk
 
 MAX_COLUMNS = 64
 
@@ -31,16 +31,16 @@ class WirePlan:
     def __init__(self, definition: Definition) -> None:
         self.definition = definition
         self._segments = layout(definition.type, definition.specs)
-        self.all_columns: tuple[FieldColumn, ...] = tuple(columnsOf(self._segments))
+        self.all_columns: tuple[FieldColumn, ...] = tuple(columns_of(self._segments))
         scalars = [c for c in self.all_columns if c.is_scalar]
         self.complete = len(self.all_columns) <= MAX_COLUMNS
         self.columns = self.all_columns if self.complete else tuple(scalars[:MAX_COLUMNS])
         names = {column.name for column in self.columns}
-        self._steps = compileWalk(self._segments, True, names)
-        self._build = compileBuild(self._segments)
-        self._decoders = [compileDecoder(c, definition.specs) for c in self.columns]
+        self._steps = compile_walk(self._segments, True, names)
+        self._build = compile_build(self._segments)
+        self._decoders = [compile_decoder(c, definition.specs) for c in self.columns]
         self._scalar_at = [i for i, c in enumerate(self.columns) if c.is_scalar]
-        self._scalar_steps = compileWalk(self._segments, True, {c.name for c in scalars} & names)
+        self._scalar_steps = compile_walk(self._segments, True, {c.name for c in scalars} & names)
         self._readers: dict[tuple[str, ...], Callable[[bytes], list[Any]]] = {}
 
     def walk(self, wire: bytes) -> tuple[Out, bool]:
@@ -54,7 +54,7 @@ class WirePlan:
             return [None] * len(self.columns), True
         return out, odd or end != len(wire)
 
-    def walkScalars(self, wire: bytes) -> tuple[Out, bool]:
+    def walk_scalars(self, wire: bytes) -> tuple[Out, bool]:
         """Turn a large message into columns, leaving lists and arrays out (None)."""
         out, odd, end = _walk(self._scalar_steps, wire)
         columns: Out = [None] * len(self.columns)
@@ -75,14 +75,14 @@ class WirePlan:
         if not self.complete or len(columns) != len(self.columns):
             raise CorruptMessage(f"a row of {name} has {len(columns)} columns, not all its fields")
         try:
-            return buildMessage(self._build, columns)
+            return build_message(self._build, columns)
         except BUILD_ERRORS as exc:
             missing = [c.name for c, v in zip(self.columns, columns) if v is None]
             why = f"column {missing[0]} is missing" if missing else str(exc)
             raise CorruptMessage(f"the columns of a row are no {name}: {why}") from exc
 
     def value(self, index: int, raw: bytes) -> Any:
-        """Return the Python value of a column; see compileDecoder.
+        """Return the Python value of a column; see compile_decoder.
 
         Raises:
             CorruptMessage: The bytes are none of the column's type.
@@ -116,7 +116,7 @@ class WirePlan:
             InvalidExpression: There is no such field.
         """
         self._compile_cut((name,))  # checks the name
-        steps = compileWalk(self._segments, True, (name,))
+        steps = compile_walk(self._segments, True, (name,))
 
         def pick(wire: bytes) -> bytes | None:
             out, _, end = _walk(steps, wire)
@@ -142,7 +142,7 @@ class WirePlan:
     def _compile_reader(self, names: Sequence[str]) -> Callable[[bytes], list[Any]]:
         steps, places = self._compile_cut(names)
         columns = {column.name: column for column in self.all_columns}
-        decoders = [compileDecoder(columns[name], self.definition.specs) for name in names]
+        decoders = [compile_decoder(columns[name], self.definition.specs) for name in names]
         picks = list(zip(places, decoders))
 
         def read(wire: bytes) -> list[Any]:
@@ -159,7 +159,7 @@ class WirePlan:
         for name in names:
             if name not in found:
                 raise InvalidExpression(f"{self.definition.type} has no field {name!r}")
-        return compileWalk(self._segments, False, found), [found.index(name) for name in names]
+        return compile_walk(self._segments, False, found), [found.index(name) for name in names]
 
     def _no_message(self, wire: bytes) -> CorruptMessage:
         return CorruptMessage(f"{len(wire)} bytes are no {self.definition.type}")
@@ -182,6 +182,6 @@ def _walk(steps: Sequence[Step], wire: bytes) -> tuple[Out, bool, int]:
 
 
 @lru_cache(maxsize=512)
-def wirePlan(definition: Definition) -> WirePlan:
+def wire_plan(definition: Definition) -> WirePlan:
     """Return the plan of a definition, compiled once per type and md5."""
     return WirePlan(definition)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import struct
 from typing import Callable, Dict, List, Mapping, Union
 
-from cassandra_ros.messages.shape import objectCounts
+from cassandra_ros.messages.shape import object_counts
 from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, MessageSpec
 
 Skip = Callable[[bytes, int], int]
@@ -25,27 +25,27 @@ _Part = Union[int, Skip]
 _Memo = Dict[str, List[_Part]]
 
 
-def shortBuffer() -> struct.error:
+def short_buffer() -> struct.error:
     """Return the error to raise where a buffer ends too early."""
     return struct.error("the buffer ends before the message does")
 
 
-def compileSkip(msg_type: str, specs: Mapping[str, MessageSpec]) -> Skip:
+def compile_skip(msg_type: str, specs: Mapping[str, MessageSpec]) -> Skip:
     """Return the function that finds the end of a message of a checked definition."""
     return _chain(_message_parts(msg_type, specs, {}))
 
 
-def compileFieldSkip(field: Field, specs: Mapping[str, MessageSpec]) -> Skip:
+def compile_field_skip(field: Field, specs: Mapping[str, MessageSpec]) -> Skip:
     """Return the function that finds the end of one field, count of an array included."""
     return _chain(_field_parts(field, specs, {}))
 
 
-def fixedSize(msg_type: str, specs: Mapping[str, MessageSpec]) -> int | None:
+def fixed_size(msg_type: str, specs: Mapping[str, MessageSpec]) -> int | None:
     """Return the bytes that every message of a type takes, None when they vary."""
     return _size(_message_parts(msg_type, specs, {}))
 
 
-def compileObjectCheck(
+def compile_object_check(
     msg_type: str, specs: Mapping[str, MessageSpec]
 ) -> Callable[[bytes], object] | None:
     """Return the check that a message would not become too many objects; it raises struct.error.
@@ -53,7 +53,7 @@ def compileObjectCheck(
     An array of empty messages takes four bytes, whatever it counts; genpy makes an object of each.
     None: the type has no such array, and the size of a message bounds its objects.
     """
-    objects = objectCounts(msg_type, specs)
+    objects = object_counts(msg_type, specs)
     if objects is None:
         return None
 
@@ -65,7 +65,7 @@ def compileObjectCheck(
             nonlocal left
             for field in specs[name].fields:
                 if field.is_primitive:
-                    at = compileFieldSkip(field, specs)(wire, at)
+                    at = compile_field_skip(field, specs)(wire, at)
                     continue
                 count = field.length if field.is_array else 1
                 if count is None:
@@ -75,7 +75,7 @@ def compileObjectCheck(
                     left -= count * objects[field.type]
                     if left < 0:
                         raise struct.error("an array counts too many empty messages")
-                    if fixedSize(field.type, specs) == 0:
+                    if fixed_size(field.type, specs) == 0:
                         continue
                 for _ in range(count):
                     at = message(field.type, at)
@@ -138,7 +138,7 @@ def _skip_bytes(size: int) -> Skip:
     def skip(wire: bytes, at: int) -> int:
         at += size
         if at > len(wire):
-            raise shortBuffer()
+            raise short_buffer()
         return at
 
     return skip
@@ -147,7 +147,7 @@ def _skip_bytes(size: int) -> Skip:
 def _skip_string(wire: bytes, at: int) -> int:
     at += 4 + _length(wire, at)[0]
     if at > len(wire):
-        raise shortBuffer()
+        raise short_buffer()
     return at
 
 
@@ -155,7 +155,7 @@ def _skip_fixed(size: int) -> Skip:
     def skip(wire: bytes, at: int) -> int:
         at += 4 + _length(wire, at)[0] * size
         if at > len(wire):
-            raise shortBuffer()
+            raise short_buffer()
         return at
 
     return skip

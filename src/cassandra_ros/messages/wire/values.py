@@ -14,7 +14,7 @@ from typing import Any, Callable, Iterable, Mapping, Sequence, Union
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES, Field, MessageSpec
 from cassandra_ros.messages.wire.layout import FieldColumn, Fixed
-from cassandra_ros.messages.wire.skip import fixedSize
+from cassandra_ros.messages.wire.skip import fixed_size
 
 Primitive = Union[bool, int, float, str]
 """A value of one column that is neither a list nor a blob; times are int nanoseconds."""
@@ -50,22 +50,22 @@ def encode_value(cql_type: str, value: Primitive) -> bytes:
     if cql_type == "varint":
         if value < 0:
             raise struct.error("a uint64 is negative")
-        return packVarint(int(value))
+        return pack_varint(int(value))
     return struct.pack(CQL_CODES[cql_type], value)
 
 
-def packVarint(value: int) -> bytes:
+def pack_varint(value: int) -> bytes:
     """Encode a value >= 0 as CQL varint: two's complement in as few bytes as hold it."""
     return value.to_bytes(value.bit_length() // 8 + 1, "big")
 
 
-def packList(values: Sequence[bytes]) -> bytes:
+def pack_list(values: Sequence[bytes]) -> bytes:
     """Encode a list of encoded elements."""
     sizes = map(_pack_size, map(len, values))
     return _pack_size(len(values)) + b"".join(chain.from_iterable(zip(sizes, values)))
 
 
-def splitList(raw: bytes) -> list[bytes]:
+def split_list(raw: bytes) -> list[bytes]:
     """Return the encoded elements of a list.
 
     Raises:
@@ -87,15 +87,15 @@ def splitList(raw: bytes) -> list[bytes]:
     return values
 
 
-def packEqual(size: int) -> Callable[[Sequence[bytes]], bytes]:
+def pack_equal(size: int) -> Callable[[Sequence[bytes]], bytes]:
     """Return the encoder of a list of at least one, whose encoded elements all have this size."""
     prefix = _pack_size(size)
     return lambda values: _pack_size(len(values)) + prefix + prefix.join(values)
 
 
-def splitEqual(size: int) -> Callable[[bytes], list[bytes]]:
-    """Return the inverse of packEqual; it raises struct.error."""
-    encode, unit = packEqual(size), size + 4
+def split_equal(size: int) -> Callable[[bytes], list[bytes]]:
+    """Return the inverse of pack_equal; it raises struct.error."""
+    encode, unit = pack_equal(size), size + 4
 
     def split(raw: bytes) -> list[bytes]:
         if raw == EMPTY_LIST:
@@ -108,13 +108,13 @@ def splitEqual(size: int) -> Callable[[bytes], list[bytes]]:
     return split
 
 
-def unpackNumbers(fixed: Fixed) -> Callable[[bytes], Sequence[int]]:
-    """Return the inverse of packNumbers: from a list to the wire codes of its elements.
+def unpack_numbers(fixed: Fixed) -> Callable[[bytes], Sequence[int]]:
+    """Return the inverse of pack_numbers: from a list to the wire codes of its elements.
 
     It raises struct.error and OverflowError.
     """
     if fixed.special == "uint64":
-        return lambda raw: [_varint(value) for value in splitList(raw)]
+        return lambda raw: [_varint(value) for value in split_list(raw)]
     size, unpack = fixed.cql_size, struct.Struct(">i" + fixed.big).iter_unpack
 
     def split(raw: bytes) -> Sequence[int]:
@@ -129,19 +129,19 @@ def unpackNumbers(fixed: Fixed) -> Callable[[bytes], Sequence[int]]:
         return values
 
     if fixed.special in ("time", "duration"):
-        convert = nsToTime if fixed.special == "time" else nsToDuration
+        convert = ns_to_time if fixed.special == "time" else ns_to_duration
         return lambda raw: [convert(value) for value in split(raw)]
     return split
 
 
-def packNumbers(fixed: Fixed, strict: bool) -> Callable[[Sequence[int]], bytes | None]:
+def pack_numbers(fixed: Fixed, strict: bool) -> Callable[[Sequence[int]], bytes | None]:
     """Return the encoder of a list of fields of fixed size, read by their wire code.
 
     It gives None where a value cannot be held exactly and strict is set.
     """
     size = fixed.cql_size
     if fixed.special == "uint64":
-        return lambda values: packList([packVarint(value) for value in values])
+        return lambda values: pack_list([pack_varint(value) for value in values])
     pack = struct.Struct(">i" + fixed.big).pack
 
     def encode(values: Iterable[int], count: int) -> bytes:
@@ -161,21 +161,21 @@ def packNumbers(fixed: Fixed, strict: bool) -> Callable[[Sequence[int]], bytes |
     return lambda values: encode(values, len(values))
 
 
-def timeToNs(value: int) -> int:
+def time_to_ns(value: int) -> int:
     """Return the nanoseconds of a time read as one uint64."""
     return (value & LOW) * SECOND_NS + (value >> 32)
 
 
-def durationToNs(value: int) -> int:
+def duration_to_ns(value: int) -> int:
     """Return the nanoseconds of a duration read as one int64."""
     seconds = value & LOW
     return (seconds - ((seconds & 0x80000000) << 1)) * SECOND_NS + (value >> 32)
 
 
-TO_NS = {"time": timeToNs, "duration": durationToNs}
+TO_NS = {"time": time_to_ns, "duration": duration_to_ns}
 
 
-def nsToTime(ns: int) -> int:
+def ns_to_time(ns: int) -> int:
     """Return the time of nanoseconds as the uint64 that lies on the wire."""
     seconds, rest = divmod(ns, SECOND_NS)
     if seconds >> 32:
@@ -183,7 +183,7 @@ def nsToTime(ns: int) -> int:
     return rest << 32 | seconds
 
 
-def nsToDuration(ns: int) -> int:
+def ns_to_duration(ns: int) -> int:
     """Return the duration of nanoseconds as the int64 that lies on the wire."""
     seconds, rest = divmod(ns, SECOND_NS)
     if not -0x80000000 <= seconds <= 0x7FFFFFFF:
@@ -191,7 +191,7 @@ def nsToDuration(ns: int) -> int:
     return rest << 32 | (seconds & LOW)
 
 
-def compileDecoder(column: FieldColumn, specs: Mapping[str, MessageSpec]) -> Decoder:
+def compile_decoder(column: FieldColumn, specs: Mapping[str, MessageSpec]) -> Decoder:
     """Return the function from a column to the value that a query compares and a person reads.
 
     Numbers are int or float, times int nanoseconds, text str (bytes that are not UTF-8 replaced),
@@ -201,7 +201,7 @@ def compileDecoder(column: FieldColumn, specs: Mapping[str, MessageSpec]) -> Dec
     element = _element_decoder(column, specs)
     if not column.is_list:
         return element
-    return lambda raw: [element(value) for value in splitList(raw)]
+    return lambda raw: [element(value) for value in split_list(raw)]
 
 
 def _element_decoder(column: FieldColumn, specs: Mapping[str, MessageSpec]) -> Decoder:
@@ -249,7 +249,7 @@ def _read(wire: bytes, at: int, field: Field, specs: Mapping[str, MessageSpec]) 
     if field.type in CODES:
         end = at + count * PRIMITIVE_SIZES[field.type]
         return _array(field.type, wire[at:end]), end
-    if not field.is_primitive and fixedSize(field.type, specs) == 0:
+    if not field.is_primitive and fixed_size(field.type, specs) == 0:
         return count, at
     values = []
     for _ in range(count):

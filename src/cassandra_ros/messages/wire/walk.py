@@ -13,15 +13,15 @@ import struct
 from typing import Callable, Container, Iterator, List, Optional, Sequence, Tuple, cast
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, cqlSizes
-from cassandra_ros.messages.wire.skip import shortBuffer
+from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, cql_sizes
+from cassandra_ros.messages.wire.skip import short_buffer
 from cassandra_ros.messages.wire.values import (
     EMPTY_LIST,
     TO_NS,
-    packEqual,
-    packList,
-    packNumbers,
-    packVarint,
+    pack_equal,
+    pack_list,
+    pack_numbers,
+    pack_varint,
 )
 
 Out = List[Optional[bytes]]
@@ -34,7 +34,7 @@ Step = Tuple[Optional[Head], int, Optional[WalkTail]]
 _unpack_length = struct.Struct("<I").unpack_from
 
 
-def compileWalk(
+def compile_walk(
     segments: Sequence[Segment], strict: bool = True, wanted: Container[str] | None = None
 ) -> list[Step]:
     """Return the steps that turn a message into columns.
@@ -112,7 +112,7 @@ def _special_head(
         if varints or inexact:
             columns = own = list(columns)
             for i in varints:
-                own[i] = packVarint(values[i])
+                own[i] = pack_varint(values[i])
             if strict:
                 odd += inexact
                 for i in inexact:
@@ -159,7 +159,7 @@ def _text(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
     end = at + count
     text = wire[at:end]
     if len(text) != count:
-        raise shortBuffer()
+        raise short_buffer()
     out.append(text if _is_utf8(text) else None)
     if out[-1] is None:
         odd.append(1)
@@ -180,7 +180,7 @@ def _bytes(unit: int) -> WalkTail:
     def tail(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
         end = at + count * unit
         if end > len(wire):
-            raise shortBuffer()
+            raise short_buffer()
         out.append(wire[at:end])
         return end
 
@@ -205,13 +205,13 @@ def _texts(length: int | None, strict: bool) -> WalkTail:
             start = at + 4
             at = start + _unpack_length(wire, at)[0]
             if at > len(wire):
-                raise shortBuffer()
+                raise short_buffer()
             texts.append(wire[start:at])
         if strict and not all(map(_is_utf8, texts)):
             odd.append(1)
             out.append(None)
         else:
-            out.append(packList(texts))
+            out.append(pack_list(texts))
         return at
 
     return tail
@@ -220,7 +220,7 @@ def _texts(length: int | None, strict: bool) -> WalkTail:
 def _numbers(fixed: Sequence[Fixed], length: int | None, strict: bool) -> WalkTail:
     """Elements of fixed size: all at once, column by column."""
     element = struct.Struct("<" + "".join(f.little for f in fixed))
-    encoders = [packNumbers(f, strict) for f in fixed]
+    encoders = [pack_numbers(f, strict) for f in fixed]
     unpack, size = element.iter_unpack, element.size
 
     def tail(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
@@ -228,7 +228,7 @@ def _numbers(fixed: Sequence[Fixed], length: int | None, strict: bool) -> WalkTa
             count = length
         end = at + count * size
         if end > len(wire):
-            raise shortBuffer()
+            raise short_buffer()
         if not count:
             out.extend([EMPTY_LIST] * len(encoders))
             return end
@@ -244,8 +244,10 @@ def _numbers(fixed: Sequence[Fixed], length: int | None, strict: bool) -> WalkTa
 
 def _elements(field: Tail, strict: bool) -> WalkTail:
     """Elements of variable size: each as a message of its own, then turned into lists."""
-    steps, length = compileWalk(field.element, strict), field.length
-    encoders = [packList if size is None else packEqual(size) for size in cqlSizes(field.element)]
+    steps, length = compile_walk(field.element, strict), field.length
+    encoders = [
+        pack_list if size is None else pack_equal(size) for size in cql_sizes(field.element)
+    ]
 
     def tail(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
         rows: list[Out] = []

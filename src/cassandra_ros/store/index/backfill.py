@@ -18,9 +18,9 @@ from cassandra_ros.store.row_table import (
     RowTable,
     TableRow,
     bind,
-    decodeLong,
-    encodeInt,
-    encodeLong,
+    decode_long,
+    encode_int,
+    encode_long,
 )
 
 PAGE_ROWS = 1000
@@ -58,14 +58,16 @@ class Backfill:
     def pages(self, node: str, bucket: int, largest: int) -> Iterator[list[Written]]:
         """Read the rows of a bucket, whose largest message in a row has so many bytes."""
         size = max(1, min(PAGE_ROWS, PAGE_BYTES // (largest + 64)))
-        table, place = self._table, (node.encode("utf-8"), encodeLong(bucket))
-        asked = table.stretch(table.selectAges(), place, ALL, page_rows=size)
+        table, place = self._table, (node.encode("utf-8"), encode_long(bucket))
+        asked = table.stretch(table.select_ages(), place, ALL, page_rows=size)
         # What is back-filled competes with who records: nothing is asked for ahead.
         for page in asked.pages(ahead=False):
             yield [
-                Written(table.rowFromValues(node, values[:-2]), values[-2] or b"", _ttl(values[-1]))
+                Written(
+                    table.row_from_values(node, values[:-2]), values[-2] or b"", _ttl(values[-1])
+                )
                 for values in page
-                if not table.isRest(values)
+                if not table.is_rest(values)
             ]
 
     def write(self, updates: Sequence[Update]) -> None:
@@ -80,13 +82,13 @@ class Backfill:
         for (row, timestamp, ttl), value in updates:
             left = 0 if ttl is None else ttl + LATER_SEC
             statement = self._set_odd if value is None else self._set_value
-            head = (timestamp, encodeInt(left), b"\x01" if value is None else value)
-            batch.add(bind(statement, (*head, *self._table.keyOf(row))))
+            head = (timestamp, encode_int(left), b"\x01" if value is None else value)
+            batch.add(bind(statement, (*head, *self._table.key_of(row))))
         return batch
 
 
 def _ttl(value: bytes | None) -> int | None:
-    return None if value is None else decodeLong(value)
+    return None if value is None else decode_long(value)
 
 
 def _parts(updates: Sequence[Update]) -> Iterator[list[Update]]:

@@ -12,9 +12,9 @@ from __future__ import annotations
 from typing import Callable
 
 from cassandra_ros.errors import SchemaConflict
-from cassandra_ros.metadata import SHADOW, TopicMetadata, shadowColumn
+from cassandra_ros.metadata import SHADOW, TopicMetadata, shadow_column
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.names import quoteName
+from cassandra_ros.store.names import quote_name
 from cassandra_ros.store.schema import Schema
 from cassandra_ros.store.side_tables import SchemaLock
 
@@ -39,31 +39,31 @@ class IndexChanges:
             TopicNotFound: The topic is gone.
         """
         with self._schema.lock() as lock:
-            for table, metadata in self._schema.tablesOf(topic).items():
+            for table, metadata in self._schema.tables_of(topic).items():
                 cql_type = type_of(metadata)
                 if field in metadata.indexes:
                     self._complete(table, metadata.indexes[field], lock)
                 elif cql_type is not None:
-                    self._addTo(table, metadata, field, cql_type, lock)
+                    self._add_to(table, metadata, field, cql_type, lock)
                 else:
                     self._resume(table, lock)
         self._schema.tables(fresh=True)
 
-    def _addTo(
+    def _add_to(
         self, table: str, metadata: TopicMetadata, field: str, cql_type: str, lock: SchemaLock
     ) -> None:
         # A column that no comment has listed yet was left by somebody who died before that.
-        columns, number = self._schema.columns(table), metadata.nextShadow
-        while columns.get(shadowColumn(number), cql_type) != cql_type:
+        columns, number = self._schema.columns(table), metadata.next_shadow
+        while columns.get(shadow_column(number), cql_type) != cql_type:
             number += 1
-        shadow = shadowColumn(number)
+        shadow = shadow_column(number)
         if shadow not in columns:
             lock.change(
-                f"ALTER TABLE {self._schema.qualified(table)} ADD {quoteName(shadow)} {cql_type}",
+                f"ALTER TABLE {self._schema.qualified(table)} ADD {quote_name(shadow)} {cql_type}",
                 what=f"adding a column to table {table}",
             )
         self._make(table, shadow, lock)
-        self._schema.setComment(table, metadata.withIndex(field, number), lock)
+        self._schema.set_comment(table, metadata.with_index(field, number), lock)
 
     def _complete(self, table: str, shadow: str, lock: SchemaLock) -> None:
         """Do what somebody left who died while he changed the indexes of a table."""
@@ -77,7 +77,7 @@ class IndexChanges:
         index, files = table + shadow, self._schema.files(table, lock)
         if index in self._names(table):
             # It may miss rows. Its build, if it waits for its turn, would go on without it.
-            files.awaitBuilds(self._names(table), BUILD_SEC)
+            files.await_builds(self._names(table), BUILD_SEC)
             self._drop(table, index, lock)
         files.pause()
         refused = None
@@ -85,7 +85,7 @@ class IndexChanges:
         with files.told():
             lock.renew()
             try:
-                self._schema.createIndex(table, shadow)
+                self._schema.create_sai_index(table, shadow)
             except SchemaConflict as exc:
                 refused = exc
             self._resume(table, lock)
@@ -96,12 +96,12 @@ class IndexChanges:
         """Let the files of a table be merged again that somebody has paused for an index."""
         files = self._schema.files(table, lock)
         if files.paused():
-            files.awaitBuilds(self._names(table), BUILD_SEC)
+            files.await_builds(self._names(table), BUILD_SEC)
             files.resume()
 
     def _drop(self, table: str, index: str, lock: SchemaLock) -> None:
         lock.change(
-            f"DROP INDEX IF EXISTS {quoteName(self._schema.keyspace)}.{quoteName(index)}",
+            f"DROP INDEX IF EXISTS {quote_name(self._schema.keyspace)}.{quote_name(index)}",
             what=f"dropping an index of table {table}",
         )
 
@@ -117,12 +117,12 @@ class IndexChanges:
         """
         done = False
         with self._schema.lock() as lock:
-            for table, metadata in self._schema.tablesOf(topic).items():
+            for table, metadata in self._schema.tables_of(topic).items():
                 # First, for a build that waits for its turn goes on without its index.
                 self._resume(table, lock)
                 if field in metadata.indexes:
-                    metadata = metadata.withoutIndex(field)
-                    self._schema.setComment(table, metadata, lock)
+                    metadata = metadata.without_index(field)
+                    self._schema.set_comment(table, metadata, lock)
                     done = True
                 kept = {table + shadow for shadow in metadata.indexes.values()}
                 for name in self._names(table) - kept:

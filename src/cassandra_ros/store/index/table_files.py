@@ -17,7 +17,7 @@ from typing import AbstractSet, Iterator, Mapping
 
 from cassandra_ros.errors import StoreUnavailable, TopicNotFound
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.names import quoteName, quoteText
+from cassandra_ros.store.names import quote_name, quote_text
 from cassandra_ros.store.side_tables import SchemaLock
 
 _log = logging.getLogger(__name__)
@@ -56,7 +56,7 @@ class TableFiles:
         options = self._options()
         with self.told():
             self._alter({**options, _ENABLED: "false"})
-            busy = self._awaitQuiet()
+            busy = self._await_quiet()
             if busy:
                 self._alter(options)
         if busy:
@@ -93,14 +93,14 @@ class TableFiles:
         return dict(rows[0][0])
 
     def _alter(self, options: Mapping[str, str]) -> None:
-        pairs = ", ".join(f"{quoteText(k)}: {quoteText(v)}" for k, v in options.items())
+        pairs = ", ".join(f"{quote_text(k)}: {quote_text(v)}" for k, v in options.items())
         self._lock.change(
-            f"ALTER TABLE {quoteName(self._keyspace)}.{quoteName(self._table)} "
+            f"ALTER TABLE {quote_name(self._keyspace)}.{quote_name(self._table)} "
             f"WITH compaction = {{{pairs}}}",
             what=f"changing how table {self._table} is compacted",
         )
 
-    def _awaitQuiet(self) -> str:
+    def _await_quiet(self) -> str:
         """Wait until no node in reach is rewriting files of the table, nor about to.
 
         Returns:
@@ -121,7 +121,7 @@ class TableFiles:
 
     def tasks(self) -> dict[str, list[tuple[str, float]]]:
         """List what the nodes are doing: address → pairs of kind and completion (0 to 1)."""
-        return self._cassandra.executeOnEach(
+        return self._cassandra.execute_on_each(
             "SELECT kind, completion_ratio FROM system_views.sstable_tasks "
             "WHERE keyspace_name = ? AND table_name = ?",
             (self._keyspace, self._table),
@@ -130,7 +130,7 @@ class TableFiles:
 
     # ---------------------------------------------------------------- indexes
 
-    def awaitBuilds(self, names: AbstractSet[str], seconds: float) -> None:
+    def await_builds(self, names: AbstractSet[str], seconds: float) -> None:
         """Wait until every node has built the indexes of the table, or is at the last of them.
 
         Args:
@@ -141,7 +141,7 @@ class TableFiles:
             StoreUnavailable: A node has not begun by then.
         """
         deadline = time.monotonic() + seconds
-        while not self._begunOnEach(names):
+        while not self._begun_on_each(names):
             if time.monotonic() > deadline:
                 raise StoreUnavailable(
                     f"Cassandra has not begun to build an index of table {self._table} within "
@@ -151,8 +151,8 @@ class TableFiles:
             self._lock.renew()
             time.sleep(PAUSE_SEC)
 
-    def _begunOnEach(self, names: AbstractSet[str]) -> bool:
-        listed = self._cassandra.executeOnEach(
+    def _begun_on_each(self, names: AbstractSet[str]) -> bool:
+        listed = self._cassandra.execute_on_each(
             "SELECT table_name, index_name, is_building FROM system_views.sai_column_indexes "
             "WHERE keyspace_name = ?",
             (self._keyspace,),
