@@ -135,13 +135,13 @@ def readSample(kind: Kind, path: Path, at_most: int) -> Sample:
     messages.sort(key=lambda message: message[0])
     what = (connection.type, connection.md5sum, connection.definition_text)
     if kind.first_echo:
-        messages = [(t_ns, firstEchoes(wire)) for t_ns, wire in messages]
+        messages = [(t_ns, first_echoes(wire)) for t_ns, wire in messages]
         what = (LaserScan._type, LaserScan._md5sum, LaserScan._full_text)
     size = statistics.mean(len(wire) for _, wire in messages)
     return Sample(kind, *what, messages, max(1, min(at_most, int(TOPIC_BYTES / size))))
 
 
-def firstEchoes(wire: bytes) -> bytes:
+def first_echoes(wire: bytes) -> bytes:
     """Make the LaserScan that a driver publishes as the 'first' of a multi-echo laser."""
     multi, scan = MultiEchoLaserScan(), LaserScan()
     multi.deserialize(wire)

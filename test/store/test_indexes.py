@@ -242,13 +242,13 @@ def test_files_are_not_merged_while_an_index_is_made(rosCas, cql, monkeypatch):
         "{'class': 'LeveledCompactionStrategy', 'sstable_size_in_mb': '10'}"
     )
     before = compaction(cql, rosCas, table)
-    make, seen = schema.createIndex, []
+    make, seen = schema.create_sai_index, []
 
     def look(*args):
         seen.append(compaction(cql, rosCas, table))
         make(*args)
 
-    monkeypatch.setattr(schema, "createIndex", look)
+    monkeypatch.setattr(schema, "create_sai_index", look)
     topic.createIndex("data")
     assert seen == [{**before, "enabled": "false"}]
     assert compaction(cql, rosCas, table) == before
@@ -333,7 +333,7 @@ def test_an_index_that_is_refused_leaves_nothing(rosCas, cql, monkeypatch, caplo
         raise SchemaConflict("the server refuses the statement: too many indexes")
 
     with monkeypatch.context() as patched:
-        patched.setattr(rosCas.parts.schema, "createIndex", refuse)
+        patched.setattr(rosCas.parts.schema, "create_sai_index", refuse)
         with pytest.raises(SchemaConflict, match="too many"):
             topic.createIndex("data")
     assert compaction(cql, rosCas, table) == before and not warnings(caplog)
@@ -351,7 +351,7 @@ def test_the_first_error_is_told(rosCas, cql, monkeypatch, caplog):
         monkeypatch.setattr(rosCas.cassandra, "execute_once", gone)
         raise StoreUnavailable("the server is gone")
 
-    monkeypatch.setattr(rosCas.parts.schema, "createIndex", first)
+    monkeypatch.setattr(rosCas.parts.schema, "create_sai_index", first)
     with pytest.raises(StoreUnavailable, match="is gone$"):
         topic.createIndex("data")
     monkeypatch.undo()
@@ -366,14 +366,14 @@ def test_the_first_error_is_told(rosCas, cql, monkeypatch, caplog):
 def test_an_interrupted_index_is_made_anew(rosCas, cql, monkeypatch, caplog):
     table = store(rosCas, "/t", 5)
     topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
-    make = rosCas.parts.schema.createIndex
+    make = rosCas.parts.schema.create_sai_index
 
     def interrupted(*args):
         make(*args)
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(rosCas.parts.schema, "createIndex", interrupted)
+        patched.setattr(rosCas.parts.schema, "create_sai_index", interrupted)
         with pytest.raises(KeyboardInterrupt):
             topic.createIndex("data")
     assert len(warnings(caplog)) == 1
@@ -411,7 +411,7 @@ def test_an_index_that_was_made_while_files_were_merged_is_made_anew(rosCas, cql
     table = store(rosCas, "/t", 5)
     topic, cassandra, sent = rosCas.getTopic("/t"), rosCas.cassandra, []
     cql.execute(f'ALTER TABLE {table.qualified} ADD "_ix0" text')
-    rosCas.parts.schema.createIndex(table.name, "_ix0")
+    rosCas.parts.schema.create_sai_index(table.name, "_ix0")
     change = cassandra.schema_change
 
     def look(statement, *, what):
@@ -486,7 +486,7 @@ def test_a_build_is_known_by_its_name(rosCas, monkeypatch):
 
 def test_nobody_finds_a_table_before_its_indexes_are_made(rosCas, cql, monkeypatch):
     schema, seen = rosCas.parts.schema, []
-    make = schema.createIndex
+    make = schema.create_sai_index
 
     def look(table, shadow):
         with RosCassandra(rosCas.cassandra.hosts, rosCas.cassandra.port) as other:
@@ -495,7 +495,7 @@ def test_nobody_finds_a_table_before_its_indexes_are_made(rosCas, cql, monkeypat
         seen.append(compaction(cql, rosCas, SimpleNamespace(name=table))["enabled"])
         make(table, shadow)
 
-    monkeypatch.setattr(schema, "createIndex", look)
+    monkeypatch.setattr(schema, "create_sai_index", look)
     # Another test may let the server build a large one.
     monkeypatch.setattr(schema_module, "BUILD_SEC", 120.0)
     rosCas.addTopic("/t", index=["data"]).addData(String("a"))
@@ -524,7 +524,7 @@ def test_a_table_that_was_left_without_its_indexes_is_no_topic(rosCas, cql, monk
         raise Crash
 
     with monkeypatch.context() as broken:
-        broken.setattr(rosCas.parts.schema, "createIndex", crash)
+        broken.setattr(rosCas.parts.schema, "create_sai_index", crash)
         with pytest.raises(Crash):
             rosCas.addTopic("/t", index=["data"]).addData(String("a"))
     assert list(rosCas.info()) == []
