@@ -201,7 +201,7 @@ class Crash(Exception):
     pass
 
 
-@pytest.mark.parametrize("step", ["createIndex", "set_comment"])
+@pytest.mark.parametrize("step", ["create_sai_index", "set_comment"])
 def test_a_crash_between_the_steps_is_completed(rosCas, cql, monkeypatch, step):
     table = store(rosCas, "/t", 5)
     topic, schema = rosCas.getTopic("/t"), rosCas.parts.schema
