@@ -20,7 +20,7 @@ from cassandra_ros.transforms.samples import (
     FrameTree,
     Nearest,
     Recorded,
-    Search,
+    fill,
     named,
     stripped,
 )
@@ -92,24 +92,22 @@ class _Lookup:
 
     def at(self, time: int, centre: Optional[int] = None) -> TransformStamped:
         """Return the transform at a time, ns; ``centre`` is a row key near which it lies."""
-        search = self._search(time)
-        path = search.run(time if centre is None else centre)
-        return self._computed(search.tree, path, time)
+        tree = FrameTree(Nearest(time), self._fixed)
+        path = fill(tree, self._moving, self._failure.frames, time if centre is None else centre)
+        return self._computed(tree, path, time)
 
     def newest(self) -> TransformStamped:
         """Return the transform at the newest time that all frames on the path have, as in tf2."""
-        search = self._search(None)
-        path = search.run(0 if self._moving is None else self._moving.ends[1])
-        moving = search.tree.moving(path or [])
+        tree, frames = FrameTree(Nearest(None), self._fixed), self._failure.frames
+        last = 0 if self._moving is None else self._moving.ends[1]
+        path = fill(tree, self._moving, frames, last)
+        moving = tree.moving(path or [])
         if not moving and path == []:
-            moving = search.tree.moving([self._failure.frames[0]])
+            moving = tree.moving([frames[0]])
         if not moving:
-            return self._computed(search.tree, path, None)
+            return self._computed(tree, path, None)
         oldest = min(moving)
         return self.at(oldest.stamp, oldest.key)
-
-    def _search(self, time: Optional[int]) -> Search:
-        return Search(self._moving, FrameTree(Nearest(time), self._fixed), self._failure.frames)
 
     def _computed(
         self, tree: FrameTree, path: Optional[Sequence[str]], time: Optional[int]

@@ -233,72 +233,55 @@ def _elements(extractor: Extractor, row: Row) -> Iterator[tuple[Any, ...]]:
     return zip(*lists)
 
 
-class Search:
-    """Fills a tree with transforms until it has a path between two frames that more cannot change.
+def fill(
+    tree: FrameTree, recorded: Optional[Recorded], frames: tuple[str, str], centre: int
+) -> Optional[list[str]]:
+    """Add transforms to a tree until more cannot change its path between two frames.
 
     Args:
-        recorded: The moving transforms; None = there are none.
         tree: Of the time that is asked.
+        recorded: The moving transforms; None = there are none.
         frames: Target and source.
+        centre: The row key around which to read, ns; then ever wider.
+
+    Returns:
+        The path's child frames; None where nothing connects the frames at the time, and everything
+        was read.
     """
-
-    def __init__(
-        self, recorded: Optional[Recorded], tree: FrameTree, frames: tuple[str, str]
-    ) -> None:
-        self.tree = tree
-        self._recorded = recorded
-        self._frames = frames
-        self._window: Optional[tuple[int, int]] = None
-        """The stretch of row keys that was read."""
-
-    def run(self, centre: int) -> Optional[list[str]]:
-        """Read around a row key, ns, then ever wider, and return the path's child frames.
-
-        Returns:
-            None where nothing connects the frames at the time, and everything was read.
-        """
-        reach = FIRST_REACH_NS
-        while self._recorded is not None and not self._is_final() and not self._is_whole():
-            self._widen(self._recorded, max(0, centre - reach), min(MAX_NS, centre + reach))
-            reach *= 2
-        return self.tree.path(*self._frames)
-
-    def _is_final(self) -> bool:
-        """Say whether there is a path that more transforms cannot change."""
-        path = self.tree.path(*self._frames)
-        if path is None:
-            return False
-        if not path and self.tree.nearest.time is None:
-            return self._window is not None  # a frame to itself: its newest time
-        return all(self._is_nearest(sample) for sample in self.tree.moving(path))
-
-    def _is_nearest(self, before: Sample) -> bool:
-        """Say whether a nearer transform would have been read.
-
-        It would have come between the two that are known, had its delay been between theirs.
-        """
-        nearest = self.tree.nearest
-        if nearest.time in (None, before.stamp):
-            return True
-        after = nearest.after[before.child]
-        delays = before.delay, after.delay
-        low, high = before.stamp + min(delays), after.stamp + max(delays)
-        return self._window is not None and self._window[0] <= low and high <= self._window[1]
-
-    def _is_whole(self) -> bool:
-        if self._recorded is None or self._window is None:
-            return False
-        first, last = self._recorded.ends
-        return self._window[0] <= first and last <= self._window[1]
-
-    def _widen(self, recorded: Recorded, low: int, high: int) -> None:
-        if self._window is None:
-            recorded.read(self.tree.nearest, low, high)
+    reach, window = FIRST_REACH_NS, (0, 0)
+    while recorded is not None and not _is_final(tree, frames, window):
+        low, high = max(0, centre - reach), min(MAX_NS, centre + reach)
+        if reach == FIRST_REACH_NS:
+            recorded.read(tree.nearest, low, high)
         else:
-            (start, end), (first, last) = self._window, recorded.ends
-            recorded.read(self.tree.nearest, max(low, first), start - 1)
-            recorded.read(self.tree.nearest, end + 1, min(high, last))
-        self._window = (low, high)
+            (start, end), (first, last) = window, recorded.ends
+            if start <= first and last <= end:
+                break
+            recorded.read(tree.nearest, max(low, first), start - 1)
+            recorded.read(tree.nearest, end + 1, min(high, last))
+        window = (low, high)
+        reach *= 2
+    return tree.path(*frames)
+
+
+def _is_final(tree: FrameTree, frames: tuple[str, str], window: tuple[int, int]) -> bool:
+    """Say whether there is a path that transforms outside of a stretch of row keys cannot change.
+
+    A nearer transform would come between the two that are known, and its delay between theirs.
+    """
+    path, time = tree.path(*frames), tree.nearest.time
+    if path is None:
+        return False
+    if not path and time is None:
+        return window[1] > 0  # a frame to itself: its newest time
+    for before in tree.moving(path):
+        if time not in (None, before.stamp):
+            after = tree.nearest.after[before.child]
+            delays = before.delay, after.delay
+            low, high = before.stamp + min(delays), after.stamp + max(delays)
+            if not (window[0] <= low and high <= window[1]):
+                return False
+    return True
 
 
 def stripped(frame: str) -> str:
