@@ -36,6 +36,7 @@ TIMED_OUT = {
     EXECUTE: struct.pack(">i", 0x1001) + _text("by the proxy"),
 }
 """What a server says that is too busy: a batch may be stored all the same."""
+READ_TIMED_OUT = struct.pack(">i", 0x1200) + _text("by the proxy") + _ONE_NODE + b"\0"
 
 
 class Frame(NamedTuple):

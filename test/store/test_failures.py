@@ -12,7 +12,7 @@ import zlib
 
 import pytest
 from nodes.children import await_true
-from proxy import BATCH, EXECUTE, Proxy, asks_on
+from proxy import BATCH, EXECUTE, READ_TIMED_OUT, TIMED_OUT, Proxy, asks_on
 from std_msgs.msg import Header, String, UInt8MultiArray
 
 from cassandra_ros import RosCassandra
@@ -248,6 +248,20 @@ def test_a_read_goes_on_where_a_page_failed(far, proxy, rosCas, small_pages, rev
     found = [(key.ns, key.node, key.seq) for key, _ in items]
     assert found == (wanted[::-1] if reverse else wanted)
     assert len(failed.frames) >= 4
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_a_filter_that_takes_too_long_later_is_left_out(
+    far, proxy, rosCas, small_pages, monkeypatch, reverse
+):
+    fill(rosCas)
+    wanted = [(row.t, row.node, row.seq) for row in rosCas.getTopic("/h").rows()]
+    monkeypatch.setitem(TIMED_OUT, EXECUTE, READ_TIMED_OUT)
+    failed = proxy.catch(asks_on, most=1)
+    items = far.getTopic("/h").items(reverse=reverse, where="seq >= 0 AND seq < 100")
+    found = [(key.ns, key.node, key.seq) for key, _ in items]
+    assert found == (wanted[::-1] if reverse else wanted)
+    assert len(failed.frames) == 1
 
 
 def test_a_count_goes_on_where_a_page_failed(far, proxy, rosCas, small_pages):
