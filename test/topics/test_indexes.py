@@ -195,7 +195,8 @@ def test_an_import_that_is_repeated_fills_only_what_it_filled_before(rosCas):
     listed = table.metadata
     topic.removeIndex("data")
     schema._tables = {**schema._tables, table.name: listed}
-    schema.set_comment(table.name, listed)
+    with schema.lock() as lock:
+        schema.set_comment(table.name, listed, lock)
     schema._tables = {table.name: listed.with_(indexes={})}
     schema._read_at = time.monotonic() + 60
     store(rosCas, "/t", texts(10), **again)
