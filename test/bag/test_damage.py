@@ -9,12 +9,11 @@ import tracemalloc
 
 import pytest
 from bag.truth import string_connection, string_wire
-from cassandra_ros.bag.order import read_in_order
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.reader import BagReader
+from cassandra_ros.bag.reader import BagReader, read_in_order
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError
 
