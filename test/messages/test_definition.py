@@ -218,3 +218,20 @@ def test_arrays_that_the_md5_does_not_tell_apart():
     messages = [deserialize(message_class(d), w) for d, w in zip(found, (b"\7", b"\0" * 4, b"123"))]
     assert messages[0].x.a == 7
     assert [len(m.x) for m in messages[1:]] == [0, 3]
+
+
+@pytest.mark.parametrize("inner", ["E", "E[]", "E[3]"])
+def test_arrays_of_inner_types_count_too(inner):
+    rest = f"{SEPARATOR}MSG: pkg/E\nuint8 a"
+    found = parse_definition("pkg/T", f"I i{SEPARATOR}MSG: pkg/I\n{inner} x{rest}")
+    other = parse_definition("pkg/T", f"I i{SEPARATOR}MSG: pkg/I\nE[2] x{rest}")
+    assert found.md5sum == other.md5sum
+    assert found != other
+
+
+@pytest.mark.parametrize(
+    "text", ["int8 A=128", "uint8 A=-1", "char A=256", "uint64 A=1" + "0" * 20]
+)
+def test_constants_out_of_range(text):
+    with pytest.raises(DefinitionError, match="is not a literal of type"):
+        parse_definition("pkg/T", text)

@@ -15,6 +15,7 @@ from cassandra_ros.errors import CorruptMessage, InvalidExpression
 from cassandra_ros.messages.classes import deserialize, installed_definition, message_class
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.wire.plan import WirePlan, wire_plan
+from cassandra_ros.messages.wire.skip import MAX_SURPLUS, compile_object_check
 
 SEEDS = st.integers(0, 2**32)
 
@@ -265,3 +266,13 @@ def test_plans_are_compiled_once():
     assert wire_plan(installed_definition("std_msgs/String")) is wire_plan(
         installed_definition("std_msgs/String")
     )
+
+
+def test_objects_without_bytes_are_counted_with_what_they_hold():
+    """An array of messages of 1,000 empty ones each takes four bytes."""
+    inner = ["MSG: pkg/A\nE[1000] e", "MSG: pkg/E\n"]
+    definition = parse_definition("pkg/T", SEPARATOR.join(["A[] a", *inner]))
+    check = compile_object_check(definition.type, definition.specs)
+    check(struct.pack("<I", MAX_SURPLUS // 1001))
+    with pytest.raises(struct.error, match="too many empty messages"):
+        check(struct.pack("<I", MAX_SURPLUS // 1001 + 1))

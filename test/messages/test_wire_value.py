@@ -74,3 +74,6 @@ def test_arrays_in_arrays():
         [len(element.n) for element in message.e],
         [[{"x": p.x, "b": p.b} for p in element.one] for element in message.e],
     ]
+    assert plan.reader(names[::-1])(serialize(message)) == values[::-1]
+    cut = plan.cutter(names)(serialize(message))
+    assert plan.cutter(names[::-1])(serialize(message)) == cut[::-1]

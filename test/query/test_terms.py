@@ -132,6 +132,8 @@ def test_a_bound_is_pushed_as_narrow_as_the_column_allows():
     assert ways_of(Held("c", "double"), "=", [0]) == (
         (("c", ">=", zeros[0]), ("c", "<=", zeros[1])),
     )
+    for asked, raw in ((True, b"\1"), (False, b"\0"), (1, b"\1"), (0.0, b"\0")):
+        assert ways_of(Held("c", "boolean"), "=", [asked]) == ((("c", "=", raw),),)
     assert ways_of(Held("c", "double", True), "CONTAINS", [0.0]) == tuple(
         (("c", "CONTAINS", zero),) for zero in zeros
     )
