@@ -32,7 +32,15 @@ _Write = Callable[[object, List[bytes]], None]
 _Step = Callable[[Dict[str, object], List[bytes]], None]
 """(tree of a message, bytes so far) -> nothing; it writes one or several fields."""
 
-_ERRORS = (struct.error, KeyError, OverflowError, TypeError, ValueError, RecursionError)
+_ERRORS = (
+    struct.error,
+    AttributeError,
+    KeyError,
+    OverflowError,
+    TypeError,
+    ValueError,
+    RecursionError,
+)
 _pack_length = struct.Struct("<I").pack
 
 
@@ -167,10 +175,8 @@ def _check_bools(values: Sequence[object], bools: bool) -> None:
         raise ValueError("a number is true or false")
 
 
-def _string(value: object, parts: list[bytes]) -> None:
-    if type(value) is not str:
-        raise ValueError("a string is no text")
-    data = value.encode()
+def _string(value: Any, parts: list[bytes]) -> None:
+    data: bytes = value.encode()
     parts.append(_pack_length(len(data)))
     parts.append(data)
 
