@@ -19,10 +19,9 @@ from cassandra_ros.arrays.values import rows_of
 from cassandra_ros.errors import MissingDependency
 from cassandra_ros.query.protocols import Row, Source
 
-OLD = sys.version_info < (3, 9)
 VERSIONS = {
-    "pandas": "2.0.3" if OLD else "2.3.3",
-    "pyarrow": "17.0.0" if OLD else "25.0.1",
+    "pandas": "2.0.3" if sys.version_info < (3, 9) else "2.3.3",
+    "pyarrow": "17.0.0" if sys.version_info < (3, 10) else "25.0.1",
 }
 """As in requirements-tables.txt."""
 _UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}
