@@ -39,6 +39,7 @@ _JVM_FLAGS = (
 )
 # Up to here the parallel collector is used, which costs the least time; the shorter pauses of G1
 # only matter in larger heaps.
+_FIRST_HEAP_MB = 512
 _SMALL_HEAP_MB = 2048
 # Nodes on one machine need no time to hear of each other: 8 s less a start.
 _LOCAL_FLAGS = (
@@ -185,7 +186,8 @@ class Node:
         """Return the command line of the node's server."""
         agents = sorted(jars.glob("jamm-*.jar"))
         heap = self.settings.java_heap_mb
-        arguments = [java, f"-Xms{heap}M", f"-Xmx{heap}M"]
+        # It grows with the work: a robot's computer has other things to do with a quarter of it.
+        arguments = [java, f"-Xms{min(heap, _FIRST_HEAP_MB)}M", f"-Xmx{heap}M"]
         # Half of the heap, as bin/cassandra: the tries of the memtables lie there, too.
         arguments.append(f"-XX:MaxDirectMemorySize={max(512, heap // 2)}M")
         arguments.append("-XX:+UseParallelGC" if heap <= _SMALL_HEAP_MB else "-XX:+UseG1GC")
