@@ -37,9 +37,9 @@ _JVM_FLAGS = (
     # copy of their counters is enough: 0.26 MiB a table instead of 0.35.
     "-Dcassandra.dehr_stripe_count=1"
 )
+_FIRST_HEAP_MB = 512
 # Up to here the parallel collector is used, which costs the least time; the shorter pauses of G1
 # only matter in larger heaps.
-_FIRST_HEAP_MB = 512
 _SMALL_HEAP_MB = 2048
 # Nodes on one machine need no time to hear of each other: 8 s less a start.
 _LOCAL_FLAGS = (
