@@ -55,7 +55,7 @@ def test_addTopic_stores_nothing_of_what_it_refuses(rosCas):
     refused(lambda value: rosCas.addTopic(value, **NEW), ("", "/a\0"), InvalidName, "topic name")
     refused(add("nodeID"), (*UNFIT, None, LONG), InvalidName, "nodeID=")
     refused(add("comment"), (*UNFIT, None, "x" * (1 << 20) + "y"), InvalidOption, "comment=")
-    refused(add("format"), (*UNFIT[:-2], None), UnknownFormat, "format")
+    refused(add("format"), (*UNFIT[:-2], 0), UnknownFormat, "format")
     refused(add("msg_type"), UNFIT, InvalidName, "msg_type=")
     refused(add("key_format"), (5, True, b"time", ["time"], "Time"), InvalidKey, "key_format")
     refused(add("key_part"), (*UNFIT, None), InvalidKey, "key_part=")
@@ -218,7 +218,7 @@ def test_options_of_a_writer(rosCas):
     for name in ("linger_sec", "give_up_after_sec"):
         refused(writer(name), (None, "1", -1, float("nan"), True), InvalidOption, f"{name}=")
     refused(writer("run"), (5, "run"), InvalidOption, "run=")
-    refused(writer("format"), (5, None, "Ros"), UnknownFormat, "format")
+    refused(writer("format"), (5, 0, "Ros"), UnknownFormat, "format")
     refused(writer("ttl"), (-1, None, "5"), InvalidOption, "ttl=")
     for table in (5, None, SURROGATE, LONG):
         with pytest.raises(InvalidKey, match="table="):

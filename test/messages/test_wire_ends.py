@@ -7,12 +7,11 @@ from __future__ import annotations
 import struct
 
 import pytest
-from cassandra_ros.messages.wire_count import MAX_SURPLUS, compile_object_check
-from cassandra_ros.messages.wire_lists import pack_equal, pack_list, split_equal, split_list
-from cassandra_ros.messages.wire_skip import compile_skip
 from messages.random_wire import WireMaker
 
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.wire.skip import MAX_SURPLUS, compile_object_check, compile_skip
+from cassandra_ros.messages.wire.values import pack_equal, pack_list, split_equal, split_list
 
 FIELDS = [
     "uint8[] x",

@@ -62,8 +62,8 @@ class Fleet:
     def keys(self, topic, test=lambda t, robot, message: True, robots=ROBOTS):
         return [(t, robot) for t, robot, _ in self.expected(topic, test, robots)]
 
-    def ask(self, statement, params=(), **options):
-        result = self.store.statements.select(statement, params, **options)
+    def ask(self, statement, params=(), nodeID=None, **options):
+        result = self.store.statements.select(statement, params, node=nodeID, **options)
         return [tuple(map(canonical, row)) for row in result]
 
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import pytest
 from bag.truth import STRING_MD5, string_connection, string_wire
-from cassandra_ros.bag.recorder import Recorder
 from std_msgs.msg import String
 
 from cassandra_ros.bag.importer import import_bag
@@ -16,13 +15,14 @@ from cassandra_ros.cli import recorder as recorder_cli
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.recording.recording import Recording
 
 HEADER = {"type": "std_msgs/String", "md5sum": STRING_MD5, "message_definition": "string data\n"}
 BROKEN = {**HEADER, "message_definition": "string data\nno_type\n"}
 
 
 def record(rosCas, folder, format):
-    recorder = Recorder(rosCas, format=format)
+    recorder = Recording(rosCas, format=format)
     recorder.received("/scan", HEADER, string_wire("recorded"))
     (report,) = recorder.close()
     assert report.stored == 1
@@ -101,7 +101,7 @@ def test_of_several_formats_the_newest_is_kept(rosCas, tmp_path, newest):
 
 def test_one_publisher_without_a_definition_does_not_decide_for_all(rosCas, tmp_path):
     rosCas.addTopic("/scan", "json").addData(String("first"), key=1)
-    recorder = Recorder(rosCas)
+    recorder = Recording(rosCas)
     recorder.received("/scan", BROKEN, string_wire("broken"))
     assert recorder.close()[0].stored == 1
     assert formats(rosCas) == ["binary", "json"]

@@ -50,7 +50,7 @@ class Catalog:
             check_unnamed(topic, wish.key_format)
         self._keyspace.schema.tables(fresh=True)
         format_name = self._keyspace.format_for(topic, asked=wish.format)
-        wish = replace(wish, format=format_name, asked=bool(wish.format))
+        wish = replace(wish, format=format_name, asked=wish.format != "")
         stored = self._keyspace.tables.of_topic(topic)
         definition = self._definition_for(topic, msg_type, known=bool(stored))
         for table in stored:

@@ -69,7 +69,7 @@ class Keyspace:
         Raises:
             UnknownFormat: There is no format of the name that was asked for.
         """
-        if asked:
+        if asked is not None and asked != "":
             format_class(asked)
             return asked
         tables = [m for m in self.schema.tables().values() if m.topic == topic]

@@ -204,7 +204,7 @@ class RosCassandra:
         if msg_type is not None:
             check_text("msg_type", msg_type, error=InvalidName, wanted="one like 'std_msgs/String'")
         wish = Wish(
-            format=format or "",
+            format="" if format is None else format,
             node=check_node(nodeID),
             ttl=check_ttl(ttl),
             comment=check_text("comment", comment),

@@ -14,7 +14,6 @@ from cassandra_ros.errors import InvalidName, LookupException, TopicNotFound, Tr
 from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.messages.stamps import Stamp, iso_time, to_ns
 from cassandra_ros.query.protocols import Row, Source
-from cassandra_ros.transforms.buffer import Buffer
 from cassandra_ros.transforms.samples import (
     Fixed,
     FrameTree,
@@ -121,6 +120,9 @@ class _Lookup:
             # It remembers every frame that it has heard of, and its errors depend on it.
             known = tree.frames().intersection(self._failure.frames)
             fixed.extend(named(frame) for frame in known)
+        # It needs tf2, which who only records or asks may lack.
+        from cassandra_ros.transforms.buffer import Buffer
+
         buffer = Buffer(time, moving, fixed)
         found = buffer.lookup(*self._failure.frames, lambda kind: self._failure.text(kind, tree))
         found.header.stamp = Stamp.from_ns(time or 0)
