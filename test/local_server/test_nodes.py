@@ -48,8 +48,8 @@ def test_the_memory_follows_the_heap():
     assert large["memtable_heap_space"] == "384MiB"
     command = node(heap="2G").command("java", Path("/jars"))
     assert "-Xmx2048M" in command
-    assert "-Xms512M" in command  # it is taken when it is needed
-    assert "-Xms256M" in node(heap="256M").command("java", Path("/jars"))
+    assert "-Xms2048M" in command
+    assert "-Xms512M" in node().command("java", Path("/jars"))  # the rest when it is needed
     assert "-XX:MaxDirectMemorySize=2048M" in node(heap="4G").command("java", Path("/jars"))
     # Cassandra's own bounds of what is in the air are parts of the heap.
     assert not [key for key in small if "in_flight" in key]

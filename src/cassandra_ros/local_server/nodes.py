@@ -186,8 +186,10 @@ class Node:
         """Return the command line of the node's server."""
         agents = sorted(jars.glob("jamm-*.jar"))
         heap = self.settings.java_heap_mb
-        # It grows with the work: a robot's computer has other things to do with a quarter of it.
-        arguments = [java, f"-Xms{min(heap, _FIRST_HEAP_MB)}M", f"-Xmx{heap}M"]
+        # One that nobody named grows with the work: a robot's computer has other things to do
+        # with a quarter of its memory. One that is named is taken at once, or refused at once.
+        first = heap if self.settings.heap_mb else min(heap, _FIRST_HEAP_MB)
+        arguments = [java, f"-Xms{first}M", f"-Xmx{heap}M"]
         # Half of the heap, as bin/cassandra: the tries of the memtables lie there, too.
         arguments.append(f"-XX:MaxDirectMemorySize={max(512, heap // 2)}M")
         arguments.append("-XX:+UseParallelGC" if heap <= _SMALL_HEAP_MB else "-XX:+UseG1GC")
