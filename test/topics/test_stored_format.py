@@ -124,3 +124,11 @@ def test_on_the_command_line_nobody_names_a_format_unasked():
         assert recorder_cli.make_parser().parse_args(words).format is None
     assert recorder_cli.make_parser().parse_args(["/scan", "--format", "yaml"]).format == "yaml"
     assert cassandra_bag.make_parser().parse_args(["import", "a.bag"]).format is None
+
+
+def test_a_repeated_import_goes_where_its_rows_lie(rosCas, tmp_path):
+    bring_in(rosCas, tmp_path, "json")
+    record(rosCas, tmp_path, "binary")  # from now on the topic goes on in this one
+    bring_in(rosCas, tmp_path, None)
+    assert formats(rosCas) == ["binary", "json"]
+    assert rosCas.getTopic("/scan").countTopicData() == 2

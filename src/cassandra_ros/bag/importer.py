@@ -22,6 +22,7 @@ from cassandra_ros.bag.verify import Import, holds_nothing_else
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_WRITER, SECOND_NS
+from cassandra_ros.messages.connection import Connection
 from cassandra_ros.store.directory import bucket_for
 from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.message_writer import (
@@ -98,7 +99,7 @@ def import_bag(
     Raises:
         BagError: The bag cannot be read to its end. What stands before the damage is stored then;
             the error says how much that is, and where the damage is.
-        TopicExists: This bag is stored already in another format.
+        TopicExists: This bag is stored already in another format than the one that is named.
         TopicNotFound: The bag has no such topic.
         WriteFailed, StoreUnavailable: The store did not take all of it.
     """
@@ -117,13 +118,15 @@ def import_bag(
             format=format or "",
             labels={CONTENT: content.digest},
         )
-        _refuse_second_copy(ros_cas, reader, numbers, run)
+        formats = _formats(ros_cas, reader, numbers, run)
         lengths = bucket_lengths(reader, content.sizes)
         with ros_cas.messageWriter(
             writer_id=writer_id, format=format, nodeID=nodeID, run=run
         ) as writer:
             handles = {
-                number: writer.connect(connection, bucket_ns=lengths[number])
+                number: writer.connect(
+                    connection, bucket_ns=lengths[number], format=formats[number]
+                )
                 for number, connection in reader.connections.items()
                 if number in numbers
             }
@@ -185,29 +188,45 @@ def _earlier_id(
     return None
 
 
-def _refuse_second_copy(
-    ros_cas: RosCassandra, reader: BagReader, numbers: set[int], run: Run
-) -> None:
-    """Raise where rows of this import lie in tables of another format: all would be double."""
-    parts = ros_cas.parts
+def _formats(
+    ros_cas: RosCassandra, reader: BagReader, numbers: AbstractSet[int], run: Run
+) -> dict[int, str]:
+    """Return in which format the messages of each connection are kept.
+
+    An import that is repeated goes where its rows lie, whatever its topics have become since.
+
+    Raises:
+        TopicExists: They lie in tables of another format than is asked for: all would be double.
+    """
+    found: dict[int, str] = {}
     for number in sorted(numbers):
         connection = reader.connections[number]
-        wanted = parts.format_for(connection.topic, connection.md5sum, run.format)
+        wanted = ros_cas.parts.format_for(connection.topic, connection.md5sum, run.format)
         usable, _ = usable_definition(connection, wanted)
-        wanted = wanted if usable is not None else FALLBACK_FORMAT
-        for table in parts.tables.of_topic(connection.topic):
-            metadata = table.metadata
-            if metadata.format == wanted or metadata.md5sum != connection.md5sum:
-                continue
-            first, last = table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
+        kept = _stored_formats(ros_cas, reader, connection, run)
+        if run.format and kept - {wanted if usable is not None else FALLBACK_FORMAT}:
+            raise TopicExists(
+                f"{reader.path} is stored in keyspace {ros_cas.keyspace} already, topic "
+                f"{connection.topic} in format {', '.join(sorted(kept))}; in format {wanted} "
+                "every message would be there twice: remove the topics first, or import it "
+                "into another keyspace"
+            )
+        found[number] = min(kept, default=wanted)
+    return found
+
+
+def _stored_formats(
+    ros_cas: RosCassandra, reader: BagReader, connection: Connection, run: Run
+) -> set[str]:
+    """Return the formats of the tables that hold rows of an import for a connection's type."""
+    parts, found = ros_cas.parts, set()
+    for table in parts.tables.of_topic(connection.topic):
+        first, last = table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
+        if table.metadata.md5sum == connection.md5sum:
             rows = parts.directory.buckets(table.name, first, last, (run.node,))
             if any(row.writer == run.writer for row in rows):
-                raise TopicExists(
-                    f"{reader.path} is stored in keyspace {ros_cas.keyspace} already, topic "
-                    f"{connection.topic} in format {metadata.format}; in format {wanted} "
-                    "every message would be there twice: remove the topics first, or import it "
-                    "into another keyspace"
-                )
+                found.add(table.metadata.format)
+    return found
 
 
 def _note_topics(report: ImportReport, handles: dict[int, Handle]) -> None:
