@@ -54,12 +54,8 @@ MEMORY_FREE = 4 << 30
 """So much must be free there, bytes, for that server to keep its files in memory."""
 
 ONE_BY_ONE = {
-    "nodes",
-    "rostest",
-    "local_server",
-    "cli",
-    "test_import_process.py",
-    "test_examples.py",
+    "programs": {"nodes", "rostest", "cli", "test_import_process.py", "test_examples.py"},
+    "servers": {"local_server"},
 }
 
 
@@ -111,13 +107,16 @@ def pytest_generate_tests(metafunc):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Leave to a campaign only its own tests."""
-    if not LENGTH:
-        return
-    wanted = ("campaign", "fault") if FAULTS[LENGTH] else ("campaign",)
-    chosen = [item for item in items if any(map(item.get_closest_marker, wanted))]
-    config.hook.pytest_deselected(items=[item for item in items if item not in set(chosen)])
-    items[:] = chosen
+    """Leave to a campaign only its own tests, and the long ones."""
+    wanted = ("campaign", "long", "fault") if FAULTS[LENGTH] else ("campaign", "long")
+
+    def chosen(item):
+        if LENGTH:
+            return any(map(item.get_closest_marker, wanted))
+        return not item.get_closest_marker("long")
+
+    config.hook.pytest_deselected(items=[item for item in items if not chosen(item)])
+    items[:] = filter(chosen, items)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -126,11 +125,12 @@ def pytest_xdist_make_scheduler(config, log):
 
     class Scheduling(LoadScopeScheduling):
         # What starts programs and waits for them shares a worker: two at a time are too many for
-        # a small machine, and two servers that start at once may choose the same port.
+        # a small machine. So does what starts servers: two at once may choose the same port.
         def _split_scope(self, nodeid):
             module = nodeid.split("::")[0]
-            if ONE_BY_ONE.intersection(module.split("/")):
-                return "programs"
+            for scope, places in ONE_BY_ONE.items():
+                if places.intersection(module.split("/")):
+                    return scope
             return module if _shares(module) else nodeid
 
     return Scheduling(config, log)
@@ -176,7 +176,7 @@ def ros_home():
 @pytest.fixture(scope="session")
 def ros_env(workspace_env, ros_home):
     """Environment for programs of the package, without a master."""
-    from cassandra_ros.local_server.paths import jars_directory
+    from cassandra_ros.local_server.jars import jars_directory
 
     env = {name: value for name, value in workspace_env.items() if name != "ROS_HOSTNAME"}
     env.update(

@@ -3,8 +3,8 @@
 """The package under other Pythons than the one of the workspace: what needs no ROS master.
 
 ROS's own Python packages are linked beside it where they are Python only; roslz4 and tf2_py are
-compiled for one Python, so what reads lz4 and looks up transforms stays out. make test takes
-the oldest Python that is found, the campaign all of them.
+compiled for one Python, so what reads lz4 and looks up transforms stays out. The short campaign
+takes the oldest Python that is found, the long one all of them.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def found_pythons():
 FOUND = dict(found_pythons())
 
 
-@pytest.fixture(scope="module", params=(list(FOUND) if LENGTH else list(FOUND)[:1]) or [None])
+@pytest.fixture(scope="module", params=list(FOUND)[: None if LENGTH == "long" else 1] or [None])
 def other_python(request):
     """A Python with our requirements in a venv, and an environment that finds ROS."""
     if request.param is None:
@@ -132,14 +132,14 @@ def run(command, **options):
     return done.stdout
 
 
-@pytest.mark.campaign
+@pytest.mark.long
 def test_every_module_is_imported(other_python):
     python, env = other_python
     imported = run([python, "-c", IMPORT_ALL], env=env).count("imported ")
     assert imported > 0.9 * len(list((ROOT / "src/cassandra_ros").rglob("*.py")))
 
 
-@pytest.mark.campaign
+@pytest.mark.long
 def test_what_needs_no_master_passes(other_python, cassandra):
     python, env = other_python
     env = {**env, SERVER_VARIABLE: f"{cassandra.host}:{cassandra.port}"}

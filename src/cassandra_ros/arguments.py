@@ -13,7 +13,7 @@ from numbers import Integral
 from typing import Any, Iterable, Mapping, Optional, Type
 
 from cassandra_ros.errors import CassandraRosError, InvalidKey, InvalidName, InvalidOption
-from cassandra_ros.keys import KEY_FORMATS, MAX_WRITER
+from cassandra_ros.keys import KEY_FORMATS
 from cassandra_ros.metadata import FACTS
 
 MAX_TOPIC_BYTES = 65_535
@@ -42,15 +42,7 @@ def check_text(
     error: Type[CassandraRosError] = InvalidOption,
     wanted: str = "a text",
 ) -> str:
-    """Return a text that can be stored.
-
-    Args:
-        name: Of the argument.
-        value: What was given.
-        most: Bytes of UTF-8 that it may have, included.
-        error: Raised where it is no text, no valid Unicode, or too long.
-        wanted: What to give instead.
-    """
+    """Return a text that can be stored: valid Unicode of at most so many bytes of UTF-8."""
     try:
         if not isinstance(value, str):
             reason = f"it is of type {type(value).__name__}"
@@ -79,52 +71,32 @@ def check_integer(
 
 
 def check_seconds(name: str, value: Any) -> float:
-    """Return a number of seconds, at least 0.
-
-    Raises:
-        InvalidOption: It is none.
-    """
+    """Return a number of seconds, at least 0, or raise InvalidOption."""
     if isinstance(value, (int, float)) and not isinstance(value, bool) and value >= 0:
         return float(value)
     raise InvalidOption(f"{name}={_shown(value)} is no number of seconds: give 0.0 or more")
 
 
 def check_node(node: Any) -> str:
-    """Return a nodeID, '' = nobody says.
-
-    Raises:
-        InvalidName: It cannot be one.
-    """
+    """Return a nodeID, '' = nobody says, or raise InvalidName."""
     wanted = f"the name of a robot, as 'robot_1', of up to {MAX_NODE_BYTES} bytes"
     return check_text("nodeID", node, MAX_NODE_BYTES, InvalidName, wanted)
 
 
 def check_nodes(node: Any) -> Optional[tuple[str, ...]]:
-    """Return the nodes whose messages a nodeID asks for; None = all.
-
-    Raises:
-        InvalidName: It cannot be one.
-    """
+    """Return the nodes whose messages a nodeID asks for, None = all, or raise InvalidName."""
     return None if node is None else (check_node(node),)
 
 
 def check_topic(topic: Any) -> str:
-    """Return the name of a topic that is looked for.
-
-    Raises:
-        InvalidName: It is no text.
-    """
+    """Return the name of a topic that is looked for, or raise InvalidName."""
     if isinstance(topic, str):
         return topic
     raise InvalidName(f"{_shown(topic)} is no name of a topic: give a text like '/scan'")
 
 
 def check_new_topic(topic: Any) -> str:
-    """Return the name of a topic if a table can be made for it. Else any text is data to us.
-
-    Raises:
-        InvalidName: It is empty, contains NUL, is no valid Unicode, or is too long.
-    """
+    """Return the name of a topic if a table can be made for it, or raise InvalidName."""
     wanted = f"a name like '/scan', of up to {MAX_TOPIC_BYTES} bytes"
     name = check_text("topic", topic, MAX_TOPIC_BYTES, InvalidName, wanted)
     if not name or "\0" in name:
@@ -133,40 +105,24 @@ def check_new_topic(topic: Any) -> str:
 
 
 def check_topics(topics: Any) -> Optional[list[str]]:
-    """Return the names of several topics; a text is one, None = all.
-
-    Raises:
-        InvalidName: They are no names.
-    """
+    """Return the names of several topics, a text is one, None = all, or raise InvalidName."""
     if topics is None:
         return None
     return [check_topic(topic) for topic in check_list("topics", topics, "['/scan', '/tf']")]
 
 
 def check_field(field: Any) -> str:
-    """Return the name of a field that is looked for in a type.
-
-    Raises:
-        InvalidName: It is no text.
-    """
+    """Return the name of a field that is looked for in a type, or raise InvalidName."""
     return check_text("field", field, MAX_TEXT_BYTES, InvalidName, "a name like 'linear.x'")
 
 
 def check_fields(name: str, fields: Any) -> tuple[str, ...]:
-    """Return the names of several fields; a text is one.
-
-    Raises:
-        InvalidName: They are no names.
-    """
+    """Return the names of several fields, a text is one, or raise InvalidName."""
     return tuple(check_field(field) for field in check_list(name, fields, "['linear.x']"))
 
 
 def check_list(name: str, values: Any, example: str) -> list[Any]:
-    """Return names as a list, whatever each of them is; a text is one.
-
-    Raises:
-        InvalidName: They are no list; the text gives the example.
-    """
+    """Return names as a list, whatever each of them is, a text is one, or raise InvalidName."""
     if isinstance(values, str):
         return [values]
     if isinstance(values, Iterable) and not isinstance(values, (bytes, bytearray)):
@@ -175,11 +131,7 @@ def check_list(name: str, values: Any, example: str) -> list[Any]:
 
 
 def check_limit(limit: Any) -> Optional[int]:
-    """Return how many messages or rows somebody wants; None = all.
-
-    Raises:
-        InvalidOption: It is no number of them.
-    """
+    """Return how many messages or rows somebody wants, None = all, or raise InvalidOption."""
     if limit is None:
         return None
     whole = isinstance(limit, Integral) and not isinstance(limit, bool)
@@ -191,20 +143,12 @@ def check_limit(limit: Any) -> Optional[int]:
 
 
 def check_ttl(ttl_sec: Any) -> int:
-    """Return a time to live in seconds, 0 = for ever.
-
-    Raises:
-        InvalidOption: It is no whole number of 0 to MAX_TTL_SEC.
-    """
+    """Return a time to live of 0 to MAX_TTL_SEC, 0 = for ever, or raise InvalidOption."""
     return check_integer("ttl", ttl_sec, 0, MAX_TTL_SEC)
 
 
 def check_key_format(key_format: Any, key_part: Any) -> str:
-    """Return the key format that addTopic was given, '' for None; key_part must go with it.
-
-    Raises:
-        InvalidKey: There is no such key format, or key_part does not go with it.
-    """
+    """Return a key format, '' for None, if key_part goes with it, or raise InvalidKey."""
     check_text("key_part", key_part, error=InvalidKey, wanted="a field like 'header.stamp'")
     if key_format not in (None, "", *KEY_FORMATS):
         raise InvalidKey(
@@ -219,11 +163,7 @@ def check_key_format(key_format: Any, key_part: Any) -> str:
 
 
 def check_message_name(topic: str, name: Any) -> str:
-    """Return a name under which a message of a topic can be kept.
-
-    Raises:
-        InvalidKey: It is none.
-    """
+    """Return a name under which a message of a topic can be kept, or raise InvalidKey."""
     wanted = f"a text of 1 to {MAX_MESSAGE_NAME_BYTES} bytes"
     if name != "":
         kept = f"a name, for messages of topic {topic} are kept under names: {wanted}"
@@ -231,21 +171,10 @@ def check_message_name(topic: str, name: Any) -> str:
     raise InvalidKey(f"messages of topic {topic} are kept under names, and '' is none: {wanted}")
 
 
-def check_writer_id(writer_id: Any) -> int:
-    """Return a writer id: 1 to 2**31 - 1.
-
-    Raises:
-        InvalidKey: It is none.
-    """
-    return check_integer("writer_id", writer_id, 1, MAX_WRITER, InvalidKey)
-
-
 def check_user_keys(keys: Any) -> dict[str, Any]:
-    """Return metadata of the user's own if JSON gives them back as they are.
+    """Return metadata of the user's own if JSON gives them back as they are, or raise InvalidName.
 
-    Raises:
-        InvalidName: A key is taken by a fact, or JSON gives back another value or none: of a tuple,
-            a set, bytes, NaN, of keys that are no texts, of what is no valid Unicode.
+    It does not of a tuple, a set, bytes, NaN, keys that are no texts, what is no valid Unicode.
     """
     if not isinstance(keys, Mapping):
         raise InvalidName(f"metadata={_shown(keys)} is no mapping: give one like {{'site': 'lab'}}")

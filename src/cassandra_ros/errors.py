@@ -3,33 +3,15 @@
 """The one tree of errors of the package.
 
 * CassandraRosError
-  - ConnectionFailed     no server answers, or it refuses us, or the connection is closed
-  - StoreUnavailable     a connected server stopped answering
-  - WriteFailed          rows could not be stored (names the topic and how many)
-  - KeyspaceNotFound
-  - SchemaConflict       a table is not what its comment says, or a lock cannot be had
-  - UnsupportedSchema    the store was written by a newer release
-  - TopicNotFound        (also a KeyError)
-  - TopicExists
-  - MessageNotFound      (also a KeyError)
-  - TransformException   no transform between two frames; the names are tf2's
-    + LookupException         a frame is in no recorded transform, or frames form a loop
-    + ConnectivityException   nothing connects the frames at that time
-    + ExtrapolationException  the time lies outside of what was recorded of a frame
-  - TypeMismatch         (also a ValueError), like the following
-  - UnknownFormat
-  - InvalidKey           a time, row key or cursor that cannot be one
-  - InvalidName          a keyspace, topic or field that cannot be one
-  - InvalidOption        an option with a value outside of its range
-  - InvalidQuery         shows the statement with a caret under the spot
-  - InvalidExpression
-  - DefinitionError      a message definition that is not one
-  - CorruptMessage       bytes that are not a message of their type
-  - BagError             a file that is not a bag that can be read
-    + BagUnindexed
-  - ClockNotSet          simulated time has not been received yet
-  - ServerError          the local Cassandra could not be installed, started or stopped
-  - MissingDependency    (also an ImportError)
+  - ConnectionFailed, StoreUnavailable, WriteFailed, KeyspaceNotFound, SchemaConflict,
+    UnsupportedSchema, TopicExists, ClockNotSet, ServerError
+  - TopicNotFound, MessageNotFound (also a KeyError)
+  - TransformException
+    + LookupException, ConnectivityException, ExtrapolationException
+  - TypeMismatch, UnknownFormat, InvalidKey, InvalidName, InvalidOption, InvalidQuery,
+    InvalidExpression, DefinitionError, CorruptMessage, BagError (also a ValueError)
+    + BagUnindexed, a BagError
+  - MissingDependency (also an ImportError)
 
 Each text is a finished sentence: what failed, on which topic, why, and what to do.
 """

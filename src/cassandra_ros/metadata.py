@@ -92,9 +92,7 @@ class TopicMetadata:
 
     def to_comment(self) -> str:
         """Write the metadata as the JSON text of a table comment."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        values["columns"] = list(self.columns)
-        return json.dumps({"cassandra_ros": values}, sort_keys=True)
+        return json.dumps({"cassandra_ros": vars(self)}, sort_keys=True)
 
     def with_user(self, keys: Mapping[str, Any], comment: str | None) -> TopicMetadata:
         """Return a copy with keys of the user's own set, None = removed, and the comment."""
@@ -113,14 +111,7 @@ def shadow_column(number: int) -> str:
 
 
 def from_comment(comment: str, table: str) -> TopicMetadata | None:
-    """Read the metadata out of a table comment.
-
-    Args:
-        comment: The comment of any table in the keyspace.
-        table: Its name, for the error text.
-
-    Returns:
-        The metadata, or None where the table is not one of ours.
+    """Read the metadata out of the comment of any table; None where that is not one of ours.
 
     Raises:
         UnsupportedSchema: A newer release wrote it.
@@ -164,31 +155,20 @@ class MetaView(Mapping[str, Any]):
     def __init__(self, metadata: TopicMetadata, nodes: list[str]) -> None:
         package, _, name = metadata.msg_type.rpartition("/")
         only = nodes[0] if len(nodes) == 1 else ""
-        self._values: dict[str, Any] = {
-            **metadata.user,
-            "topic": metadata.topic,
-            "msg_type": metadata.msg_type,
+        facts = {
+            **vars(metadata),
             "msg_class": name,
             "msg_package": package,
-            "md5sum": metadata.md5sum,
-            "definition": metadata.definition,
-            "key_format": metadata.key_format,
-            "key_part": metadata.key_part,
-            "format": metadata.format,
             "nodeID": metadata.nodeID or only,
             "nodeIDs": nodes,
-            "comment": metadata.comment,
-            "date": metadata.date,
-            "ttl": metadata.ttl,
             "indexes": list(metadata.indexes),
         }
-
-    def __call__(self, key: str) -> Any:
-        """Return one value, as the paper's getMeta(key) does."""
-        return self._values[key]
+        self._values = {**metadata.user, **{name: facts[name] for name in FACTS}}
 
     def __getitem__(self, key: str) -> Any:
         return self._values[key]
+
+    __call__ = __getitem__  # the paper's getMeta(key)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._values)

@@ -91,6 +91,7 @@ def stored(rosCas):
         return 0
 
 
+@pytest.mark.long
 def test_memory_does_not_grow_with_the_bag(cassandra, keyspace, cql, rosCas, tmp_path):
     peaks = []
     for name, megabytes in (("small", 50), ("large", 500)):

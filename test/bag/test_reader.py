@@ -145,7 +145,7 @@ def test_an_encrypted_bag_is_named_as_such(tmp_path):
     header = (
         (b"op", b"\x03"),
         (b"encryptor", b"rosbag/AesCbcEncryptor"),
-        (b"index_pos", bagformat.U64.pack(5000)),
+        (b"index_pos", 5000),
         (b"conn_count", bagformat.U32.pack(1)),
         (b"chunk_count", bagformat.U32.pack(1)),
     )

@@ -232,6 +232,7 @@ def nodes_asked(rosCas):
     return len(listed)
 
 
+@pytest.mark.long
 def test_three_nodes(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster_module, "START_TIMEOUT_SEC", 600.0)
     monkeypatch.setattr(cluster_module, "_NEIGHBOUR_TIMEOUT_SEC", 120.0)

@@ -17,7 +17,7 @@ import pytest
 from cassandra_ros.cli import local_cassandra
 from cassandra_ros.local_server import LocalCluster, free_port, processes
 from cassandra_ros.local_server.cql import answers_cql
-from cassandra_ros.local_server.paths import jars_directory
+from cassandra_ros.local_server.jars import jars_directory
 
 ROOT = Path(__file__).resolve().parents[2]
 

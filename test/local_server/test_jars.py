@@ -8,7 +8,7 @@ import shutil
 import pytest
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server import jars, paths
+from cassandra_ros.local_server import jars
 
 # Stands for Maven: fails as often as the file 'failures' says, then "downloads" one jar.
 _MAVEN = """#!/bin/sh
@@ -30,7 +30,7 @@ done
 def maven(tmp_path, monkeypatch):
     folder = tmp_path / "maven"
     folder.mkdir()
-    jar = f"cassandra-all-{paths.cassandra_version()}.jar"
+    jar = f"cassandra-all-{jars.cassandra_version()}.jar"
     (folder / "mvn").write_text(_MAVEN.replace("{jar}", jar))
     (folder / "mvn").chmod(0o755)
     (folder / "failures").write_text("0")
@@ -70,12 +70,12 @@ def test_a_download_that_never_works_says_so_and_leaves_nothing(maven):
     with pytest.raises(ServerError, match=r"4 times(.|\n)*Connection reset(.|\n)*network"):
         jars.install_jars(lambda text: None)
     assert not jars.jars_installed()
-    assert not [p for p in paths.jars_directory().parent.iterdir() if p.is_dir()]
+    assert not [p for p in jars.jars_directory().parent.iterdir() if p.is_dir()]
 
 
 def test_another_version_in_the_pom_is_fetched(maven, monkeypatch):
     jars.install_jars(lambda text: None)
-    (paths.jars_directory() / "complete").write_text("the digest of an older pom")
+    (jars.jars_directory() / "complete").write_text("the digest of an older pom")
     assert jars.install_jars(lambda text: None)
 
 
@@ -93,5 +93,5 @@ def test_no_space(maven, monkeypatch):
 
 
 def test_the_version_is_new_enough():
-    version = tuple(int(n) for n in re.findall(r"\d+", paths.cassandra_version()))
+    version = tuple(int(n) for n in re.findall(r"\d+", jars.cassandra_version()))
     assert version >= (5, 0, 8)

@@ -204,6 +204,12 @@ def test_what_installed_packages_complete_is_kept_with_the_text():
     assert again.text == definition.text
 
 
+def test_a_type_without_fields_is_completed_by_its_name_and_an_empty_line():
+    md5sum = parse_definition("pkg/Q", f"std_msgs/Empty e{SEPARATOR}MSG: std_msgs/Empty\n").md5sum
+    definition = parse_definition("pkg/Q", "std_msgs/Empty e", md5sum)
+    assert definition.text.endswith("MSG: std_msgs/Empty\n")
+
+
 def test_arrays_that_the_md5_does_not_tell_apart():
     """ROS hashes 'E x' and 'E[] x' alike; what is compiled of one must not serve the other."""
     texts = [f"pkg/E{array} x{SEPARATOR}MSG: pkg/E\nuint8 a" for array in ("", "[]", "[3]")]

@@ -12,7 +12,7 @@ from query.rows import row_of
 from std_msgs.msg import Int64
 
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.query.conditions import Condition
+from cassandra_ros.query.run import Condition
 
 
 def bounds(text, params=(), node=None):

@@ -40,7 +40,16 @@ def ask(store, statement, params, plan, used):
     return rows
 
 
-@pytest.fixture(params=sorted(KINDS))
+IN_EVERY_RUN = ("every", "mixed", "odometry", "scan", "string", "tf")
+"""Kinds that make test asks, too: they take as long to store as to ask."""
+
+
+@pytest.fixture(
+    params=[
+        pytest.param(name, marks=[pytest.mark.long] * (name not in IN_EVERY_RUN))
+        for name in sorted(KINDS)
+    ]
+)
 def stored(request, rosCas):
     """Messages of one kind, in every format."""
     made = Stored(request.param, ROOT / "examples/data/husky_gps_data.bag")
@@ -95,6 +104,7 @@ EDGES = {
 TYPES = Types("edge_msgs/Edge", "float32 f\nfloat64 d\nint8 i\nint64 l\nuint64 u")
 
 
+@pytest.mark.long
 def test_every_operator_at_every_edge(rosCas):
     """Few rows, and all pairs of value and operator."""
     header = {"type": TYPES.name, "md5sum": TYPES.md5sum, "message_definition": TYPES.text}

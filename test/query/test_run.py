@@ -17,7 +17,7 @@ from std_msgs.msg import Float32, String
 from cassandra_ros import RosCassandra, Stamp
 from cassandra_ros.errors import InvalidKey, InvalidQuery
 from cassandra_ros.messages.connection import live_connection
-from cassandra_ros.query.conditions import Condition
+from cassandra_ros.query.run import Condition
 
 TOPICS = ("/diagnostics", "/encoder", "/fix", "/joy", "/tf")
 T0 = 1_400_000_000 * 10**9

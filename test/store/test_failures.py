@@ -187,7 +187,7 @@ def test_the_time_of_a_request_begins_when_its_turn_comes(far, proxy, monkeypatc
     late[0] = 1000.0
     first.release()
     sending.join()
-    requests.close()
+    requests.wait()
     assert len(second.frames) == 1
     assert outcomes == [None, None]
 

@@ -22,7 +22,6 @@ from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.metadata import TopicMetadata, from_comment
 from cassandra_ros.store import schema as schema_module
 from cassandra_ros.store.directory import BucketTotals
-from cassandra_ros.store.index import changes as index_changes
 from cassandra_ros.store.index import table_files
 from cassandra_ros.store.index.backfill import Backfill, Update
 from cassandra_ros.store.side_tables import SchemaLock
@@ -297,7 +296,7 @@ def busy(monkeypatch):
     @contextmanager
     def nobody_begins():
         with monkeypatch.context() as patched:
-            for module in (index_changes, schema_module):
+            for module in (table_files, schema_module):
                 patched.setattr(module, "BUILD_SEC", 0)
             patched.setattr(table_files, "begun", lambda names, *state: not names)
             yield

@@ -104,7 +104,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store.flight import Flight
-from cassandra_ros.store.large import LargeMessages
+from cassandra_ros.store.writer import RowWriter
 from std_msgs.msg import UInt8MultiArray
 
 host, port, keyspace, where = sys.argv[1:]
@@ -115,7 +115,7 @@ wires = [serialize(UInt8MultiArray(data=bytes([n]) * 3_000_000)) for n in range(
 writer.write(handle, 10**18, 0, wires[0])
 writer.flush()
 if where == "before the row":
-    LargeMessages.commit = lambda self: None
+    RowWriter._commit = lambda self: None
 else:
     submit, chunks = Flight.submit, []
     def third(flight, statement, *rest):
@@ -126,7 +126,7 @@ else:
         submit(flight, statement, *rest)
     Flight.submit = third
 writer.write(handle, 10**18 + 1, 1, wires[1])
-writer._rows._large.wait()
+writer._rows._flight.wait()
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -244,6 +244,7 @@ def smallest_server(tmp_path):
         cluster.stop()
 
 
+@pytest.mark.long
 def test_200_megabytes_after_other_work(smallest_server, bags):
     (server,) = smallest_server.status()
     host, port = server.node.address, smallest_server.settings.port

@@ -160,11 +160,11 @@ def test_chunks_without_their_row_are_no_message(rosCas):
     topic.addData(UInt8MultiArray(data=os.urandom(600_000)), key=T0)
     writer = rosCas.messageWriter()
     handle = writer.connect(connection("/big", UInt8MultiArray))
-    writer._rows._large.commit = lambda: None
+    writer._rows._commit = lambda: None
     writer.write(handle, T0 + 1, 0, serialize(UInt8MultiArray(data=bytes(2_000_000))))
     writer._rows._flight.wait()
     assert topic.countTopicData() == len(list(topic.rows())) == 1
-    del writer._rows._large.commit
+    del writer._rows._commit
     writer.close()
     assert topic.countTopicData() == len(list(topic.rows())) == 2
 

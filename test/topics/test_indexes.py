@@ -411,7 +411,7 @@ def test_another_definition_gets_the_indexes_that_it_can_have(rosCas):
 def test_the_index_of_the_key(rosCas, monkeypatch):
     topic = rosCas.addTopic("/key", key_format="msg_part", key_part="data")
     # All of them in one bucket, whatever the time.
-    monkeypatch.setattr(rosCas._open.adder, "now", lambda: T0)
+    monkeypatch.setattr(rosCas._open.adder, "_clock", lambda: T0)
     for text in ("a", "b", "x" * 2000, "a"):
         topic.addData(String(data=text))
     rosCas._open.adder.close()

@@ -41,7 +41,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.topics.selection import TopicKeys
+from cassandra_ros.topics.finding import Finder
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -277,6 +277,13 @@ class TestNames:
         ):
             with pytest.raises(InvalidKey, match="no order"):
                 ask()
+
+    def test_all_are_counted_whenever_the_first_came(self, rosCas):
+        topic = rosCas.addTopic("/a", key_format="manual")
+        assert rosCas.executeCQL("select count(*) from a") == [(0,)]
+        counting = rosCas.iterCQL("select count(*) from a")
+        topic.addData(String(), key="a")
+        assert list(counting) == [(1,)]
 
     @pytest.mark.parametrize("name", [None, "", 5, "\udc80", "x" * 5000, genpy.Time(1)])
     def test_what_is_no_name(self, rosCas, name):
@@ -623,7 +630,7 @@ def test_several_definitions_with_a_key_field(rosCas, cassandra, keyspace):
     assert topic.getData("q").data == "q"
     assert topic.getData(0).data == 0
     for tables in (topic.tables, topic.tables[::-1]):
-        assert TopicKeys("p", "msg_part", tables).of_text("0") == 0
+        assert Finder(rosCas.parts, "p", "msg_part", tables).of_text("0") == 0
     assert topic.keyOfText("0") == 0
     assert topic.keyOfText("q") == "q"
     with pytest.raises(InvalidKey, match="key of these messages"):

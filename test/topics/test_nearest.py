@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from std_msgs.msg import Header, UInt32
 
 from cassandra_ros.errors import InvalidKey, InvalidOption, TopicNotFound
-from cassandra_ros.topics.across import nearest_pairs
+from cassandra_ros.topics.catalog import nearest_pairs
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

@@ -5,22 +5,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Optional, Sequence, Tuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cassandra_ros.messages.definition import Definition
-from cassandra_ros.query.names import Array, FieldRef
-from cassandra_ros.query.projection import Projection, Projections
+from cassandra_ros.query.names import Array
+from cassandra_ros.query.projection import Output, Projection, Projections
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.syntax import Select
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    AnyArray = NDArray[Any]
     AnyType = np.dtype[Any]
 
+AnyArray = NDArray[Any]
 Typed = Tuple[str, "ArrayType"]
 """Name and type of a column."""
 
@@ -53,8 +52,11 @@ class ArrayType:
         return self.depth > 1 or (self.depth == 1 and self.length is None)
 
 
-def type_of(ref: FieldRef, definition: Definition, unnested: Sequence[Array]) -> ArrayType:
-    """Return the type of a field, beside the arrays of messages that are unnested."""
+def _type_of(output: Output, table: Table, unnested: Sequence[Array]) -> ArrayType:
+    """Return the type of a column, beside the arrays of messages that are unnested."""
+    ref, definition = output.ref, table.definition
+    if ref is None or definition is None:
+        return ArrayType(output.kind)
     fields, msg_type = [], definition.type
     for step in ref.steps:
         fields.append(next(f for f in definition.specs[msg_type].fields if f.name == step.name))
@@ -73,22 +75,12 @@ def type_of(ref: FieldRef, definition: Definition, unnested: Sequence[Array]) ->
 
 def group_types(projection: Projection, table: Table) -> list[list[Typed]]:
     """Return name and type of what each selected path gives in a table."""
-
-    def kind(of: str, ref: Optional[FieldRef]) -> ArrayType:
-        if ref is None or table.definition is None:
-            return ArrayType(of)
-        return type_of(ref, table.definition, projection.unnested)
-
-    return [[(o.name, kind(o.kind, o.ref)) for o in group] for group in projection.groups]
+    unnested = projection.unnested
+    return [[(o.name, _type_of(o, table, unnested)) for o in group] for group in projection.groups]
 
 
 def column_types(select: Select, tables: Sequence[Table]) -> list[Typed]:
-    """Return name and type of each column of the result of a statement.
-
-    Args:
-        select: The statement.
-        tables: The tables of its topic.
-    """
+    """Return name and type of each column of the result of a statement on a topic's tables."""
     projections = Projections(select, tables)
     return unite_columns([group_types(projections.of(table), table) for table in tables])
 
@@ -98,9 +90,8 @@ def unite_columns(tables: Sequence[Sequence[Sequence[Typed]]]) -> list[Typed]:
     united: list[Typed] = []
     for groups in zip(*tables):
         names: dict[str, list[ArrayType]] = {}
-        for group in groups:
-            for name, kind in group:
-                names.setdefault(name, []).append(kind)
+        for name, kind in chain.from_iterable(groups):
+            names.setdefault(name, []).append(kind)
         united += [(name, unite_types(kinds)) for name, kinds in names.items()]
     return united
 
@@ -124,8 +115,5 @@ def _wider(kind: str, other: str) -> str:
         whole = [d for d in map(np.dtype, (kind, other)) if d.kind in "iu"]
     except TypeError:
         return MIXED
-    if "bool" in (kind, other):
-        return MIXED
-    if wider.kind == "f" and any(8 * d.itemsize > _MANTISSA[wider.name] for d in whole):
-        return MIXED
-    return wider.name
+    exact = wider.kind != "f" or all(8 * d.itemsize <= _MANTISSA[wider.name] for d in whole)
+    return wider.name if exact and "bool" not in (kind, other) else MIXED

@@ -17,7 +17,8 @@ from cassandra_ros.arguments import check_list
 from cassandra_ros.arrays.gather import FieldArray, Fields, ReadRows, Where, gather_fields
 from cassandra_ros.arrays.values import rows_of
 from cassandra_ros.errors import MissingDependency
-from cassandra_ros.query.protocols import Row, Source
+from cassandra_ros.query.protocols import Row
+from cassandra_ros.query.source import Source
 
 VERSIONS = {
     "pandas": "2.0.3" if sys.version_info < (3, 9) else "2.3.3",
@@ -28,13 +29,7 @@ _UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}
 
 
 def read_frame(topic: Source[Row], fields: Fields, where: Where, read: ReadRows) -> Any:
-    """Return fields as a DataFrame, whose index is KEY.
-
-    Arguments and errors are those of gather_fields.
-
-    Raises:
-        MissingDependency: pandas is not installed.
-    """
+    """Return fields as a DataFrame, whose index is KEY; arguments and errors as gather_fields."""
     pandas = optional_module("pandas", "toDataFrame")
     asked = None if fields is None else ["KEY", *check_list("fields", fields, "['linear.x']")]
     found = gather_fields(topic, asked, where, read)
@@ -52,23 +47,18 @@ def _series(pandas: Any, array: FieldArray) -> Any:
         return rows_of(values, missing)
     if kind.kind in _UNITS:
         values = values.view(_UNITS[kind.kind])
-        if missing is not None:
-            values[missing] = np.array("NaT", values.dtype)
-    elif missing is not None and values.dtype.kind == "f":
-        values[missing] = np.nan
-    elif missing is not None and values.dtype.kind in "iu":
+        values[missing] = np.array("NaT", values.dtype)
+    elif missing.any() and values.dtype.kind in "iu":
         return pandas.arrays.IntegerArray(values, missing)
-    elif missing is not None and values.dtype.kind == "b":
+    elif missing.any() and values.dtype.kind == "b":
         return pandas.arrays.BooleanArray(values, missing)
+    elif values.dtype.kind == "f":
+        values[missing] = np.nan
     return values
 
 
 def optional_module(name: str, purpose: str) -> Any:
-    """Import a module of an optional package.
-
-    Args:
-        name: The module, as 'pyarrow.parquet'.
-        purpose: What needs it, for the error text.
+    """Import a module of an optional package, as 'pyarrow.parquet', for a purpose.
 
     Raises:
         MissingDependency: The package is not installed, or does not run here.

@@ -5,32 +5,20 @@
 from __future__ import annotations
 
 import re
-from typing import (
-    TYPE_CHECKING,
-    Any,
-    Callable,
-    Iterator,
-    NamedTuple,
-    Optional,
-    Sequence,
-    Tuple,
-    Union,
-)
+from typing import Any, Callable, Iterator, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
 from cassandra_ros.arguments import check_list
-from cassandra_ros.arrays.array_types import MIXED, ArrayType, unite_columns
+from cassandra_ros.arrays.array_types import MIXED, AnyArray, ArrayType, unite_columns
 from cassandra_ros.arrays.table_values import TableValues
-from cassandra_ros.arrays.values import cast_values, empty_values, join_values
+from cassandra_ros.arrays.values import empty_values, join_values
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.names import Findings
 from cassandra_ros.query.parse import parse_condition, parse_select
-from cassandra_ros.query.protocols import Row, Source, Table
+from cassandra_ros.query.protocols import Row, Table
+from cassandra_ros.query.source import Source
 from cassandra_ros.query.syntax import Aggregate, KeyOperand, Operand, Select, Selected
-
-if TYPE_CHECKING:
-    from cassandra_ros.arrays.array_types import AnyArray
 
 Where = Union[None, str, Tuple[str, Sequence[object]]]
 """A condition, or a condition with the values of its ``?``."""
@@ -49,8 +37,8 @@ class FieldArray(NamedTuple):
 
     kind: ArrayType
     values: AnyArray
-    missing: Optional[AnyArray]
-    """A bool for each row: the message has no such value. None where all have it."""
+    missing: AnyArray
+    """A bool for each row: the message has no such value."""
 
 
 def gather_fields(
@@ -59,10 +47,8 @@ def gather_fields(
     """Gather fields from the rows of a topic.
 
     Args:
-        topic: Whose rows.
         fields: As a SELECT statement names them, KEY and NODE included; None = all fields.
         where: Which messages ``read`` gives, and which elements of the arrays that are unnested.
-        read: Reads the rows.
 
     Raises:
         InvalidName: fields is no list of names.
@@ -104,19 +90,16 @@ def read_arrays(
 
     Arguments and errors are those of gather_fields.
     """
-    return {
-        name: _plain(array) for name, array in gather_fields(topic, fields, where, read).items()
-    }
+    found = gather_fields(topic, fields, where, read)
+    return {name: _masked(values, missing) for name, (_, values, missing) in found.items()}
 
 
-def _plain(array: FieldArray) -> AnyArray:
-    many = array.values.ndim > 1
-    if array.missing is None or (array.values.dtype.kind == "O" and not many):
-        return array.values
-    mask = array.missing
-    if many:
-        mask = np.broadcast_to(mask[:, None], array.values.shape)
-    masked: AnyArray = np.ma.MaskedArray(array.values, mask)  # type: ignore[no-untyped-call]
+def _masked(values: AnyArray, missing: AnyArray) -> AnyArray:
+    many = values.ndim > 1
+    if not missing.any() or (values.dtype.kind == "O" and not many):
+        return values
+    mask = np.broadcast_to(missing[:, None], values.shape) if many else missing
+    masked: AnyArray = np.ma.MaskedArray(values, mask)  # type: ignore[no-untyped-call]
     return masked
 
 
@@ -146,34 +129,20 @@ def _statement(
 
 
 def _united(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArray]:
-    if not tables:
+    if not tables:  # the topic has no type yet
         columns = select.columns or (Selected(KeyOperand(0)),)
-        return {column.text: _nothing(column) for column in columns}
+        kinds = {c.text: "time" if isinstance(c.what, KeyOperand) else MIXED for c in columns}
+        return {
+            n: FieldArray(ArrayType(k), *empty_values(ArrayType(k), 0)) for n, k in kinds.items()
+        }
     filled = [table for table in tables if table.count]
     order = None
     if len(filled) > 1:
         order = np.argsort(np.concatenate([table.order for table in filled]), kind="stable")
-    kinds = dict(unite_columns([table.groups for table in tables]))
-    return {name: _column(name, kind, filled, order) for name, kind in kinds.items()}
-
-
-def _nothing(column: Selected) -> FieldArray:
-    """Return no value, of a topic that has no type yet."""
-    kind = ArrayType("time" if isinstance(column.what, KeyOperand) else MIXED)
-    return FieldArray(kind, np.empty(0, kind.dtype), None)
-
-
-def _column(
-    name: str, kind: ArrayType, tables: Sequence[TableValues], order: Optional[AnyArray]
-) -> FieldArray:
-    parts = []
-    for table in tables:
-        found = table.take(name)
-        if found is None:
-            parts.append(empty_values(kind, table.count))
-        else:
-            parts.append(cast_values(found[1], found[0], kind))
-    values, missing = join_values(parts, kind)
-    if order is not None:
-        values, missing = values[order], None if missing is None else missing[order]
-    return FieldArray(kind, values, missing)
+    found = {}
+    for name, kind in dict(unite_columns([table.groups for table in tables])).items():
+        values, missing = join_values([table.take(name, kind) for table in filled], kind)
+        if order is not None:
+            values, missing = values[order], missing[order]
+        found[name] = FieldArray(kind, values, missing)
+    return found

@@ -12,18 +12,21 @@ from __future__ import annotations
 import logging
 import struct
 from dataclasses import replace
-from typing import TYPE_CHECKING, Callable, List, Mapping, NamedTuple, Optional, Sequence, Union
+from typing import Mapping, NamedTuple, Optional, Sequence, Union
 
 import numpy as np
 
-from cassandra_ros.arrays.array_types import ArrayType, group_types
+from cassandra_ros.arrays.array_types import AnyArray, ArrayType, group_types
 from cassandra_ros.arrays.values import (
     Convert,
     Values,
+    cast_values,
     compile_convert,
     count_elements,
+    empty_values,
     from_decoded,
     join_values,
+    none_missing,
     objects_of,
 )
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFound
@@ -33,9 +36,6 @@ from cassandra_ros.query.names import FieldRef, Findings
 from cassandra_ros.query.projection import Projection
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.syntax import Select
-
-if TYPE_CHECKING:
-    from cassandra_ros.arrays.array_types import AnyArray
 
 _log = logging.getLogger(__name__)
 
@@ -53,73 +53,62 @@ class Origin(NamedTuple):
     """The column is a list whose elements are rows."""
 
 
-class TableColumns:
-    """Takes undecoded columns from rows, or else cuts them out of the serialised message.
+class TableValues:
+    """Gathers the values of a statement's columns (fields, KEY, NODE) from the rows of one table.
 
-    Args:
-        table: Whose rows.
-        fields: With their types; None = KEY or NODE.
-        arrays: The dotted names of the arrays of messages that are unnested.
-
-    Attributes:
-        direct: Whether every field can be taken so. The others are of no use where not.
-        names: The columns.
-        origins: For each field.
-        listed: Place of a column with one element for each row, where there is one.
+    It takes undecoded columns from rows, or else cuts them out of the serialised message; where
+    one of the fields lies in no column, all are decoded. ``groups`` are name and type of the
+    columns that each selected path gives.
     """
 
-    def __init__(
-        self,
-        table: Table,
-        fields: Sequence[tuple[Optional[FieldRef], ArrayType]],
-        arrays: Sequence[str],
-    ) -> None:
+    def __init__(self, select: Select, table: Table, findings: Findings) -> None:
         self._table = table
-        self.names: List[str] = []
-        self._cut: Optional[Callable[[bytes], Sequence[Optional[bytes]]]] = None
+        self._projection = Projection.compile(select, table, findings)
+        self.groups = group_types(self._projection, table)
+        self._outputs = [output for group in self._projection.groups for output in group]
+        self._kinds = [kind for group in self.groups for _, kind in group]
+        self._arrays = [".".join(s.name for s in array) for array in self._projection.unnested]
+        self._names: list[str] = []
         self._places: dict[int, Optional[list[int]]] = {}
-        known: Mapping[str, FieldColumn] = {}
-        if table.definition is not None:
-            plan = wire_plan(table.definition)
-            known = {column.name: column for column in plan.all_columns}
-        self.origins = [
-            None if ref is None else self._origin(ref, kind, known, arrays) for ref, kind in fields
+        plan = None if table.definition is None else wire_plan(table.definition)
+        known = {} if plan is None else {column.name: column for column in plan.all_columns}
+        # Where the value of each output comes from; None: not from a column of its own.
+        self._origins = [
+            None if output.ref is None else self._origin(output.ref, kind, known)
+            for output, kind in zip(self._outputs, self._kinds)
         ]
-        self.direct = len(arrays) <= 1 and all(
-            ref is None or origin is not None for (ref, _), origin in zip(fields, self.origins)
+        self._by_column = len(self._arrays) <= 1 and all(
+            origin or output.ref is None for output, origin in zip(self._outputs, self._origins)
         )
-        inside = [origin.place for origin in self.origins if origin is not None and origin.inside]
-        self.listed = inside[0] if inside else None
-        if self.names:
-            self._cut = plan.cutter(self.names)
+        self._cut = plan.cutter(self._names) if plan is not None and self._names else None
+        condition = Projection.compile(replace(select, columns=()), table, Findings(select.text))
+        # Tells of each element whether it satisfies the condition; None: all of them do.
+        self._tester = condition if condition.unnested else None
+        self._chunks: list[list[Values]] = [[] for _ in self._outputs]
+        self._orders: list[AnyArray] = []
+        self._clear()
 
     def _origin(
-        self,
-        ref: FieldRef,
-        kind: ArrayType,
-        known: Mapping[str, FieldColumn],
-        arrays: Sequence[str],
+        self, ref: FieldRef, kind: ArrayType, known: Mapping[str, FieldColumn]
     ) -> Optional[Origin]:
         column = known.get(ref.column)
-        if column is None:
+        inside = column is not None and column.array in self._arrays
+        convert = None if column is None else compile_convert(ref, column, kind, inside)
+        if column is None or convert is None:
             return None
-        inside = column.array in arrays
-        convert = compile_convert(ref, column, kind, inside)
-        if convert is None:
-            return None
-        if column.name not in self.names:
-            self.names.append(column.name)
-        return Origin(self.names.index(column.name), convert, inside)
+        if column.name not in self._names:
+            self._names.append(column.name)
+        return Origin(self._names.index(column.name), convert, inside)
 
     @property
     def needed(self) -> Sequence[str]:
         """The columns of the table that must be read, in its order."""
         every = self._table.columns
-        if not self.direct or not set(self.names) <= set(every):
+        if not self._by_column or not set(self._names) <= set(every):
             return every
-        return [name for name in every if name in self.names]
+        return [name for name in every if name in self._names]
 
-    def read(self, row: Row) -> Optional[Sequence[Optional[bytes]]]:
+    def _read(self, row: Row) -> Optional[Sequence[Optional[bytes]]]:
         """Return the columns of a row, None for each where the message cannot be read.
 
         None instead of all where the message was removed since its columns were read.
@@ -139,7 +128,7 @@ class TableColumns:
             return None
         except CorruptMessage as exc:
             _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
-            return [None] * len(self.names)
+            return [None] * len(self._names)
 
     def _where(self, width: int) -> Optional[list[int]]:
         """Places of the columns in a row of so many: all of the table's, or those asked for."""
@@ -148,40 +137,10 @@ class TableColumns:
         if width not in self._places:
             held = list(self._table.columns)
             if width != len(held):
-                held = [name for name in held if name in self.names]
-            fits = width == len(held) and all(name in held for name in self.names)
-            self._places[width] = [held.index(name) for name in self.names] if fits else None
+                held = [name for name in held if name in self._names]
+            fits = width == len(held) and all(name in held for name in self._names)
+            self._places[width] = [held.index(name) for name in self._names] if fits else None
         return self._places[width]
-
-
-class TableValues:
-    """Gathers the values of a statement's columns from the rows of one table.
-
-    Args:
-        select: The statement; its columns are fields, KEY and NODE.
-        table: The table.
-        findings: Collects what the statement names in vain.
-
-    Attributes:
-        groups: Name and type of the columns that each selected path gives.
-        count: How many values there are of each.
-    """
-
-    def __init__(self, select: Select, table: Table, findings: Findings) -> None:
-        self._projection = Projection.compile(select, table, findings)
-        unnested = self._projection.unnested
-        self.groups = group_types(self._projection, table)
-        self._outputs = [output for group in self._projection.groups for output in group]
-        self._kinds = [kind for group in self.groups for _, kind in group]
-        fields = [(output.ref, kind) for output, kind in zip(self._outputs, self._kinds)]
-        arrays = [".".join(step.name for step in array) for array in unnested]
-        self._columns = TableColumns(table, fields, arrays)
-        condition = Projection.compile(replace(select, columns=()), table, Findings(select.text))
-        self._tester = condition if condition.unnested else None
-        """Tells of each element whether it satisfies the condition; None: all of them do."""
-        self._chunks: list[list[Values]] = [[] for _ in self._outputs]
-        self._orders: list[AnyArray] = []
-        self._clear()
 
     def _clear(self) -> None:
         self._numbers: list[int] = []
@@ -191,18 +150,11 @@ class TableValues:
         self._decoded: list[Sequence[object]] = []
         self._bytes = 0
 
-    # ---------------------------------------------------------------- rows
-
     def add(self, row: Row, number: int) -> None:
-        """Take a row in.
-
-        Args:
-            row: A row of the table that satisfies the condition.
-            number: Orders the rows of all tables; never falls.
-        """
+        """Take a row that satisfies the condition; ``number`` orders those of all tables."""
         projection = self._projection
-        if self._columns.direct:
-            raws = self._columns.read(row)
+        if self._by_column:
+            raws = self._read(row)
             if raws is None:
                 return
             self._numbers.append(number)
@@ -221,14 +173,12 @@ class TableValues:
         if len(self._numbers) >= BATCH_ROWS or self._bytes >= BATCH_BYTES:
             self.flush()
 
-    # ---------------------------------------------------------------- arrays
-
     def flush(self) -> None:
         """Turn the rows of the batch into arrays."""
         if not self._numbers:
             return
         try:
-            chunks = self._direct() if self._columns.direct else self._value_by_value()
+            chunks = self._column_by_column() if self._by_column else self._value_by_value()
         except (ValueError, struct.error) as exc:
             if isinstance(exc, CassandraRosError):
                 raise
@@ -245,33 +195,30 @@ class TableValues:
             for output, kind in zip(self._outputs, self._kinds)
         ]
 
-    def _direct(self) -> list[Values]:
+    def _column_by_column(self) -> list[Values]:
         columns = list(zip(*self._raws))
         counts = kept = None
         if self._tester is not None:
             counts = np.array([len(hits) for hits in self._hits])
             kept = np.array([hit for hits in self._hits for hit in hits], bool)
-        elif self._columns.listed is not None:
-            counts = count_elements(columns[self._columns.listed])
+        else:
+            listed = next((o.place for o in self._origins if o is not None and o.inside), None)
+            counts = None if listed is None else count_elements(columns[listed])
         chunks = []
-        for output, kind, origin in zip(self._outputs, self._kinds, self._columns.origins):
+        for output, kind, origin in zip(self._outputs, self._kinds, self._origins):
             if origin is None:
-                chunk = self._own_values(output.place, kind)
+                chunk, repeats = self._own_values(output.place, kind), counts
             else:
                 chunk = origin.convert(columns[origin.place])
-            inside = origin is not None and origin.inside
-            chunks.append(_chosen(chunk, None if inside else counts, kept))
-        self._orders.append(_chosen(Values(_order(self._numbers)), counts, kept).values)
+                repeats = None if origin.inside else counts
+            chunks.append(Values(*(_chosen(values, repeats, kept) for values in chunk)))
+        self._orders.append(_chosen(_order(self._numbers), counts, kept))
         return chunks
 
     def _own_values(self, place: int, kind: ArrayType) -> Values:
         own = [pair[place] for pair in self._own]
-        return Values(objects_of(own) if kind.dtype.kind == "O" else np.array(own, np.int64))
-
-    @property
-    def needed(self) -> Sequence[str]:
-        """The columns of the table that must be read."""
-        return self._columns.needed
+        values = objects_of(own) if kind.dtype.kind == "O" else np.array(own, np.int64)
+        return Values(values, none_missing(len(own)))
 
     @property
     def count(self) -> int:
@@ -283,13 +230,13 @@ class TableValues:
         """The numbers of the rows from which the values come."""
         return np.concatenate(self._orders)
 
-    def take(self, name: str) -> Optional[tuple[ArrayType, Values]]:
-        """Give away the values of a column, with their type; None where the table lacks it."""
-        for n, (output, kind) in enumerate(zip(self._outputs, self._kinds)):
+    def take(self, name: str, kind: ArrayType) -> Values:
+        """Give away the values of a column as another type; where the table lacks it, nothing."""
+        for n, (output, own) in enumerate(zip(self._outputs, self._kinds)):
             if output.name == name:
                 chunks, self._chunks[n] = self._chunks[n], []
-                return kind, join_values(chunks, kind)
-        return None
+                return cast_values(join_values(chunks, own), own, kind)
+        return empty_values(kind, self.count)
 
 
 def _order(numbers: Sequence[int]) -> AnyArray:
@@ -297,13 +244,8 @@ def _order(numbers: Sequence[int]) -> AnyArray:
     return np.array(numbers) if numbers[-1] else np.broadcast_to(np.int64(0), (len(numbers),))
 
 
-def _chosen(chunk: Values, counts: Optional[AnyArray], kept: Optional[AnyArray]) -> Values:
+def _chosen(values: AnyArray, counts: Optional[AnyArray], kept: Optional[AnyArray]) -> AnyArray:
     """Repeat the values of a message for each of its elements, and leave those that match."""
-    values, missing = chunk
     if counts is not None:
         values = np.repeat(values, counts, axis=0)
-        missing = None if missing is None else np.repeat(missing, counts)
-    if kept is not None:
-        values = values[kept]
-        missing = None if missing is None else missing[kept]
-    return Values(values, missing)
+    return values if kept is None else values[kept]

@@ -8,11 +8,12 @@ are joined to one.
 
 from __future__ import annotations
 
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any, Callable, List, NamedTuple, Optional, Sequence
 
 import numpy as np
 
-from cassandra_ros.arrays.array_types import ArrayType
+from cassandra_ros.arrays.array_types import AnyArray, ArrayType
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.wire.layout import FieldColumn
@@ -20,7 +21,7 @@ from cassandra_ros.messages.wire.values import split_list
 from cassandra_ros.query.names import FieldRef
 
 if TYPE_CHECKING:
-    from cassandra_ros.arrays.array_types import AnyArray, AnyType
+    from cassandra_ros.arrays.array_types import AnyType
 
 Raws = Sequence[Optional[bytes]]
 _BIG = {
@@ -41,8 +42,8 @@ class Values(NamedTuple):
     """An array of values, one a row."""
 
     values: AnyArray
-    missing: Optional[AnyArray] = None
-    """A bool for each row, or None where nothing is missing."""
+    missing: AnyArray
+    """A bool for each row; takes no memory where nothing is missing."""
 
 
 Convert = Callable[[Raws], Values]
@@ -53,27 +54,25 @@ def compile_convert(
 ) -> Optional[Convert]:
     """Return the function from the columns of many rows to a field's values.
 
-    Args:
-        ref: The field.
-        column: The column in which it lies.
-        kind: Its type.
-        inside: The column is a list over an array that is unnested: each element is a row.
-
-    Returns:
-        None where the values of the field must be decoded one by one.
+    None where they must be decoded one by one. ``inside``: The column is a list over an array that
+    is unnested, each element is a row.
     """
     direct = all(step.index is None for step in ref.steps) and column.name == ref.column
     if not direct or column.kind == "wire" or kind.depth > 1:
         return None
-    if column.is_list and not inside:
-        convert = _lists(ref, column, kind)
-    elif inside and column.cql_type in _FIXED_LISTS:
-        convert = _elements(column, kind)
+    listed = column.is_list and not inside
+    convert: Convert
+    if listed and ref.index is not None:
+        return partial(_listed, ref.index)
+    if column.cql_type in _FIXED_LISTS:
+        convert = partial(_elements, column, kind)
     else:
         convert = _one(ref, column, kind)
-        if inside:
-            convert = _split(convert)
-    return _part(convert, ref.part) if ref.part else convert
+        if column.is_list:
+            convert = partial(_split, convert)
+    if listed:
+        convert = partial(_lists, kind, convert)
+    return partial(_part, convert, ref.part) if ref.part else convert
 
 
 def count_elements(raws: Raws) -> AnyArray:
@@ -81,9 +80,15 @@ def count_elements(raws: Raws) -> AnyArray:
     return np.frombuffer(b"".join([raw[:4] if raw else _NO_LIST for raw in raws]), ">i4")
 
 
-def _absent(raws: Sequence[object]) -> Optional[AnyArray]:
+@lru_cache(maxsize=64)  # most batches have the same number of rows
+def none_missing(count: int) -> AnyArray:
+    """Return the marks of values of which none is missing."""
+    return np.broadcast_to(np.False_, (count,))
+
+
+def _absent(raws: Sequence[object]) -> AnyArray:
     if None not in raws:
-        return None
+        return none_missing(len(raws))
     return np.fromiter((raw is None for raw in raws), bool, len(raws))
 
 
@@ -92,19 +97,19 @@ def _one(ref: FieldRef, column: FieldColumn, kind: ArrayType) -> Convert:
     if column.kind == "array" and ref.index is not None:
         # The type of secs is a number's, and they lie in a time.
         base = column.field_type.partition("[")[0] if ref.part else ref.type
-        return _element(ref.index, base)
+        return partial(_element, ref.index, base)
     if column.kind == "array":
-        return _arrays(kind)
+        length = kind.length
+        return partial(_cells, kind.kind) if length is None else partial(_arrays, kind.kind, length)
     if column.kind == "text":
         return _texts
     if column.field_type == "uint64":
-        return lambda raws: Values(_varints(raws), _absent(raws))
-    big = np.dtype(_BIG[column.cql_type])
+        return _varints
+    return partial(_numbers, np.dtype(_BIG[column.cql_type]), kind.dtype)
 
-    def convert(raws: Raws) -> Values:
-        return Values(_joined(raws, big).astype(kind.dtype), _absent(raws))
 
-    return convert
+def _numbers(big: AnyType, dtype: AnyType, raws: Raws) -> Values:
+    return Values(_joined(raws, big).astype(dtype), _absent(raws))
 
 
 def _joined(raws: Raws, dtype: AnyType) -> AnyArray:
@@ -116,9 +121,9 @@ def _joined(raws: Raws, dtype: AnyType) -> AnyArray:
     return np.frombuffer(joined, dtype)
 
 
-def _varints(raws: Raws) -> AnyArray:
+def _varints(raws: Raws) -> Values:
     joined = b"".join([(raw or b"")[-8:].rjust(8, b"\0") for raw in raws])
-    return np.frombuffer(joined, ">u8").astype(np.uint64)
+    return Values(np.frombuffer(joined, ">u8").astype(np.uint64), _absent(raws))
 
 
 def _texts(raws: Raws) -> Values:
@@ -129,7 +134,7 @@ def _texts(raws: Raws) -> Values:
     return Values(values, _absent(raws))
 
 
-def numbers_of(kind: str, wire: bytes) -> AnyArray:
+def _numbers_of(kind: str, wire: bytes) -> AnyArray:
     """Read the elements of a primitive array as on the wire."""
     if kind in ("time", "duration"):
         pairs = np.frombuffer(wire, "<u4" if kind == "time" else "<i4").reshape(-1, 2)
@@ -139,102 +144,67 @@ def numbers_of(kind: str, wire: bytes) -> AnyArray:
     return np.frombuffer(wire, dtype.newbyteorder("<")).astype(kind)
 
 
-def _arrays(kind: ArrayType) -> Convert:
-    length, unit = kind.length, 8 if kind.kind in ("time", "duration") else kind.dtype.itemsize
-    if length is None:
-        return lambda raws: Values(
-            objects_of([None if raw is None else numbers_of(kind.kind, raw) for raw in raws]),
-            _absent(raws),
-        )
-    size = length * unit
-
-    def convert(raws: Raws) -> Values:
-        joined = _joined(raws, np.dtype(f"V{size}"))
-        values = numbers_of(kind.kind, joined.tobytes())
-        return Values(values.reshape(len(raws), length), _absent(raws))
-
-    return convert
+def _size_of(kind: str) -> int:
+    """Return the bytes of a primitive on the wire."""
+    return 8 if kind in ("time", "duration") else np.dtype(kind).itemsize
 
 
-def _element(index: int, kind: str) -> Convert:
-    unit = 8 if kind in ("time", "duration") else np.dtype(kind).itemsize
-    low, high = index * unit, (index + 1) * unit
-
-    def convert(raws: Raws) -> Values:
-        cut = [raw[low:high] if raw is not None and len(raw) >= high else None for raw in raws]
-        joined = _joined(cut, np.dtype(f"V{unit}"))
-        return Values(numbers_of(kind, joined.tobytes()), _absent(cut))
-
-    return convert
+def _cells(kind: str, raws: Raws) -> Values:
+    cells = [None if raw is None else _numbers_of(kind, raw) for raw in raws]
+    return Values(objects_of(cells), _absent(raws))
 
 
-def _split(convert: Convert) -> Convert:
+def _arrays(kind: str, length: int, raws: Raws) -> Values:
+    joined = _joined(raws, np.dtype(f"V{length * _size_of(kind)}"))
+    return Values(_numbers_of(kind, joined.tobytes()).reshape(len(raws), length), _absent(raws))
+
+
+def _element(index: int, kind: str, raws: Raws) -> Values:
+    size = _size_of(kind)
+    low, high = index * size, (index + 1) * size
+    cut = [raw[low:high] if raw is not None and len(raw) >= high else None for raw in raws]
+    return Values(_numbers_of(kind, _joined(cut, np.dtype(f"V{size}")).tobytes()), _absent(cut))
+
+
+def _split(convert: Convert, raws: Raws) -> Values:
     """Apply to all elements of lists, one after the other."""
-
-    def split(raws: Raws) -> Values:
-        cut: List[Optional[bytes]] = []
-        for raw in raws:
-            cut += [None] if raw is None else split_list(raw)
-        return convert(cut)
-
-    return split
+    cut: List[Optional[bytes]] = []
+    for raw in raws:
+        cut += [None] if raw is None else split_list(raw)
+    return convert(cut)
 
 
-def _elements(column: FieldColumn, kind: ArrayType) -> Convert:
+def _elements(column: FieldColumn, kind: ArrayType, raws: Raws) -> Values:
     """As _split, for elements that all have the same size."""
     value = np.dtype(_FIXED_LISTS[column.cql_type])
     element = np.dtype([("size", ">i4"), ("value", value)])
     filler = value.itemsize.to_bytes(4, "big") + bytes(value.itemsize)
-
-    def convert(raws: Raws) -> Values:
-        joined = b"".join([filler if raw is None else raw[4:] for raw in raws])
-        counts = count_elements(raws)
-        if len(joined) != int(counts.sum()) * element.itemsize:
-            raise CorruptMessage(f"list column {column.name} is malformed")
-        found = np.frombuffer(joined, element)
-        if (found["size"] != value.itemsize).any():
-            raise CorruptMessage(f"list column {column.name} has a malformed element")
-        absent = _absent(raws)
-        missing = None if absent is None else np.repeat(absent, counts)
-        return Values(found["value"].astype(kind.dtype), missing)
-
-    return convert
+    joined = b"".join([filler if raw is None else raw[4:] for raw in raws])
+    counts = count_elements(raws)
+    if len(joined) != int(counts.sum()) * element.itemsize:
+        raise CorruptMessage(f"list column {column.name} is malformed")
+    found = np.frombuffer(joined, element)
+    if (found["size"] != value.itemsize).any():
+        raise CorruptMessage(f"list column {column.name} has a malformed element")
+    return Values(found["value"].astype(kind.dtype), np.repeat(_absent(raws), counts))
 
 
-def _lists(ref: FieldRef, column: FieldColumn, kind: ArrayType) -> Convert:
-    if ref.index is not None:
-        return _listed(ref.index)
-    fixed = column.cql_type in _FIXED_LISTS
-    elements = _elements(column, kind) if fixed else _split(_one(ref, column, kind))
-
-    def convert(raws: Raws) -> Values:
-        # Lists that are missing stand for one element.
-        every, ends = elements(raws).values, np.cumsum(count_elements(raws))
-        cells = np.split(every, ends[:-1])
-        return arrays_of([None if raw is None else c for raw, c in zip(raws, cells)], kind)
-
-    return convert
+def _lists(kind: ArrayType, elements: Convert, raws: Raws) -> Values:
+    # Lists that are missing stand for one element.
+    every, ends = elements(raws).values, np.cumsum(count_elements(raws))
+    cells = np.split(every, ends[:-1])
+    return _arrays_of([None if raw is None else c for raw, c in zip(raws, cells)], kind)
 
 
-def _listed(index: int) -> Convert:
+def _listed(index: int, raws: Raws) -> Values:
     """One element of each string[]."""
-
-    def convert(raws: Raws) -> Values:
-        lists = [[] if raw is None else split_list(raw) for raw in raws]
-        return _texts([found[index] if index < len(found) else None for found in lists])
-
-    return convert
+    lists = [[] if raw is None else split_list(raw) for raw in raws]
+    return _texts([found[index] if index < len(found) else None for found in lists])
 
 
-def _part(convert: Convert, part: str) -> Convert:
-    def whole(raws: Raws) -> Values:
-        values, missing = convert(raws)
-        return Values(
-            values // SECOND_NS if part == "secs" else values % SECOND_NS,
-            missing,
-        )
-
-    return whole
+def _part(convert: Convert, part: str, raws: Raws) -> Values:
+    values, missing = convert(raws)
+    return Values(values // SECOND_NS if part == "secs" else values % SECOND_NS, missing)
 
 
 def objects_of(cells: Sequence[object]) -> AnyArray:
@@ -245,30 +215,26 @@ def objects_of(cells: Sequence[object]) -> AnyArray:
     return values
 
 
-def arrays_of(cells: Sequence[Optional[AnyArray]], kind: ArrayType) -> Values:
+def _arrays_of(cells: Sequence[Optional[AnyArray]], kind: ArrayType) -> Values:
     """Return arrays of one dimension as rows of one array, if their length is fixed."""
     missing = np.fromiter((cell is None for cell in cells), bool, len(cells))
     if kind.length is None:
-        return Values(objects_of(cells), missing if missing.any() else None)
-    filler = None if kind.dtype.kind == "O" else 0
-    values = np.full((len(cells), kind.length), filler, kind.dtype)
+        return Values(objects_of(cells), missing)
+    values = empty_values(kind, len(cells)).values
     for n, cell in enumerate(cells):
         if cell is not None:
             values[n] = cell
-    return Values(values, missing if missing.any() else None)
+    return Values(values, missing)
 
 
 def from_decoded(values: Sequence[Any], kind: ArrayType) -> Values:
     """Make the arrays of values that were decoded one by one."""
-    if kind.depth == 0:
-        missing = np.fromiter((value is None for value in values), bool, len(values))
-        if kind.dtype.kind == "O":
-            return Values(objects_of(values), missing if missing.any() else None)
-        filled = np.array([0 if value is None else value for value in values], kind.dtype)
-        return Values(filled, missing if missing.any() else None)
-    if kind.depth > 1:
+    if kind.depth == 1:
+        return _arrays_of([None if value is None else _cell(value, kind) for value in values], kind)
+    if kind.depth > 1 or kind.dtype.kind == "O":
         return Values(objects_of(values), _absent(values))
-    return arrays_of([None if value is None else _cell(value, kind) for value in values], kind)
+    filled = np.array([0 if value is None else value for value in values], kind.dtype)
+    return Values(filled, _absent(values))
 
 
 def _cell(value: Any, kind: ArrayType) -> AnyArray:
@@ -284,7 +250,7 @@ def empty_values(kind: ArrayType, count: int) -> Values:
     dtype = np.dtype(object) if kind.cells else kind.dtype
     shape = (count, kind.length) if kind.depth == 1 and kind.length is not None else (count,)
     values = np.full(shape, None, object) if dtype.kind == "O" else np.zeros(shape, dtype)
-    return Values(values, np.ones(count, bool) if count else None)
+    return Values(values, np.ones(count, bool))
 
 
 def join_values(parts: Sequence[Values], kind: ArrayType) -> Values:
@@ -292,28 +258,19 @@ def join_values(parts: Sequence[Values], kind: ArrayType) -> Values:
     if not parts:
         return empty_values(kind, 0)
     values = np.concatenate([part.values for part in parts])
-    if all(part.missing is None for part in parts):
-        return Values(values)
-    marks = [
-        np.zeros(len(part.values), bool) if part.missing is None else part.missing for part in parts
-    ]
-    return Values(values, np.concatenate(marks))
+    if not any(part.missing.any() for part in parts):
+        return Values(values, none_missing(len(values)))
+    return Values(values, np.concatenate([part.missing for part in parts]))
 
 
 def cast_values(found: Values, own: ArrayType, kind: ArrayType) -> Values:
-    """Turn the values of one table into the type that holds those of all.
-
-    Args:
-        found: The values.
-        own: Their type.
-        kind: What unite_types made of it and others.
-    """
+    """Turn the values of one table from their own type into that which holds those of all."""
     values, missing = found
     if own == kind or own.depth > 1:
         return found
     if kind.depth == 1 and not kind.cells or own.depth == kind.depth == 0:
         values = values.astype(kind.dtype)
-        if missing is not None and values.dtype.kind == "O":
+        if values.dtype.kind == "O":
             values[missing] = None
         return Values(values, missing)
     if own.depth == 0:
@@ -323,9 +280,8 @@ def cast_values(found: Values, own: ArrayType, kind: ArrayType) -> Values:
     return Values(objects_of([c if c is None else c.astype(dtype) for c in cells]), missing)
 
 
-def rows_of(values: AnyArray, missing: Optional[AnyArray]) -> AnyArray:
+def rows_of(values: AnyArray, missing: AnyArray) -> AnyArray:
     """Return an array of objects, one a row: the rows of an array, None where one is missing."""
     rows = objects_of(list(values))
-    if missing is not None:
-        rows[missing] = None
+    rows[missing] = None
     return rows

@@ -8,7 +8,7 @@ import bz2
 import struct
 from struct import Struct
 from types import ModuleType
-from typing import Callable, NamedTuple, cast
+from typing import Callable, Tuple, cast
 
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.errors import BagError, MissingDependency
@@ -22,29 +22,14 @@ _FEED_BYTES = 1 << 16
 
 
 def compress_chunk(name: str, data: bytes) -> bytes:
-    """Compress the records of a chunk with one of COMPRESSIONS.
-
-    Raises:
-        MissingDependency: lz4, and the package roslz4 is not installed.
-    """
+    """Compress the records of a chunk with one of COMPRESSIONS."""
     if name == "bz2":
         return bz2.compress(data)
     return bytes(_roslz4().compress(data)) if name == "lz4" else data
 
 
 def decompress_chunk(name: str, data: bytes, size: int, where: str) -> bytes:
-    """Give back the content of a chunk.
-
-    Args:
-        name: What the chunk's header calls its compression.
-        data: The bytes that stand in the file.
-        size: Length of the content as the header states it; never more is unpacked.
-        where: Subject of the error's sentence.
-
-    Raises:
-        BagError: The compression is unknown, or the data does not give ``size`` bytes.
-        MissingDependency: lz4, and the package roslz4 is not installed.
-    """
+    """Give back the content of a chunk, which has ``size`` bytes; never more are unpacked."""
     if size > MAX_CHUNK_BYTES:
         raise BagError(
             f"{where} states {size} bytes of content; chunks of over {MAX_CHUNK_BYTES} bytes are "
@@ -91,57 +76,46 @@ def _roslz4() -> ModuleType:
     return cast(ModuleType, roslz4)
 
 
-class ChunkMessage(NamedTuple):
-    """Place of one message in the content of its chunk."""
-
-    file_id: int
-    """Number of the connection as the file has it."""
-    t_ns: int
-    start: int
-    """The serialised message is content[start:stop]."""
-    stop: int
-
+ChunkMessage = Tuple[int, int, int, int]
+"""Place of one message in the content of its chunk: the number of the connection as the file has
+it, the time, ns, and start and stop of the serialised message. Plain: there is one for each."""
 
 # Both known writers of bags give the header of a message always the same layout, so one unpack
 # and two comparisons read it; every other order of the fields is read field by field.
-_CPP = Struct("<13sI17sIII")
-_CPP_HEAD = b"\x26\0\0\0\x09\0\0\0conn="
-_CPP_MIDDLE = b"\x04\0\0\0op=\x02\x0d\0\0\0time="
-_PYTHON = Struct("<21sI9sIII")
-_PYTHON_HEAD = b"\x26\0\0\0\x04\0\0\0op=\x02\x09\0\0\0conn="
-_PYTHON_MIDDLE = b"\x0d\0\0\0time="
-_FIXED_BYTES = _CPP.size
-_MESSAGE_HEAD = Struct(f"<{len(_PYTHON_HEAD)}sI{len(_PYTHON_MIDDLE)}sIII")
+_CPP = (
+    Struct("<13sI17sIII").unpack_from,
+    b"\x26\0\0\0\x09\0\0\0conn=",
+    b"\x04\0\0\0op=\x02\x0d\0\0\0time=",
+)
+_MESSAGE_HEAD = Struct("<21sI9sIII")
+_PYTHON = (
+    _MESSAGE_HEAD.unpack_from,
+    b"\x26\0\0\0\x04\0\0\0op=\x02\x09\0\0\0conn=",
+    b"\x0d\0\0\0time=",
+)
+_FIXED_BYTES = _MESSAGE_HEAD.size
 
 
 def find_messages(content: bytes, where: str) -> list[ChunkMessage]:
-    """List the messages of a chunk in their order.
-
-    Args:
-        content: The unpacked content of the chunk.
-        where: Subject of the error's sentence.
-
-    Raises:
-        BagError: The records do not fill the content exactly, or one is damaged.
-    """
+    """List the messages of a chunk's unpacked content, which its records must fill exactly."""
     found: list[ChunkMessage] = []
     position, end = 0, len(content)
     last_fixed = end - _FIXED_BYTES
-    read_cpp, read_python = _CPP.unpack_from, _PYTHON.unpack_from
+    (read, head, middle), other = _PYTHON, _CPP
     while position < end:
         if position <= last_fixed:
-            head, file_id, middle, secs, nsecs, size = read_cpp(content, position)
-            known = head == _CPP_HEAD and middle == _CPP_MIDDLE
-            if not known:
-                head, file_id, middle, secs, nsecs, size = read_python(content, position)
-                known = head == _PYTHON_HEAD and middle == _PYTHON_MIDDLE
-            if known:
+            fixed = read(content, position)
+            if fixed[0] != head or fixed[2] != middle:
+                (read, head, middle), other = other, (read, head, middle)
+                fixed = read(content, position)
+            if fixed[0] == head and fixed[2] == middle:
+                _, file_id, _, secs, nsecs, size = fixed
                 start = position + _FIXED_BYTES
                 t_ns = secs * SECOND_NS + nsecs
                 stop = start + size
                 if stop > end or t_ns > MAX_NS:
                     raise BagError(f"{where} is damaged: a message at byte {position} of it")
-                found.append(ChunkMessage(file_id, t_ns, start, stop))
+                found.append((file_id, t_ns, start, stop))
                 position = stop
                 continue
         position = _other_record(content, position, where, found)
@@ -160,11 +134,11 @@ def _other_record(content: bytes, position: int, where: str, found: list[ChunkMe
     if stop > len(content):
         raise BagError(f"{place} is damaged: a record runs over the end")
     fields = bagformat.split_fields(content[position + 4 : data_size_at], place)
-    op = bagformat.number(fields, b"op", bagformat.U8, place)
+    op = bagformat.number(fields, b"op", place)
     if op == bagformat.OP_MESSAGE:
-        file_id = bagformat.number(fields, b"conn", bagformat.U32, place)
+        file_id = bagformat.number(fields, b"conn", place)
         t_ns = bagformat.time_ns(fields, b"time", place)
-        found.append(ChunkMessage(file_id, t_ns, start, stop))
+        found.append((file_id, t_ns, start, stop))
     elif op != bagformat.OP_CONNECTION:
         # The index at the end holds the connections; their copies in the chunks repeat it.
         raise BagError(f"{place} is damaged: a record of kind {op}")
@@ -174,4 +148,5 @@ def _other_record(content: bytes, position: int, where: str, found: list[ChunkMe
 def message_head(number: int, t_ns: int, size: int) -> bytes:
     """Build what stands before the bytes of a message in a chunk."""
     secs, nsecs = divmod(t_ns, SECOND_NS)
-    return _MESSAGE_HEAD.pack(_PYTHON_HEAD, number, _PYTHON_MIDDLE, secs, nsecs, size)
+    _, head, middle = _PYTHON
+    return _MESSAGE_HEAD.pack(head, number, middle, secs, nsecs, size)

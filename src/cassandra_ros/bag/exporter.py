@@ -14,7 +14,7 @@ from cassandra_ros.errors import BagError, MessageNotFound
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.topics.across import Conditions
+from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.selection import Time
 from cassandra_ros.topics.stored_row import StoredRow
@@ -54,7 +54,6 @@ def export_bag(
     time, connection, position.
 
     Args:
-        ros_cas: Connected to a keyspace.
         path: The bag to make; it has the name PATH.active until it is complete.
         topics: Only these; None = all.
         start: First time of reception (genpy.Time, int ns, float s or text); None = open.
@@ -116,10 +115,8 @@ class ConnectionNumbers:
 
     Between equal times rosbag reads the connection of the lower number first, so those of an
     imported bag keep their numbers among each other: the first import its own, each further one
-    shifted as a whole. What was never in a bag is numbered as it appears.
-
-    Args:
-        writer: Gets each connection when it appears.
+    shifted as a whole. What was never in a bag is numbered as it appears. The writer gets each
+    connection when it appears.
     """
 
     def __init__(self, writer: BagWriter) -> None:

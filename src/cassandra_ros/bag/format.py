@@ -8,8 +8,9 @@ fields: length, name, '=', value. All numbers are little endian.
 
 from __future__ import annotations
 
+import os
 from struct import Struct
-from typing import BinaryIO, Dict, Iterable, NamedTuple, Tuple
+from typing import BinaryIO, Dict, Iterable, NamedTuple, Tuple, Union
 
 from cassandra_ros.errors import BagError, BagUnindexed
 from cassandra_ros.keys import MAX_NS, SECOND_NS
@@ -29,12 +30,19 @@ OP_CONNECTION = 7
 MAX_HEADER_BYTES = 1 << 20
 """Longest header of a record that is believed; real ones have tens of bytes."""
 
-U8 = Struct("<B")
 U32 = Struct("<I")
-U64 = Struct("<Q")
-TIME = Struct("<II")
+COUNT = Struct("<II")
+"""Number of a connection, and its messages in a chunk."""
+_TIME = Struct("<II")
+_WIDTHS = {
+    **dict.fromkeys((b"conn", b"ver", b"count", b"size", b"conn_count", b"chunk_count"), 4),
+    **dict.fromkeys((b"index_pos", b"chunk_pos", b"time", b"start_time", b"end_time"), 8),
+    b"op": 1,
+}
+"""Bytes of the fields that are numbers; a time is one with its seconds in the lower half."""
 
 Fields = Dict[bytes, bytes]
+NewFields = Iterable[Tuple[bytes, Union[bytes, int]]]
 
 
 class Record(NamedTuple):
@@ -46,15 +54,7 @@ class Record(NamedTuple):
 
 
 def split_fields(header: bytes, where: str) -> Fields:
-    """Take a header apart into its fields; of equal names the last one counts.
-
-    Args:
-        header: The header without its own length.
-        where: Subject of the error's sentence, with the name of the file.
-
-    Raises:
-        BagError: The lengths do not fit together, or a field has no name.
-    """
+    """Take a header (without its own length) apart; of equal names the last one counts."""
     fields: Fields = {}
     position, end = 0, len(header)
     while position < end:
@@ -68,39 +68,33 @@ def split_fields(header: bytes, where: str) -> Fields:
     return fields
 
 
-def pack_fields(fields: Iterable[Tuple[bytes, bytes]]) -> bytes:
+def pack_fields(fields: NewFields) -> bytes:
     """Build a header (without its own length) from names and values."""
-    return b"".join(
-        U32.pack(len(name) + 1 + len(value)) + name + b"=" + value for name, value in fields
-    )
+    parts = []
+    for name, value in fields:
+        raw = value.to_bytes(_WIDTHS[name], "little") if isinstance(value, int) else value
+        parts.append(U32.pack(len(name) + 1 + len(raw)) + name + b"=" + raw)
+    return b"".join(parts)
 
 
-def pack_record(fields: Iterable[Tuple[bytes, bytes]], data: bytes) -> bytes:
+def pack_record(fields: NewFields, data: bytes) -> bytes:
     """Build a whole record."""
     header = pack_fields(fields)
     return b"".join((U32.pack(len(header)), header, U32.pack(len(data)), data))
 
 
-def number(fields: Fields, name: bytes, layout: Struct, where: str) -> int:
-    """Read a number out of a header.
-
-    Raises:
-        BagError: The field is missing or of another size.
-    """
-    value = fields.get(name)
-    if value is None or len(value) != layout.size:
+def number(fields: Fields, name: bytes, where: str) -> int:
+    """Read a number out of a header; BagError where it is missing or of another size."""
+    value = fields.get(name, b"")
+    if len(value) != _WIDTHS[name]:
         raise BagError(f"{where} is damaged: its header has no valid field '{name.decode()}'")
-    return int(layout.unpack(value)[0])
+    return int.from_bytes(value, "little")
 
 
 def time_ns(fields: Fields, name: bytes, where: str) -> int:
-    """Read a time out of a header, as nanoseconds.
-
-    Raises:
-        BagError: The field is missing, of another size, or beyond what a ROS stamp can hold.
-    """
-    packed = number(fields, name, U64, where)  # seconds in the lower half
-    t_ns = (packed & 0xFFFFFFFF) * SECOND_NS + (packed >> 32)
+    """Read a time out of a header, as nanoseconds; BagError also where no ROS stamp holds it."""
+    nsecs, secs = divmod(number(fields, name, where), 1 << 32)
+    t_ns = secs * SECOND_NS + nsecs
     if t_ns > MAX_NS:
         raise BagError(f"{where} is damaged: its time lies beyond the year 2106")
     return t_ns
@@ -108,10 +102,10 @@ def time_ns(fields: Fields, name: bytes, where: str) -> int:
 
 def pack_time(t_ns: int) -> bytes:
     """Write nanoseconds as the seconds and nanoseconds of a ROS time."""
-    return TIME.pack(*divmod(t_ns, SECOND_NS))
+    return _TIME.pack(*divmod(t_ns, SECOND_NS))
 
 
-def read_record(file: BinaryIO, file_bytes: int, op: int, where: str) -> Record:
+def read_record(file: BinaryIO, op: int, where: str) -> Record:
     """Read the header of the record at the file's position, and stop before its data.
 
     Raises:
@@ -119,32 +113,25 @@ def read_record(file: BinaryIO, file_bytes: int, op: int, where: str) -> Record:
         BagError: It is not a record of this kind.
     """
     start = file.tell()
-    header_bytes = _length(file, file_bytes, where)
-    if header_bytes > MAX_HEADER_BYTES:
-        raise BagError(f"{where} is damaged: a header of {header_bytes} bytes at byte {start}")
-    if file_bytes - file.tell() < header_bytes:
-        raise cut_short(where, file_bytes)
+    header_bytes = _length(file, where, MAX_HEADER_BYTES)
     fields = split_fields(file.read(header_bytes), where)
-    found = number(fields, b"op", U8, where)
+    found = number(fields, b"op", where)
     if found != op:
         raise BagError(f"{where} is damaged: at byte {start} stands a record of kind {found}")
-    data_bytes = _length(file, file_bytes, where)
-    position = file.tell()
-    if file_bytes - position < data_bytes:
-        raise cut_short(where, file_bytes)
-    return Record(fields, position, data_bytes)
+    data_bytes = _length(file, where)
+    return Record(fields, file.tell(), data_bytes)
 
 
-def cut_short(where: str, file_bytes: int) -> BagUnindexed:
-    """Make the error for a file that ends too early."""
-    return BagUnindexed(
-        f"{where} does not fit into the file, which is cut short after {file_bytes} bytes; "
-        "'rosbag reindex' on the file keeps what can still be read"
-    )
-
-
-def _length(file: BinaryIO, file_bytes: int, where: str) -> int:
-    raw = file.read(4)
-    if len(raw) < 4:
-        raise cut_short(where, file_bytes)
-    return int(U32.unpack(raw)[0])
+def _length(file: BinaryIO, where: str, most: int = 2**32) -> int:
+    """Read how many bytes follow; so many are in the file."""
+    raw, file_bytes = file.read(4), os.fstat(file.fileno()).st_size
+    length = U32.unpack(raw)[0] if len(raw) == 4 else 0
+    if length > most:
+        start = file.tell() - 4
+        raise BagError(f"{where} is damaged: a header of {length} bytes at byte {start}")
+    if len(raw) < 4 or file_bytes - file.tell() < length:
+        raise BagUnindexed(
+            f"{where} does not fit into the file, which is cut short after {file_bytes} bytes; "
+            "'rosbag reindex' on the file keeps what can still be read"
+        )
+    return int(length)

@@ -10,26 +10,16 @@ from dataclasses import dataclass, field
 from typing import AbstractSet, Iterable, Mapping
 
 from cassandra_ros.arguments import check_new_topic
-from cassandra_ros.bag.identity import (
-    CONTENT,
-    BagContent,
-    earlier_writer_id,
-    is_earlier,
-    read_content,
-)
+from cassandra_ros.bag import identity
+from cassandra_ros.bag.identity import BagContent
 from cassandra_ros.bag.reader import BagReader, Progress, chosen_connections
-from cassandra_ros.bag.verify import Import, holds_nothing_else
+from cassandra_ros.bag.verify import holds_nothing_else
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_WRITER, SECOND_NS
-from cassandra_ros.messages.connection import Connection
 from cassandra_ros.store.directory import bucket_for
 from cassandra_ros.store.registry import Run
-from cassandra_ros.topics.message_writer import (
-    Handle,
-    MessageWriter,
-    usable_definition,
-)
+from cassandra_ros.topics.message_writer import Handle, MessageWriter, usable_definition
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
@@ -83,8 +73,6 @@ def import_bag(
     not depend on the size of the bag (see BagReader for its share).
 
     Args:
-        ros_cas: Connected to a keyspace.
-        path: The bag.
         format: As addTopic takes it, for all topics.
         topics: Only these, with or without leading slash; None = all.
         nodeID: The robot that recorded the bag; '' = nobody says.
@@ -105,32 +93,27 @@ def import_bag(
     """
     with BagReader(path) as reader:
         numbers = chosen_connections(reader, topics)
-        content = read_content(reader, reading)
+        content = identity.read_content(reader, reading)
         writer_id = _writer_id(ros_cas, reader, nodeID, content)
         report = ImportReport(reader.path, writer_id, nodeID)
         numbers = _refuse_names(reader, numbers, report)
-        run = Run(
-            node=nodeID,
-            writer=writer_id,
-            kind="import",
-            name=os.path.basename(reader.path),
-            source=os.path.abspath(reader.path),
-            format=format or "",
-            labels={CONTENT: content.digest},
-        )
+        name, source = os.path.basename(reader.path), os.path.abspath(reader.path)
+        labels = {identity.CONTENT: content.digest}
+        run = Run(nodeID, writer_id, "import", name, source, format or "", labels=labels)
         formats = _formats(ros_cas, reader, numbers, run)
         lengths = bucket_lengths(reader, content.sizes)
         with ros_cas.messageWriter(
             writer_id=writer_id, format=format, nodeID=nodeID, run=run
         ) as writer:
             handles = {
-                number: writer.connect(
-                    connection, bucket_ns=lengths[number], format=formats[number]
-                )
-                for number, connection in reader.connections.items()
-                if number in numbers
+                n: writer.connect(connection, lengths[n], format=formats[n])
+                for n, connection in reader.connections.items()
+                if n in numbers
             }
-            _note_topics(report, handles)
+            for handle in handles.values():
+                report.topics.setdefault(handle.topic, ImportedTopic(handle.format))
+                if handle.warning and handle.warning not in report.warnings:
+                    report.warnings.append(handle.warning)
             _write_messages(reader, writer, handles, report, progress)
             writer.close(lost=report.lost)
     return report
@@ -158,34 +141,23 @@ def _refuse_names(reader: BagReader, numbers: AbstractSet[int], report: ImportRe
 def _writer_id(ros_cas: RosCassandra, reader: BagReader, node: str, content: BagContent) -> int:
     """Return the writer id of this bag's import: that of an earlier one where there is one."""
     runs = {run.writer: run for run in ros_cas.runs() if run.node == node}
-    for run in filter(content.is_of, runs.values()):
-        return run.writer
+    known = next(filter(content.is_of, runs.values()), None)
+    if known is not None:
+        return known.writer
     names = {connection.topic for connection in reader.connections.values()}
-    earlier = {n for n, run in runs.items() if is_earlier(run) and run.stored.keys() <= names}
-    writer_id = _earlier_id(ros_cas, reader, node, earlier) if earlier else None
-    if writer_id is None:
-        writer_id = content.writer_id(node)
-        while writer_id in runs:  # of another bag: 31 bits may agree by chance
-            writer_id = writer_id % MAX_WRITER + 1
-    return writer_id
-
-
-def _earlier_id(
-    ros_cas: RosCassandra, reader: BagReader, node: str, writers: AbstractSet[int]
-) -> int | None:
-    """Return which of these imports, whose content nobody noted, is of this bag, if one is.
-
-    The id that an earlier release gave it does not tell, for bags that differ in the middle share
-    it: we would replace the rows of another bag. So the rows themselves are compared.
-    """
+    earlier = {n: r for n, r in runs.items() if identity.is_earlier(r) and r.stored.keys() <= names}
     try:
-        writer_id = earlier_writer_id(reader, node)
-        found = Import(node, writer_id)
-        if writer_id in writers and holds_nothing_else(ros_cas, reader, found):
-            return writer_id
+        # The id that an earlier release gave this bag does not tell, for bags that differ in the
+        # middle share it: we would replace the rows of another bag. So the rows are compared.
+        run = earlier.get(identity.earlier_writer_id(reader, node)) if earlier else None
+        if run is not None and holds_nothing_else(ros_cas, reader, run):
+            return run.writer
     except BagError as exc:
         _log.debug("%s; its import goes as far", exc)  # and says so
-    return None
+    writer_id = content.writer_id(node)
+    while writer_id in runs:  # of another bag: 31 bits may agree by chance
+        writer_id = writer_id % MAX_WRITER + 1
+    return writer_id
 
 
 def _formats(
@@ -198,12 +170,17 @@ def _formats(
     Raises:
         TopicExists: They lie in tables of another format than is asked for: all would be double.
     """
-    found: dict[int, str] = {}
+    parts, found = ros_cas.parts, {}
     for number in sorted(numbers):
-        connection = reader.connections[number]
-        wanted = ros_cas.parts.format_for(connection.topic, connection.md5sum, run.format)
+        connection, kept = reader.connections[number], set()
+        for table in parts.tables.of_topic(connection.topic):
+            first, last = table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
+            if table.metadata.md5sum == connection.md5sum:
+                rows = parts.directory.buckets(table.name, first, last, (run.node,))
+                if any(row.writer == run.writer for row in rows):
+                    kept.add(table.metadata.format)
+        wanted = parts.format_for(connection.topic, connection.md5sum, run.format)
         usable, _ = usable_definition(connection, wanted)
-        kept = _stored_formats(ros_cas, reader, connection, run)
         if run.format and kept - {wanted if usable is not None else FALLBACK_FORMAT}:
             raise TopicExists(
                 f"{reader.path} is stored in keyspace {ros_cas.keyspace} already, topic "
@@ -213,27 +190,6 @@ def _formats(
             )
         found[number] = min(kept, default=wanted)
     return found
-
-
-def _stored_formats(
-    ros_cas: RosCassandra, reader: BagReader, connection: Connection, run: Run
-) -> set[str]:
-    """Return the formats of the tables that hold rows of an import for a connection's type."""
-    parts, found = ros_cas.parts, set()
-    for table in parts.tables.of_topic(connection.topic):
-        first, last = table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
-        if table.metadata.md5sum == connection.md5sum:
-            rows = parts.directory.buckets(table.name, first, last, (run.node,))
-            if any(row.writer == run.writer for row in rows):
-                found.add(table.metadata.format)
-    return found
-
-
-def _note_topics(report: ImportReport, handles: dict[int, Handle]) -> None:
-    for handle in handles.values():
-        report.topics.setdefault(handle.topic, ImportedTopic(handle.format))
-        if handle.warning and handle.warning not in report.warnings:
-            report.warnings.append(handle.warning)
 
 
 def _write_messages(
@@ -279,17 +235,11 @@ class _Rate:
 
 
 def bucket_lengths(reader: BagReader, sizes: Mapping[int, int]) -> dict[int, int]:
-    """Choose the bucket length of each connection's table.
+    """Choose the bucket length, ns, of each connection's table, equal for those that share one.
 
-    The highest rate over stretches of at least 10 s decides, as the counts of the chunks show
-    it: a single stray stamp stretches the whole bag, but not all of its parts.
-
-    Args:
-        reader: The bag.
-        sizes: Serialised bytes by number of the connection.
-
-    Returns:
-        Nanoseconds by number of the connection, equal for those that share a table.
+    The highest rate over stretches of at least 10 s decides, as the counts of the chunks and the
+    sizes of the connections show it: a single stray stamp stretches the whole bag, but not all of
+    its parts.
     """
     # Topic and md5sum: what shares one table.
     rates: dict[tuple[str, str], _Rate] = {}

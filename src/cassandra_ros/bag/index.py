@@ -4,18 +4,17 @@
 
 from __future__ import annotations
 
+import os
 from array import array
 from collections import Counter
-from dataclasses import dataclass, field
-from struct import Struct
 from typing import BinaryIO, NamedTuple
 
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.errors import BagError, BagUnindexed
 from cassandra_ros.messages.connection import Connection
 
-_COUNT = Struct("<II")
 _LONGEST_MAGIC = 32
+_PER_CHUNK = 5
 
 
 class ChunkInfo(NamedTuple):
@@ -31,38 +30,120 @@ class ChunkInfo(NamedTuple):
     """Messages in the chunks before it."""
 
 
-@dataclass
 class BagIndex:
-    """What opening a bag leaves in memory: 40 bytes a chunk, and the connections."""
+    """The index of a bag that is open: its connections, and where its chunks lie; see BagReader."""
 
-    connections: dict[int, Connection] = field(default_factory=dict)
-    """By number, in the order that decides between equal times."""
-    numbers: dict[int, int] = field(default_factory=dict)
-    """Id in the file -> number."""
-    counts: Counter[int] = field(default_factory=Counter)
-    """Messages by number."""
-    chunks: array[int] = field(default_factory=lambda: array("Q"))
-    """Position, start_ns, end_ns, position of the chunk info, messages before; of each chunk."""
-    message_count: int = 0
+    def __init__(self, file: BinaryIO, path: str) -> None:
+        self.path = path
+        self.connections: dict[int, Connection] = {}
+        self.counts: Counter[int] = Counter()
+        self._file = file
+        self.numbers: dict[int, int] = {}
+        """Id of a connection in the file -> its number here."""
+        # Position, start_ns, end_ns, position of the chunk info, messages before; of each chunk.
+        self._chunks = array("Q")
+        index_pos, connection_count, self.chunk_count = _read_file_header(file, path)
+        file.seek(index_pos)
+        try:
+            self._read_connections(connection_count)
+            self._read_chunk_infos()
+        except BagUnindexed as exc:
+            what = f"is cut short: its index ends at byte {os.fstat(file.fileno()).st_size}"
+            raise _unindexed(path, what) from exc
+        self._sort_chunks(index_pos)
+        self.message_count = sum(self.counts.values())
+        self.start_ns = min(self._column(1), default=0)
+        self.end_ns = max(self._column(2), default=0)
 
-    PER_CHUNK = 5
+    def _chunk(self, number: int) -> array[int]:
+        return self._chunks[number * _PER_CHUNK : (number + 1) * _PER_CHUNK]
 
-    def __len__(self) -> int:
-        return len(self.chunks) // self.PER_CHUNK
+    def _column(self, place: int) -> array[int]:
+        return self._chunks[place::_PER_CHUNK]
+
+    def chunk_info(self, chunk: int) -> ChunkInfo:
+        """Read what the index says about a chunk, in [0, chunk_count), in the file's order."""
+        info_pos, before = self._chunk(chunk)[3:]
+        self._file.seek(info_pos)
+        info = self._read_chunk_info(f"{self.path}: the chunk info of chunk {chunk + 1}")
+        return info._replace(first=before)
+
+    def chunk_times(self, chunk: int) -> tuple[int, int]:
+        """Return the first and last time in a chunk as the index has them, ns."""
+        start_ns, end_ns = self._chunk(chunk)[1:3]
+        return start_ns, end_ns
+
+    def _read_connections(self, count: int) -> None:
+        found: dict[int, tuple[str, bytes]] = {}
+        where = f"{self.path}: a connection in the index"
+        for _ in range(count):
+            record = bagformat.read_record(self._file, bagformat.OP_CONNECTION, where)
+            number = bagformat.number(record.fields, b"conn", where)
+            header = self._file.read(record.data_bytes)
+            topic = _topic(record.fields, number, self.path)
+            _check_header(header, f"{self.path}: connection {number} (topic {topic})")
+            if found.setdefault(number, (topic, header)) != (topic, header):
+                raise BagError(f"{self.path} is damaged: it has two different connections {number}")
+        # Number decides between equal times. Where the records stand in another order, that is
+        # the one in which rosbag reads, so the place in it is taken for the number.
+        ascending = list(found) == sorted(found)
+        for place, (number, (topic, header)) in enumerate(found.items()):
+            kept = self.numbers[number] = number if ascending else place
+            self.connections[kept] = Connection(topic, header, kept)
+
+    def _read_chunk_infos(self) -> None:
+        for _ in range(self.chunk_count):
+            info_pos = self._file.tell()
+            info = self._read_chunk_info(f"{self.path}: a chunk info in the index")
+            self.counts.update(info.counts)
+            # The sum stands here until the chunks are in order.
+            before = sum(info.counts.values())
+            self._chunks.extend((info.position, info.start_ns, info.end_ns, info_pos, before))
+        self.connections = {n: c for n, c in self.connections.items() if n in self.counts}
+
+    def _read_chunk_info(self, where: str) -> ChunkInfo:
+        """Read the chunk info record at the file's position; its ``first`` is 0."""
+        fields, _, data_bytes = bagformat.read_record(self._file, bagformat.OP_CHUNK_INFO, where)
+        version = bagformat.number(fields, b"ver", where)
+        if version != bagformat.INDEX_VERSION:
+            raise BagError(f"{where} has the unknown version {version}")
+        position = bagformat.number(fields, b"chunk_pos", where)
+        start_ns = bagformat.time_ns(fields, b"start_time", where)
+        end_ns = bagformat.time_ns(fields, b"end_time", where)
+        count = bagformat.number(fields, b"count", where)
+        data = self._file.read(data_bytes)
+        if len(data) != count * bagformat.COUNT.size:
+            raise BagError(f"{where} is damaged: {len(data)} bytes for {count} connections")
+        counts: Counter[int] = Counter()
+        for file_id, messages in bagformat.COUNT.iter_unpack(data):
+            if file_id not in self.numbers:
+                raise BagError(f"{where} counts messages of connection {file_id}, which is missing")
+            if messages:
+                counts[self.numbers[file_id]] += messages
+        return ChunkInfo(position, start_ns, end_ns, counts, 0)
+
+    def _sort_chunks(self, index_pos: int) -> None:
+        positions = self._column(0)
+        chunks, before, last = array("Q"), 0, len(bagformat.MAGIC)
+        for place in sorted(range(len(positions)), key=positions.__getitem__):
+            *known, count = self._chunk(place)
+            if not last < known[0] < index_pos:
+                what = f"its index places a chunk at byte {known[0]}"
+                raise BagError(f"{self.path} is damaged: {what}")
+            chunks.extend((*known, before))
+            before, last = before + count, known[0]
+        self._chunks = chunks
 
 
-def _read_file_header(file: BinaryIO, file_bytes: int, name: str) -> tuple[int, int, int]:
-    """Read the magic line and the first record.
-
-    Returns:
-        Position of the index, number of connections, number of chunks.
-    """
+def _read_file_header(file: BinaryIO, name: str) -> tuple[int, int, int]:
+    """Return the position of the index, and the numbers of connections and chunks."""
+    file_bytes = os.fstat(file.fileno()).st_size
     _check_magic(file.readline(_LONGEST_MAGIC), file_bytes, name)
     where = f"{name}: the header"
     try:
-        record = bagformat.read_record(file, file_bytes, bagformat.OP_FILE_HEADER, where)
+        record = bagformat.read_record(file, bagformat.OP_FILE_HEADER, where)
     except BagUnindexed as exc:
-        raise BagUnindexed(_reindex(name, f"is cut short after {file_bytes} bytes")) from exc
+        raise _unindexed(name, f"is cut short after {file_bytes} bytes") from exc
     fields = record.fields
     encryptor = fields.get(b"encryptor", b"")
     if encryptor not in (b"", b"rosbag/NoEncryptor"):
@@ -70,18 +151,18 @@ def _read_file_header(file: BinaryIO, file_bytes: int, name: str) -> tuple[int, 
             f"{name} is encrypted ({encryptor.decode('utf-8', 'replace')}); "
             f"make a readable copy with: rosbag decrypt {name}"
         )
-    index_pos = bagformat.number(fields, b"index_pos", bagformat.U64, where)
-    connections = bagformat.number(fields, b"conn_count", bagformat.U32, where)
-    chunks = bagformat.number(fields, b"chunk_count", bagformat.U32, where)
+    index_pos, connections, chunks = (
+        bagformat.number(fields, key, where)
+        for key in (b"index_pos", b"conn_count", b"chunk_count")
+    )
     if index_pos == 0:
-        raise BagUnindexed(
-            _reindex(name, "has no index: it is still being recorded, or was not closed")
-        )
+        raise _unindexed(name, "has no index: it is still being recorded, or was not closed")
     if index_pos > file_bytes:
         what = f"is cut short: its index should begin at byte {index_pos}, it has {file_bytes}"
-        raise BagUnindexed(_reindex(name, what))
+        raise _unindexed(name, what)
     if index_pos < record.data_pos + record.data_bytes:
-        raise BagError(_reindex(name, "is damaged: its header places the index inside itself"))
+        what = f"its header places the index inside itself; repair it with: rosbag reindex {name}"
+        raise BagError(f"{name} is damaged: {what}")
     return index_pos, connections, chunks
 
 
@@ -99,50 +180,8 @@ def _check_magic(magic: bytes, file_bytes: int, name: str) -> None:
     raise BagError(f"{name} is not a bag of format 2.0: it does not begin with '#ROSBAG V2.0'")
 
 
-def _reindex(name: str, what: str) -> str:
-    return f"{name} {what}; repair it with: rosbag reindex {name}"
-
-
-def read_index(file: BinaryIO, file_bytes: int, name: str) -> BagIndex:
-    """Read the header and the whole index of a bag, from the file's beginning.
-
-    Raises:
-        BagUnindexed: The bag was not closed, or is cut short: the index, or a part of it, lacks.
-        BagError: It is no bag of format 2.0, it is encrypted, or its index contradicts itself.
-    """
-    index_pos, connection_count, chunk_count = _read_file_header(file, file_bytes, name)
-    file.seek(index_pos)
-    index = BagIndex()
-    try:
-        _read_connections(file, file_bytes, connection_count, name, index)
-        _read_chunk_infos(file, file_bytes, chunk_count, name, index)
-    except BagUnindexed as exc:
-        what = f"is cut short: its index ends at byte {file_bytes}"
-        raise BagUnindexed(_reindex(name, what)) from exc
-    _sort_chunks(index, index_pos, name)
-    return index
-
-
-def _read_connections(
-    file: BinaryIO, file_bytes: int, count: int, name: str, index: BagIndex
-) -> None:
-    found: dict[int, tuple[str, bytes]] = {}
-    where = f"{name}: a connection in the index"
-    for _ in range(count):
-        record = bagformat.read_record(file, file_bytes, bagformat.OP_CONNECTION, where)
-        number = bagformat.number(record.fields, b"conn", bagformat.U32, where)
-        header = file.read(record.data_bytes)
-        topic = _topic(record.fields, number, name)
-        _check_header(header, f"{name}: connection {number} (topic {topic})")
-        if found.setdefault(number, (topic, header)) != (topic, header):
-            raise BagError(f"{name} is damaged: it has two different connections {number}")
-    # Number decides between equal times. Where the records stand in another order, that is
-    # the one in which rosbag reads, so the place in it is taken for the number.
-    ascending = list(found) == sorted(found)
-    for place, (number, (topic, header)) in enumerate(found.items()):
-        index.numbers[number] = number if ascending else place
-        connection = Connection(topic, header, index.numbers[number])
-        index.connections[index.numbers[number]] = connection
+def _unindexed(name: str, what: str) -> BagUnindexed:
+    return BagUnindexed(f"{name} {what}; repair it with: rosbag reindex {name}")
 
 
 def _topic(fields: bagformat.Fields, number: int, name: str) -> str:
@@ -164,59 +203,3 @@ def _check_header(header: bytes, where: str) -> None:
             present = False
         if not present:
             raise BagError(f"{where} is damaged: its header states no {name.decode()}")
-
-
-def _read_chunk_infos(
-    file: BinaryIO, file_bytes: int, count: int, name: str, index: BagIndex
-) -> None:
-    where = f"{name}: a chunk info in the index"
-    for _ in range(count):
-        info_pos = file.tell()
-        info = read_chunk_info(file, file_bytes, index.numbers, where)
-        index.counts.update(info.counts)
-        # The sum stands here until the chunks are in order.
-        before = sum(info.counts.values())
-        index.message_count += before
-        index.chunks.extend((info.position, info.start_ns, info.end_ns, info_pos, before))
-
-
-def read_chunk_info(
-    file: BinaryIO, file_bytes: int, numbers: dict[int, int], where: str
-) -> ChunkInfo:
-    """Read the chunk info record at the file's position; its ``first`` is 0.
-
-    Raises:
-        BagError: The record is damaged or counts messages of an unknown connection.
-    """
-    record = bagformat.read_record(file, file_bytes, bagformat.OP_CHUNK_INFO, where)
-    version = bagformat.number(record.fields, b"ver", bagformat.U32, where)
-    if version != bagformat.INDEX_VERSION:
-        raise BagError(f"{where} has the unknown version {version}")
-    position = bagformat.number(record.fields, b"chunk_pos", bagformat.U64, where)
-    start_ns = bagformat.time_ns(record.fields, b"start_time", where)
-    end_ns = bagformat.time_ns(record.fields, b"end_time", where)
-    count = bagformat.number(record.fields, b"count", bagformat.U32, where)
-    data = file.read(record.data_bytes)
-    if len(data) != count * _COUNT.size:
-        raise BagError(f"{where} is damaged: {len(data)} bytes for {count} connections")
-    counts: dict[int, int] = {}
-    for file_id, messages in _COUNT.iter_unpack(data):
-        if file_id not in numbers:
-            raise BagError(f"{where} counts messages of connection {file_id}, which is missing")
-        if messages:
-            counts[numbers[file_id]] = counts.get(numbers[file_id], 0) + messages
-    return ChunkInfo(position, start_ns, end_ns, counts, 0)
-
-
-def _sort_chunks(index: BagIndex, index_pos: int, name: str) -> None:
-    width = index.PER_CHUNK
-    rows = index.chunks
-    order = sorted(range(len(index)), key=rows[::width].__getitem__)
-    chunks, before, last = array("Q"), 0, len(bagformat.MAGIC)
-    for place in order:
-        position, start_ns, end_ns, info_pos, count = rows[place * width : (place + 1) * width]
-        if not last < position < index_pos:
-            raise BagError(f"{name} is damaged: its index places a chunk at byte {position}")
-        chunks.extend((position, start_ns, end_ns, info_pos, before))
-        before, last = before + count, position
-    index.chunks = chunks

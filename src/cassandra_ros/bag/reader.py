@@ -7,14 +7,16 @@ from __future__ import annotations
 import os
 from bisect import bisect_left, bisect_right
 from collections import Counter
+from contextlib import ExitStack
 from difflib import get_close_matches
-from typing import AbstractSet, BinaryIO, Callable, Iterable, Iterator, Mapping, NamedTuple
+from operator import itemgetter
+from typing import AbstractSet, Callable, Iterable, Iterator, NamedTuple
 
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.bag.chunk import ChunkMessage, decompress_chunk, find_messages
-from cassandra_ros.bag.index import BagIndex, ChunkInfo, read_chunk_info, read_index
+from cassandra_ros.bag.index import BagIndex
 from cassandra_ros.errors import BagError, TopicNotFound
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.keys import MAX_NS
 
 LISTED = 10
 """Topics that an error names."""
@@ -34,14 +36,18 @@ class RawMessage(NamedTuple):
     data: bytes
 
 
-class BagReader:
+class BagReader(BagIndex):
     """A bag that is open for reading; also a context manager.
 
     Memory: 40 bytes for each chunk of the bag, and while reading the largest chunk, packed and
     unpacked, with about 150 bytes for each of its messages.
 
-    Args:
-        path: The file.
+    Attributes:
+        connections: By number, in the order of the index. Like rosbag, we leave out those that
+            no message refers to.
+        counts: Messages of each connection, by number.
+        message_count, chunk_count: Of the whole bag.
+        start_ns, end_ns: Times of the first and the last message, ns; 0 in an empty bag.
 
     Raises:
         BagUnindexed: The bag was not closed properly, or is cut short.
@@ -50,19 +56,13 @@ class BagReader:
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = os.fspath(path)
+        name = os.fspath(path)
         try:
-            self._file: BinaryIO = open(self.path, "rb")
-            self.file_bytes = os.fstat(self._file.fileno()).st_size
+            with ExitStack() as opened:
+                super().__init__(opened.enter_context(open(name, "rb")), name)
+                opened.pop_all()
         except OSError as exc:
-            raise BagError(f"{self.path} cannot be read: {exc.strerror}") from exc
-        try:
-            self._index: BagIndex = read_index(self._file, self.file_bytes, self.path)
-        except (OSError, BagError) as exc:
-            self._file.close()
-            if isinstance(exc, BagError):
-                raise
-            raise BagError(f"{self.path} cannot be read: {exc.strerror}") from exc
+            raise BagError(f"{name} cannot be read: {exc.strerror}") from exc
 
     def close(self) -> None:
         """Close the file; twice is harmless."""
@@ -74,80 +74,24 @@ class BagReader:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    @property
-    def connections(self) -> dict[int, Connection]:
-        """Connections that have messages, by number, in the order of the index.
-
-        Like rosbag, we leave out connections that no message refers to.
-        """
-        return {n: c for n, c in self._index.connections.items() if n in self.counts}
-
-    @property
-    def counts(self) -> Mapping[int, int]:
-        """Messages of each connection, by number."""
-        return self._index.counts
-
-    @property
-    def message_count(self) -> int:
-        """Messages in the bag."""
-        return self._index.message_count
-
-    @property
-    def chunk_count(self) -> int:
-        """Chunks in the bag."""
-        return len(self._index)
-
-    @property
-    def start_ns(self) -> int:
-        """Time of the first message, ns; 0 in an empty bag."""
-        return min(self._index.chunks[1 :: BagIndex.PER_CHUNK], default=0)
-
-    @property
-    def end_ns(self) -> int:
-        """Time of the last message, ns; 0 in an empty bag."""
-        return max(self._index.chunks[2 :: BagIndex.PER_CHUNK], default=0)
-
     def compressions(self) -> dict[str, int]:
         """Count the chunks of each compression (reads the header of every chunk)."""
         return dict(Counter(self._chunk_header(i)[0] for i in range(self.chunk_count)))
 
-    def chunk_info(self, chunk: int) -> ChunkInfo:
-        """Read what the index says about a chunk.
-
-        Args:
-            chunk: In [0, chunk_count), in the order of the file.
-        """
-        first = chunk * BagIndex.PER_CHUNK
-        info_pos, before = self._index.chunks[first + 3 : first + 5]
-        where = f"{self.path}: the chunk info of chunk {chunk + 1}"
-        self._file.seek(info_pos)
-        info = read_chunk_info(self._file, self.file_bytes, self._index.numbers, where)
-        return info._replace(first=before)
-
-    def chunk_times(self, chunk: int) -> tuple[int, int]:
-        """Return the first and last time in a chunk as the index has them, ns."""
-        first = chunk * BagIndex.PER_CHUNK
-        start_ns, end_ns = self._index.chunks[first + 1 : first + 3]
-        return start_ns, end_ns
-
     def messages(
         self, numbers: AbstractSet[int] | None = None, start: int = 0
     ) -> Iterator[RawMessage]:
-        """Read the messages in the order of the file.
+        """Read the messages in the order of the file, of some connections or of all.
 
         Args:
-            numbers: Only these connections; None = all.
             start: Skip the messages whose position is lower.
-
-        Yields:
-            Messages, with their position among all of the bag.
 
         Raises:
             BagError: A chunk is damaged or contradicts the index; the text names it.
         """
         if start >= self.message_count:
             return
-        first = bisect_right(self._index.chunks[4 :: BagIndex.PER_CHUNK], start) - 1
+        first = bisect_right(self._column(4), start) - 1
         for chunk in range(first, self.chunk_count):
             for message in self.chunk_messages(chunk, numbers):
                 if message.position >= start:
@@ -160,14 +104,15 @@ class BagReader:
         info = self.chunk_info(chunk)
         if numbers is not None and numbers.isdisjoint(info.counts):
             return
-        content, found = self._load(chunk, info)
-        mapping = self._index.numbers
+        content, found = self.chunk_content(chunk)
+        mapping = self.numbers
         for position, (file_id, t_ns, start, stop) in enumerate(found, info.first):
             number = mapping[file_id]
             if numbers is None or number in numbers:
                 yield RawMessage(position, number, t_ns, content[start:stop])
 
-    def _load(self, chunk: int, info: ChunkInfo) -> tuple[bytes, list[ChunkMessage]]:
+    def chunk_content(self, chunk: int) -> tuple[bytes, list[ChunkMessage]]:
+        """Read what a chunk holds, and where its messages lie in it; see messages."""
         compression, size, data_bytes = self._chunk_header(chunk)
         where = self._where(chunk)
         if compression == "none" and size != data_bytes:
@@ -176,13 +121,11 @@ class BagReader:
             data = self._file.read(data_bytes)
         except OSError as exc:
             raise BagError(f"{where} cannot be read: {exc.strerror}") from exc
-        if len(data) != data_bytes:
-            raise bagformat.cut_short(where, self.file_bytes)
         content = decompress_chunk(compression, data, size, where)
         found = find_messages(content, where)
-        counted = Counter(message.file_id for message in found)
-        mapping = self._index.numbers
-        if {mapping.get(file_id, -1): n for file_id, n in counted.items()} != info.counts:
+        counted = Counter(map(itemgetter(0), found))
+        counts = {self.numbers.get(file_id, -1): n for file_id, n in counted.items()}
+        if counts != self.chunk_info(chunk).counts:
             raise BagError(
                 f"{where} is damaged: its {len(found)} messages are not those that the index "
                 f"lists; repair it with: rosbag reindex {self.path}"
@@ -191,11 +134,10 @@ class BagReader:
 
     def _chunk_header(self, chunk: int) -> tuple[str, int, int]:
         where = self._where(chunk)
-        self._file.seek(self._index.chunks[chunk * BagIndex.PER_CHUNK])
-        record = bagformat.read_record(self._file, self.file_bytes, bagformat.OP_CHUNK, where)
-        compression = record.fields.get(b"compression", b"").decode("utf-8", "replace")
-        size = bagformat.number(record.fields, b"size", bagformat.U32, where)
-        return compression, size, record.data_bytes
+        self._file.seek(self._chunk(chunk)[0])
+        fields, _, data_bytes = bagformat.read_record(self._file, bagformat.OP_CHUNK, where)
+        compression = fields.get(b"compression", b"").decode("utf-8", "replace")
+        return compression, bagformat.number(fields, b"size", where), data_bytes
 
     def _where(self, chunk: int) -> str:
         return f"{self.path}: chunk {chunk + 1} of {self.chunk_count}"
@@ -213,9 +155,7 @@ class Ordered(NamedTuple):
 
 
 def read_in_order(
-    reader: BagReader,
-    keep: Callable[[RawMessage], bytes],
-    numbers: AbstractSet[int] | None = None,
+    reader: BagReader, keep: Callable[[RawMessage], bytes], numbers: AbstractSet[int] | None = None
 ) -> Iterator[Ordered]:
     """Yield the messages of a bag in the order in which rosbag reads them.
 
@@ -223,18 +163,14 @@ def read_in_order(
     about 250 bytes beside the kept value for each message that a later chunk may still precede:
     one or two chunks' worth in a recorded bag, all of the bag when every chunk spans all of it.
 
-    Args:
-        reader: The bag.
-        keep: Makes what is kept of a message.
-        numbers: Only these connections; None = all.
-
     Raises:
         BagError: A chunk is damaged, or holds times that the index denies.
     """
     rank = {number: place for place, number in enumerate(reader.connections)}
     order = sorted(range(reader.chunk_count), key=reader.chunk_times)
+    starts = [reader.chunk_times(chunk)[0] for chunk in order]
     waiting: list[Ordered] = []
-    for place, chunk in enumerate(order):
+    for chunk, next_ns in zip(order, [*starts[1:], MAX_NS + 1]):
         start_ns, end_ns = reader.chunk_times(chunk)
         for message in reader.chunk_messages(chunk, numbers):
             if not start_ns <= message.t_ns <= end_ns:
@@ -245,26 +181,13 @@ def read_in_order(
             entry = Ordered(message.t_ns, rank[message.number], message.position, keep(message))
             waiting.append(entry)
         waiting.sort()  # runs that are in order already cost one comparison a message
-        if place + 1 < len(order):
-            next_ns = reader.chunk_times(order[place + 1])[0]
-            ready = bisect_left(waiting, (next_ns,))
-        else:
-            ready = len(waiting)
+        ready = bisect_left(waiting, (next_ns,))
         yield from waiting[:ready]
         del waiting[:ready]
 
 
 def match_topics(names: Iterable[str], present: AbstractSet[str], where: str) -> set[str]:
-    """Find topics by name, with or without the leading slash.
-
-    Args:
-        names: What was asked for.
-        present: Topics that exist, spelt as they are stored.
-        where: Where they should be, for the error's sentence.
-
-    Raises:
-        TopicNotFound: One of the names is not there; the text lists what is, the nearest first.
-    """
+    """Find topics by name, with or without the leading slash; TopicNotFound lists what is there."""
     found: set[str] = set()
     for name in names:
         matches = {name} & present or {t for t in present if t.strip("/") == name.strip("/")}
@@ -284,11 +207,7 @@ def _listing(name: str, present: AbstractSet[str]) -> str:
 
 
 def chosen_connections(reader: BagReader, topics: Iterable[str] | None) -> set[int]:
-    """Return the numbers of the connections of some topics of a bag (None = of all).
-
-    Raises:
-        TopicNotFound: The bag has no such topic.
-    """
+    """Return the numbers of the connections of some topics of a bag (None = of all)."""
     connections = reader.connections
     if topics is None:
         return set(connections)

@@ -12,21 +12,15 @@ from itertools import groupby, islice
 from typing import AbstractSet, Iterable, Iterator, Mapping, NamedTuple
 
 from cassandra_ros.bag.identity import earlier_writer_id, is_earlier, read_content
-from cassandra_ros.bag.reader import (
-    BagReader,
-    Progress,
-    RawMessage,
-    chosen_connections,
-    read_in_order,
-)
+from cassandra_ros.bag.reader import BagReader, Progress, chosen_connections, read_in_order
 from cassandra_ros.errors import CorruptMessage, InvalidKey
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.selection import Time
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.topic_table import TopicTable
 
 SHOWN = 10
 """Differences that are kept in words; all are counted."""
@@ -41,13 +35,6 @@ _FOREIGN = 1 << 32
 _NO_ORDER = 0
 _BY_CONNECTION = 2
 _BY_POSITION = 3
-
-
-class Import(NamedTuple):
-    """The rows of one import."""
-
-    node: str
-    writer_id: int
 
 
 @dataclass
@@ -71,12 +58,7 @@ class VerifyReport:
         return not self.differences
 
     def add(self, text: str, messages: int = 1) -> None:
-        """Note a difference.
-
-        Args:
-            text: A line that says which message, and in what it differs.
-            messages: How many messages it concerns.
-        """
+        """Note a difference: a line that says which message, and in what it differs."""
         self.differences += messages
         if len(self.first) < SHOWN:
             self.first.append(text)
@@ -98,8 +80,6 @@ def verify_bag(
     the same topics; else all rows of the bag's topics are.
 
     Args:
-        ros_cas: Connected to a keyspace.
-        path: The bag.
         topics: Only these; None = all of the bag.
         nodeID: Compare what is stored for this node; None = whichever node it is.
         progress: Told which messages of the bag were compared.
@@ -115,7 +95,11 @@ def verify_bag(
         chosen = {n: reader.connections[n].topic for n in numbers}
         stored = _stored_topics(ros_cas, chosen.values())
         found = _find_import(ros_cas, reader, stored, nodeID, reading)
-        report = VerifyReport(reader.path, _describe(found, nodeID))
+        whose = "" if nodeID is None else f" of node {nodeID}"
+        scope = f"all stored messages{whose} on its topics"
+        if found is not None:
+            scope = "the import of this bag" + (f" for node {found.node}" if found.node else "")
+        report = VerifyReport(reader.path, scope)
         for topic in sorted(set(chosen.values()) - stored):
             gone = {n for n in chosen if chosen[n] == topic}
             count = sum(reader.counts[n] for n in gone)
@@ -143,8 +127,6 @@ def verify_content(
     a time in the message, all keys.
 
     Args:
-        ros_cas: Connected to a keyspace.
-        path: The bag.
         topics: Only these topics of the bag; None = all.
         nodeID: Only what this node recorded; None = all nodes.
         mapping: Topic of the bag -> topic under which it was recorded.
@@ -153,8 +135,7 @@ def verify_content(
         progress: Told which messages of the bag were compared.
 
     Raises:
-        BagError: The bag cannot be read to its end.
-        TopicNotFound: The bag has no such topic.
+        BagError, TopicNotFound: As of verify_bag.
     """
     renamed = dict(mapping or {})
     with BagReader(path) as reader:
@@ -173,21 +154,14 @@ def verify_content(
     return report
 
 
-def holds_nothing_else(ros_cas: RosCassandra, reader: BagReader, found: Import) -> bool:
-    """Say whether an import has rows, and each of them is a message of this bag.
-
-    Raises:
-        BagError: The bag cannot be read to its end.
-    """
+def holds_nothing_else(ros_cas: RosCassandra, reader: BagReader, found: Run) -> bool:
+    """Say whether an import has rows, and each of them is a message of this bag."""
     topics = {c.topic for c in reader.connections.values()}
     report = VerifyReport(reader.path, "")
     stored = _stored_topics(ros_cas, topics)
     comparison = _by_place(ros_cas, reader, stored, found, None, report)
     _compare(reader, reader.connections.keys(), dict.fromkeys(topics, comparison), None)
     return report.equal_messages > 0 and report.differences == report.missing
-
-
-# ---------------------------------------------------------------- which rows
 
 
 def _stored_topics(ros_cas: RosCassandra, names: Iterable[str]) -> AbstractSet[str]:
@@ -200,51 +174,42 @@ def _find_import(
     topics: AbstractSet[str],
     node: str | None,
     reading: Progress | None,
-) -> Import | None:
-    """Find the rows of an import of this bag, by the writer ids in the directory."""
+) -> Run | None:
+    """Find the import of this bag whose rows are to be compared, by the directory's writer ids.
+
+    Those of tables whose keys are not the times of the bag are looked for at all times.
+    """
     parts = ros_cas.parts
     nodes = None if node is None else (node,)
-    writers = {
-        Import(row.node, row.writer)
-        for topic in topics
-        for table in parts.tables.of_topic(topic)
-        for row in parts.directory.buckets(table.name, *_buckets_of(table, reader), nodes)
-    }
-    runs = [run for run in ros_cas.runs() if Import(run.node, run.writer) in writers]
-    runs = [run for run in runs if run.kind == "import"]
+    writers: set[tuple[str, int]] = set()
+    for table in (table for topic in topics for table in parts.tables.of_topic(topic)):
+        first, last = table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
+        if table.metadata.own_time:
+            first, last = -(2**63), 2**63 - 1
+        rows = parts.directory.buckets(table.name, first, last, nodes)
+        writers.update((row.node, row.writer) for row in rows)
+    imports = (run for run in ros_cas.runs() if run.kind == "import")
+    runs = [run for run in imports if (run.node, run.writer) in writers]
     if not runs:
         return None
     content = read_content(reader, reading)
-    found = {run.node: run.writer for run in runs if content.is_of(run)}
+    found = {run.node: run for run in runs if content.is_of(run)}
     for run in filter(is_earlier, runs):
         if run.node not in found and run.writer == earlier_writer_id(reader, run.node):
-            found[run.node] = run.writer
+            found[run.node] = run
     if len(found) > 1:
         names = ", ".join(map(repr, sorted(found)))
         raise InvalidKey(
             f"{reader.path} was imported for the nodes {names}; choose one with --node-id"
         )
-    return next((Import(name, writer) for name, writer in found.items()), None)
-
-
-def _buckets_of(table: TopicTable, reader: BagReader) -> tuple[int, int]:
-    if table.metadata.own_time:
-        return -(2**63), 2**63 - 1  # the times of the bag are not those of the keys
-    return table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
-
-
-def _describe(found: Import | None, node: str | None) -> str:
-    if found is not None:
-        return "the import of this bag" + (f" for node {found.node}" if found.node else "")
-    whose = "" if node is None else f" of node {node}"
-    return f"all stored messages{whose} on its topics"
+    return next(iter(found.values()), None)
 
 
 def _by_place(
     ros_cas: RosCassandra,
     reader: BagReader,
     topics: AbstractSet[str],
-    found: Import | None,
+    found: Run | None,
     node: str | None,
     report: VerifyReport,
 ) -> Comparison:
@@ -255,12 +220,9 @@ def _by_place(
         return Comparison(_in_order(rows, ranks), report, _BY_CONNECTION)
     start_ns, end_ns = reader.start_ns, reader.end_ns
     rows = ros_cas.readMessages(topics, start_ns, end_ns, nodeID=found.node, received=True)
-    own = (row for row in rows if split_seq(row.seq)[0] == found.writer_id)
+    own = (row for row in rows if split_seq(row.seq)[0] == found.writer)
     # These rows know their positions, so that one which is missing shifts no others.
     return Comparison(_in_order(own, ranks), report, _BY_POSITION)
-
-
-# ---------------------------------------------------------------- what is compared
 
 
 class Entry(NamedTuple):
@@ -335,14 +297,10 @@ def _compare(
 ) -> None:
     """Walk through a bag in the order of rosbag, each topic against its stored messages."""
     connections = list(reader.connections.values())
-
-    def keep(message: RawMessage) -> bytes:
-        return fingerprint(message.data)
-
-    for t_ns, rank, position, value in read_in_order(reader, keep, numbers):
+    messages = read_in_order(reader, lambda message: fingerprint(message.data), numbers)
+    for t_ns, rank, position, value in messages:
         c = connections[rank]
-        wanted = Entry(t_ns, rank, position, c.type, c.md5sum, value, c.topic)
-        comparisons[c.topic].add(wanted)
+        comparisons[c.topic].add(Entry(t_ns, rank, position, c.type, c.md5sum, value, c.topic))
         if progress is not None:
             progress(1, int.from_bytes(value[:_SIZE_BYTES], "little"))
     for comparison in comparisons.values():
@@ -353,11 +311,7 @@ class Comparison:
     """Compares messages of a bag with stored ones so that a lost one does not make others differ.
 
     Messages at different places are missing on one side; at one place, the next equal one decides.
-
-    Args:
-        store: The stored messages in the order of the bag; read a window ahead.
-        report: Gets what is found.
-        order: How many of (time, rank, place) say where a message stands; 0 = only its turn does.
+    ``order`` is how many of (time, rank, place) say where a message stands; 0 = only its turn does.
     """
 
     def __init__(self, store: Iterator[Entry], report: VerifyReport, order: int) -> None:
@@ -386,9 +340,7 @@ class Comparison:
         """Compare while at least so many messages of the bag wait, or the next two are equal."""
         bag, seen, order = self._bag, self._seen, self._order
         while bag:
-            if not (seen or self._fill()):
-                self._missing(1)
-            elif bag[0][:order] < seen[0][:order]:
+            if not (seen or self._fill()) or bag[0][:order] < seen[0][:order]:
                 self._missing(1)
             elif seen[0][:order] < bag[0][:order]:
                 self._superfluous(1)
@@ -439,20 +391,15 @@ class Comparison:
 
     def _different(self, wanted: Entry, seen: Entry) -> None:
         reasons = []
-        if wanted[3:5] != seen[3:5]:
-            reasons.append(
-                f"type {wanted.type} [{wanted.md5sum}] in the bag, "
-                f"{seen.type} [{seen.md5sum}] in the store"
-            )
+        types = [f"{entry.type} [{entry.md5sum}]" for entry in (wanted, seen)]
+        if types[0] != types[1]:
+            reasons.append(f"type {types[0]} in the bag, {types[1]} in the store")
         if not seen.value:
             reasons.append("the stored message is damaged")
         elif wanted.value != seen.value:
             sizes = [int.from_bytes(e.value[:_SIZE_BYTES], "little") for e in (wanted, seen)]
-            reasons.append(
-                f"its {sizes[0]} bytes differ"
-                if sizes[0] == sizes[1]
-                else f"{sizes[0]} bytes in the bag, {sizes[1]} in the store"
-            )
+            text = f"{sizes[0]} bytes in the bag, {sizes[1]} in the store"
+            reasons.append(text if sizes[0] != sizes[1] else f"its {sizes[0]} bytes differ")
         stored = "" if str(wanted) == str(seen) else f" (stored as {seen})"
-        text = f"{wanted}: message {wanted.place} of the bag: {'; '.join(reasons)}{stored}"
-        self._report.add(text)
+        where = f"{wanted}: message {wanted.place} of the bag"
+        self._report.add(f"{where}: {'; '.join(reasons)}{stored}")

@@ -7,17 +7,21 @@ from __future__ import annotations
 import itertools
 import os
 import tempfile
-from array import array
+from collections import defaultdict
 from contextlib import suppress
+from operator import itemgetter
+from struct import Struct
 from typing import IO
 
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.bag.chunk import COMPRESSIONS, compress_chunk, message_head
 from cassandra_ros.errors import BagError
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection import Connection
 
 CHUNK_BYTES = 768 * 1024
 """A chunk is closed when its content has grown over this, as in rosbag."""
+_ENTRY = Struct("<III")
 _SPOOL_BYTES = 1 << 20
 _BUFFER_BYTES = 1 << 16
 """More than the header, so that its writing cannot fail before there is something to clean up."""
@@ -54,9 +58,8 @@ class BagWriter:
         self._connections: dict[int, Connection] = {}
         self._used: set[int] = set()
         self._chunk = bytearray()
-        # Per connection of the open chunk: times and offsets, for its index record.
-        self._times: dict[int, array[int]] = {}
-        self._offsets: dict[int, array[int]] = {}
+        # Per connection of the open chunk: time and offset of each message, for its index record.
+        self._entries: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
         self._chunk_count = 0
         self._infos: IO[bytes] = tempfile.SpooledTemporaryFile(_SPOOL_BYTES)
         self._closed = False
@@ -67,16 +70,12 @@ class BagWriter:
         self._file.write(bagformat.MAGIC + self._file_header(0))
 
     def connection(self, connection: Connection, number: int | None = None) -> int:
-        """Add a connection; its record is written before its first message.
+        """Add a connection, written as it is before its first message; return its number.
 
         Args:
-            connection: Topic and header are written as they are.
             number: Its number in this bag, unique, in [0, 2**32 - 1]; None = the next free one,
                 behind all others while there is one. Between equal times the lower number is read
                 first.
-
-        Returns:
-            The number, for write().
 
         Raises:
             BagError: The number is taken.
@@ -91,12 +90,7 @@ class BagWriter:
         return number
 
     def write(self, number: int, t_ns: int, data: bytes) -> None:
-        """Append a message.
-
-        Args:
-            number: As connection() returned it.
-            t_ns: Receive time, ns since 1970.
-            data: The serialised message.
+        """Append a serialised message of a connection, received at t_ns, ns since 1970.
 
         Raises:
             BagError: The disk is full or fails.
@@ -104,11 +98,7 @@ class BagWriter:
         if number not in self._used:
             self._chunk += self._connection_record(number)
             self._used.add(number)
-        if number not in self._times:
-            self._times[number] = array("Q")
-            self._offsets[number] = array("I")
-        self._times[number].append(t_ns)
-        self._offsets[number].append(len(self._chunk))
+        self._entries[number].append((t_ns, len(self._chunk)))
         self._chunk += message_head(number, t_ns, len(data))
         self._chunk += data
         if len(self._chunk) > self._chunk_bytes:
@@ -122,7 +112,7 @@ class BagWriter:
         """
         if self._closed:
             return
-        if self._times:
+        if self._entries:
             self._flush_chunk()
         try:
             index_pos = self._file.tell()
@@ -165,74 +155,61 @@ class BagWriter:
             self.discard()
 
     def _file_header(self, index_pos: int) -> bytes:
-        header = bagformat.pack_fields(
-            (
-                (b"op", bagformat.U8.pack(bagformat.OP_FILE_HEADER)),
-                (b"index_pos", bagformat.U64.pack(index_pos)),
-                (b"conn_count", bagformat.U32.pack(len(self._used) if index_pos else 0)),
-                (b"chunk_count", bagformat.U32.pack(self._chunk_count if index_pos else 0)),
-            )
+        counts = (len(self._used), self._chunk_count) if index_pos else (0, 0)
+        fields = (
+            (b"op", bagformat.OP_FILE_HEADER),
+            (b"index_pos", index_pos),
+            (b"conn_count", counts[0]),
+            (b"chunk_count", counts[1]),
         )
-        padding = b" " * (bagformat.FILE_HEADER_BYTES - len(header))
-        sizes = (bagformat.U32.pack(len(header)), bagformat.U32.pack(len(padding)))
-        return b"".join((sizes[0], header, sizes[1], padding))
+        padding = bagformat.FILE_HEADER_BYTES - len(bagformat.pack_fields(fields))
+        return bagformat.pack_record(fields, b" " * padding)
 
     def _connection_record(self, number: int) -> bytes:
         connection = self._connections[number]
-        return bagformat.pack_record(
-            (
-                (b"op", bagformat.U8.pack(bagformat.OP_CONNECTION)),
-                (b"topic", connection.topic.encode("utf-8", "surrogateescape")),
-                (b"conn", bagformat.U32.pack(number)),
-            ),
-            connection.header,
-        )
+        topic = connection.topic.encode("utf-8", "surrogateescape")
+        fields = ((b"op", bagformat.OP_CONNECTION), (b"topic", topic), (b"conn", number))
+        return bagformat.pack_record(fields, connection.header)
 
     def _flush_chunk(self) -> None:
-        header = (
-            (b"op", bagformat.U8.pack(bagformat.OP_CHUNK)),
-            (b"compression", self._compression.encode("ascii")),
-            (b"size", bagformat.U32.pack(len(self._chunk))),
-        )
+        compression, size = self._compression.encode("ascii"), len(self._chunk)
+        header = ((b"op", bagformat.OP_CHUNK), (b"compression", compression), (b"size", size))
         data = compress_chunk(self._compression, bytes(self._chunk))
         try:
             position = self._file.tell()
             self._file.write(bagformat.pack_record(header, data))
-            for number in sorted(self._times):
-                self._file.write(self._index_record(number))
+            for number, entries in sorted(self._entries.items()):
+                self._file.write(_index_record(number, entries))
             self._infos.write(self._info_record(position))
         except OSError as exc:
             raise BagError(f"{self._active} cannot be written: {exc.strerror}") from exc
         self._chunk_count += 1
         self._chunk.clear()
-        self._times.clear()
-        self._offsets.clear()
-
-    def _index_record(self, number: int) -> bytes:
-        # rosbag merges these lists without sorting them. The sort is stable: equal times stay
-        # in the order in which they were written.
-        times, offsets = self._times[number], self._offsets[number]
-        entries = sorted(zip(times, offsets), key=lambda entry: entry[0])
-        fields = (
-            (b"op", bagformat.U8.pack(bagformat.OP_INDEX)),
-            (b"conn", bagformat.U32.pack(number)),
-            (b"ver", bagformat.U32.pack(bagformat.INDEX_VERSION)),
-            (b"count", bagformat.U32.pack(len(entries))),
-        )
-        data = b"".join(
-            bagformat.pack_time(t_ns) + bagformat.U32.pack(offset) for t_ns, offset in entries
-        )
-        return bagformat.pack_record(fields, data)
+        self._entries.clear()
 
     def _info_record(self, position: int) -> bytes:
+        times = [t_ns for entries in self._entries.values() for t_ns, _ in entries]
         fields = (
-            (b"op", bagformat.U8.pack(bagformat.OP_CHUNK_INFO)),
-            (b"ver", bagformat.U32.pack(bagformat.INDEX_VERSION)),
-            (b"chunk_pos", bagformat.U64.pack(position)),
-            (b"start_time", bagformat.pack_time(min(map(min, self._times.values())))),
-            (b"end_time", bagformat.pack_time(max(map(max, self._times.values())))),
-            (b"count", bagformat.U32.pack(len(self._times))),
+            (b"op", bagformat.OP_CHUNK_INFO),
+            (b"ver", bagformat.INDEX_VERSION),
+            (b"chunk_pos", position),
+            (b"start_time", bagformat.pack_time(min(times))),
+            (b"end_time", bagformat.pack_time(max(times))),
+            (b"count", len(self._entries)),
         )
-        counts = sorted((number, len(times)) for number, times in self._times.items())
-        data = b"".join(bagformat.U32.pack(n) + bagformat.U32.pack(count) for n, count in counts)
-        return bagformat.pack_record(fields, data)
+        counts = sorted((number, len(entries)) for number, entries in self._entries.items())
+        return bagformat.pack_record(fields, b"".join(bagformat.COUNT.pack(*n) for n in counts))
+
+
+def _index_record(number: int, entries: list[tuple[int, int]]) -> bytes:
+    fields = (
+        (b"op", bagformat.OP_INDEX),
+        (b"conn", number),
+        (b"ver", bagformat.INDEX_VERSION),
+        (b"count", len(entries)),
+    )
+    # rosbag merges these lists without sorting them. The sort is stable: equal times stay
+    # in the order in which they were written.
+    entries.sort(key=itemgetter(0))
+    data = [_ENTRY.pack(*divmod(t_ns, SECOND_NS), offset) for t_ns, offset in entries]
+    return bagformat.pack_record(fields, b"".join(data))

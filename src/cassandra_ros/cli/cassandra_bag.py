@@ -18,7 +18,11 @@ PROGRAM = "cassandra_bag"
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser with all verbs."""
-    return verbs_parser(PROGRAM, __doc__, VERBS)
+
+    def add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
+        VERBS[name].add_arguments(parser)
+
+    return verbs_parser(PROGRAM, __doc__, VERBS, add_arguments)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -31,8 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         Exit status: 0 when all went well, 1 when it failed or verify found a difference. Wrong
         usage ends the program with 2.
     """
-    arguments = sys.argv[1:] if argv is None else argv
-    options = make_parser().parse_args(strip_remappings(arguments))
+    options = make_parser().parse_args(strip_remappings(argv))
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter(f"{PROGRAM}: %(message)s"))
     logger = logging.getLogger("cassandra_ros")

@@ -5,29 +5,265 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
+import time
+from pathlib import Path
 from typing import Sequence
 
-from cassandra_ros.cli.local_verbs import clear, install, run, start, status, stop
 from cassandra_ros.cli.options import strip_remappings, verbs_parser
+from cassandra_ros.errors import ServerError
+from cassandra_ros.local_server import LocalCluster, NodeStatus, install_jars
+from cassandra_ros.local_server.jars import cassandra_version, jars_directory
+from cassandra_ros.local_server.ports import count_clients
 
-VERBS = {
-    "install": install,
-    "start": start,
-    "stop": stop,
-    "status": status,
-    "run": run,
-    "clear": clear,
-}
+EXIT_NOT_RUNNING = 3
+# roslaunch sends SIGINT to all its programs at once, a SIGTERM 15 s later: what the recorder still
+# holds must be stored before, and the drain takes 3 s.
+CLIENTS_SEC = 9.0
+_STATUS_POLL_SEC = 0.3
+_CLIENTS_POLL_SEC = 0.1
+
+
+def install(options: argparse.Namespace) -> int:
+    """Fetch Apache Cassandra's jars with Maven, once for all local clusters.
+
+    They go to $ROS_HOME/cassandra_ros/jars ($CASSANDRA_ROS_JARS names another place). `start` does
+    this by itself when they are missing.
+    """
+    how = "is now" if install_jars(say) else "was already"
+    say(f"Apache Cassandra {cassandra_version()} {how} in {jars_directory()}")
+    return 0
+
+
+def start(options: argparse.Namespace) -> int:
+    """Start the local Cassandra and return when it answers.
+
+    It goes on running when this command and the terminal are gone. Options are remembered: the next
+    start needs none. Starting what runs already does nothing.
+    """
+    cluster = open_cluster(options)
+    begun = time.monotonic()
+    if cluster.start():
+        say(f"Cassandra answers at {where(cluster)} after {time.monotonic() - begun:.0f} s")
+        say(f"data and logs: {cluster.directory}")
+    else:
+        say(f"Cassandra runs already at {where(cluster)}")
+    return 0
+
+
+def stop(options: argparse.Namespace) -> int:
+    """Stop the local Cassandra: it finishes what it was given, writes it to disk and ends."""
+    cluster = open_cluster(options)
+    begun = time.monotonic()
+    if cluster.stop():
+        say(f"Cassandra at {where(cluster)} stopped after {time.monotonic() - begun:.0f} s")
+    else:
+        say(f"no Cassandra of {cluster.directory} was running")
+    return 0
+
+
+def status(options: argparse.Namespace) -> int:
+    """Tell whether the local Cassandra runs, where, and what it takes.
+
+    The exit status is 0 when every node answers, 3 otherwise.
+    """
+    deadline = time.monotonic() + options.wait
+    while True:
+        cluster = open_cluster(options)  # anew: the first start only now makes its settings
+        found = cluster.status() if cluster.exists else []
+        answers = bool(found) and all(node.answers for node in found)
+        if answers or time.monotonic() >= deadline:
+            break
+        time.sleep(_STATUS_POLL_SEC)
+    if not found:
+        say(f"no Cassandra was ever started in {cluster.directory}")
+        return EXIT_NOT_RUNNING
+    for node in found:
+        say(_describe(node))
+    say(f"directory {cluster.directory}, heap {cluster.settings.java_heap_mb}M a node")
+    return 0 if answers else EXIT_NOT_RUNNING
+
+
+def _describe(status: NodeStatus) -> str:
+    node = status.node
+    if status.answers:
+        state = f"answers, pid {status.pid}"
+    elif status.pid:
+        state = f"runs and does not answer, pid {status.pid}, log {node.log}"
+    else:
+        state = "does not run"
+    size = _disk_bytes(node.directory) / 1e6
+    return f"node {node.number} {node.address}:{node.settings.port} {state}, {size:.1f} MB on disk"
+
+
+def _disk_bytes(directory: Path) -> int:
+    """Return the bytes of all files below a directory; files may vanish meanwhile."""
+    total = 0
+    for path in directory.rglob("*"):
+        try:
+            total += path.stat().st_size if path.is_file() else 0
+        except OSError:
+            continue
+    return total
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the local Cassandra in the foreground until Ctrl-C or SIGTERM, then drain it.
+
+    For a launch file or a service manager that owns it. Clients that are connected at the end get
+    9 s to go first; a second Ctrl-C cuts that short. Where Cassandra runs already, this waits
+    beside it and leaves it running.
+    """
+    cluster = open_cluster(options)
+    _on_signals(signal.default_int_handler)
+    running_before = any(node.pid for node in cluster.status())
+    try:
+        cluster.start(die_with_us=True)
+        say(f"Cassandra answers at {where(cluster)}")
+        cluster.wait()
+    except KeyboardInterrupt:
+        if not running_before:
+            _let_clients_go(cluster.settings.port)
+    finally:
+        _on_signals(signal.SIG_IGN)  # one more Ctrl-C must not cut the drain short
+        if not running_before and cluster.stop():
+            say(f"Cassandra at {where(cluster)} stopped")
+    return 0
+
+
+def _let_clients_go(port: int) -> None:
+    """Give those who are connected time to store what they have; a signal ends it."""
+    deadline = time.monotonic() + CLIENTS_SEC
+    try:
+        while count_clients(port) and time.monotonic() < deadline:
+            show_progress("waiting for clients to go", CLIENTS_SEC - deadline + time.monotonic())
+            time.sleep(_CLIENTS_POLL_SEC)
+    except KeyboardInterrupt:
+        pass
+
+
+def _on_signals(handler: signal._HANDLER) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
+
+
+def clear(options: argparse.Namespace) -> int:
+    """Delete all data of the local Cassandra: every keyspace, every recorded topic.
+
+    It must be stopped. The jars stay.
+    """
+    cluster = open_cluster(options)
+    if not cluster.exists:
+        say(f"there is nothing to clear in {cluster.directory}")
+        return 0
+    if not options.yes:
+        size = sum(_disk_bytes(node.directory) for node in cluster.nodes) / 1e6
+        _ask(f"Delete all data in {cluster.directory} ({size:.0f} MB)?")
+    cluster.clear()
+    say(f"cleared {cluster.directory}")
+    return 0
+
+
+def _ask(question: str) -> None:
+    if not sys.stdin.isatty():
+        raise ServerError(f"{question} Nobody can be asked here; say so with --yes")
+    if input(f"{question} [y/N] ").strip().lower() not in ("y", "yes"):
+        raise ServerError("nothing was deleted")
+
+
+VERBS = {verb.__name__: verb for verb in (install, start, stop, status, run, clear)}
+
+
+def _add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    parser.set_defaults(nodes=None, host=None, port=None, heap=None)
+    if name == "install":  # what is fetched stands in server/pom.xml
+        return
+    add(
+        "--dir",
+        metavar="DIR",
+        help="where its data lie (default: $ROS_HOME/cassandra_ros, else ~/.ros/cassandra_ros)",
+    )
+    if name in ("start", "run"):
+        _add_server_options(parser)
+    elif name == "status":
+        text = "wait until it answers, at most this many seconds (default: 0)"
+        add("--wait", metavar="SEC", type=float, default=0.0, help=text)
+    elif name == "clear":
+        add("--yes", action="store_true", help="delete without asking")
+
+
+def _add_server_options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add(
+        "--nodes",
+        type=_number_or_nothing,
+        metavar="N",
+        help="number of nodes, 1 to 3, on following addresses; fixed once there are data "
+        "(default: 1)",
+    )
+    add(
+        "--heap",
+        metavar="SIZE",
+        help="Java heap of each node, such as 512M or 2G; kept for later starts (default: 0, all "
+        "nodes share a quarter of the memory, at most 4G, and each has 512M or more)",
+    )
+    text = "port for CQL; kept for later starts (default: 9042)"
+    add("--port", type=int, help=text)
+    text = "loopback address of the first node; kept for later starts (default: 127.0.0.1)"
+    add("--host", metavar="ADDRESS", help=text)
+
+
+def _number_or_nothing(text: str) -> int | None:
+    # A launch file cannot leave an option out, but it can give an empty one.
+    return int(text) if text else None
 
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser with all verbs."""
-    return verbs_parser("local_cassandra", __doc__, VERBS)
+    return verbs_parser("local_cassandra", __doc__, VERBS, _add_arguments)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the verb that the arguments name; return the exit status."""
-    arguments = sys.argv[1:] if argv is None else argv
-    options = make_parser().parse_args(strip_remappings(arguments))
-    return int(VERBS[options.verb].run(options))
+    options = make_parser().parse_args(strip_remappings(argv))
+    try:
+        return VERBS[options.verb](options)
+    finally:
+        _clear_progress()
+
+
+def open_cluster(options: argparse.Namespace) -> LocalCluster:
+    """Return the cluster that the options describe; it tells its steps on the terminal."""
+    return LocalCluster(
+        options.dir,
+        nodes=options.nodes,
+        host=options.host,
+        port=options.port,
+        heap=options.heap or None,
+        say=say,
+        progress=show_progress,
+    )
+
+
+def say(text: str) -> None:
+    """Print one line at once, in place of the progress line where there is one."""
+    _clear_progress()
+    print(text, flush=True)
+
+
+def show_progress(text: str, seconds: float) -> None:
+    """Redraw the line that says what is being waited for; only on a terminal."""
+    if sys.stderr.isatty():
+        print(f"\r{text} … {seconds:.0f} s\033[K", end="", file=sys.stderr, flush=True)
+
+
+def _clear_progress() -> None:
+    if sys.stderr.isatty():
+        print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+
+def where(cluster: LocalCluster) -> str:
+    """Return the addresses of a cluster as a person writes them: 127.0.0.1:9042."""
+    return ", ".join(f"{node.address}:{cluster.settings.port}" for node in cluster.nodes)

@@ -7,9 +7,9 @@ from __future__ import annotations
 import argparse
 import inspect
 import re
+import sys
 from decimal import Decimal
-from types import ModuleType
-from typing import TYPE_CHECKING, Mapping, Sequence
+from typing import TYPE_CHECKING, Callable, Mapping, Sequence
 
 from cassandra_ros.errors import InvalidKey, InvalidOption
 from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
@@ -48,21 +48,21 @@ def program_parser(program: str, text: str | None) -> argparse.ArgumentParser:
 
 
 def verbs_parser(
-    program: str, text: str | None, verbs: Mapping[str, ModuleType]
+    program: str,
+    text: str | None,
+    verbs: Mapping[str, object],
+    add_arguments: Callable[[str, argparse.ArgumentParser], None],
 ) -> argparse.ArgumentParser:
-    """Return the parser of a program with verbs."""
+    """Return the parser of a program with verbs, whose docstrings are their help texts."""
     parser = argparse.ArgumentParser(prog=program, description=text)
     verb_parsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for name, module in verbs.items():
-        help_text = inspect.getdoc(module) or ""
-        verb = verb_parsers.add_parser(
-            name,
-            help=help_text.splitlines()[0],
-            description=help_text,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        module.add_arguments(verb)
-        verb.set_defaults(parser=verb)
+    raw = argparse.RawDescriptionHelpFormatter
+    for name, verb in verbs.items():
+        doc = inspect.getdoc(verb) or ""
+        first = doc.splitlines()[0]
+        found = verb_parsers.add_parser(name, help=first, description=doc, formatter_class=raw)
+        found.set_defaults(parser=found)
+        add_arguments(name, found)
     return parser
 
 
@@ -103,13 +103,7 @@ def read_port(text: str) -> int:
 def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
     """Connect to the store that the options name; close it, it is a context manager.
 
-    Args:
-        options: Parsed with add_store_options.
-        make: The keyspace may be missing; what first writes makes it.
-
-    Raises:
-        ConnectionFailed: Nobody answers there.
-        KeyspaceNotFound: There is no such keyspace, and make is false.
+    With ``make`` the keyspace may be missing: what first writes makes it.
     """
     from cassandra_ros.topics.ros_cassandra import RosCassandra
 
@@ -124,21 +118,13 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
 
 
 def add_time_options(parser: argparse.ArgumentParser, what: str = "") -> None:
-    """Add --start and --end; read_times reads them.
-
-    Args:
-        what: Stands before their help texts.
-    """
+    """Add --start and --end, with ``what`` before their help texts; read_times reads them."""
     parser.add_argument("--start", metavar="T", help=f"{what}first time (default: that of all)")
     parser.add_argument("--end", metavar="T", help=f"{what}last time, included")
 
 
 def read_times(options: argparse.Namespace) -> tuple[int | None, int | None]:
-    """Return --start and --end in nanoseconds since 1970; None = open.
-
-    Raises:
-        InvalidOption: One is no time, or the start lies behind the end.
-    """
+    """Return --start and --end in nanoseconds since 1970; None = open."""
     start, end = (_time_ns(name, getattr(options, name)) for name in ("start", "end"))
     if start is not None and end is not None and start > end:
         raise InvalidOption(f"--start {options.start} lies behind --end {options.end}")
@@ -168,18 +154,19 @@ def add_where_option(parser: argparse.ArgumentParser) -> None:
         "--where",
         metavar="'TOPIC: CONDITION'",
         action="append",
-        type=_condition_of_topic,
+        type=lambda text: read_pair(text, ":", "'TOPIC: CONDITION'"),
         default=[],
         help="of this topic only messages that satisfy a condition as in CQL, for example "
         "'/cmd_vel: linear.x > 0.5'; the other topics stay whole; may be repeated",
     )
 
 
-def _condition_of_topic(text: str) -> tuple[str, str]:
-    topic, sign, condition = text.partition(":")
-    if not (sign and topic.strip() and condition.strip()):
-        raise argparse.ArgumentTypeError(f"{text!r} is not of the form 'TOPIC: CONDITION'")
-    return topic.strip(), condition.strip()
+def read_pair(text: str, sign: str, form: str) -> tuple[str, str]:
+    """Read two texts with a sign between them, for argparse."""
+    left, _, right = (part.strip() for part in text.partition(sign))
+    if not (left and right):
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form {form}")
+    return left, right
 
 
 def read_where(options: argparse.Namespace) -> dict[str, str]:
@@ -192,16 +179,18 @@ def read_where(options: argparse.Namespace) -> dict[str, str]:
     return found
 
 
-def strip_remappings(arguments: Sequence[str]) -> list[str]:
+def strip_remappings(argv: Sequence[str] | None) -> list[str]:
     """Drop what rosrun and roslaunch add: ``__name:=x``, ``_param:=y``, ``from:=to``.
 
     Like rospy.myargv without rospy, but a word that is more than names, as a statement with a text
     in it, stays. So does what follows --map, topics of a bag, and --where, a condition.
+
+    Args:
+        argv: Arguments without the program's name; None = those of the process.
     """
-    kept: list[str] = []
-    previous = ""
-    for word in arguments:
-        if not _REMAPPING.match(word) or previous in ("--map", "--where"):
-            kept.append(word)
-        previous = word
-    return kept
+    words = sys.argv[1:] if argv is None else argv
+    return [
+        word
+        for previous, word in zip(["", *words], words)
+        if not _REMAPPING.match(word) or previous in ("--map", "--where")
+    ]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from functools import partial
 from typing import Callable, Sequence
 
 from cassandra_ros.cli.options import (
@@ -49,37 +50,28 @@ _READERS: dict[str, Callable[[str], object]] = {"port": read_port, "allow_writes
 """How the text of a parameter is read that is not meant as text."""
 
 
-def apply_parameters(
-    parser: argparse.ArgumentParser,
-    options: argparse.Namespace,
-    arguments: Sequence[str],
-    given: dict[str, str],
-) -> None:
-    """Let ROS parameters take the place of options that were not given."""
-    absent = argparse.Namespace(**dict.fromkeys(given))
-    typed = parser.parse_args(arguments, absent)
+def read_options(
+    parser: argparse.ArgumentParser, words: Sequence[str], given: dict[str, str]
+) -> argparse.Namespace:
+    """Read the command line; ROS parameters take the place of options that were not given."""
+    options = parser.parse_args(words, argparse.Namespace(**dict.fromkeys(given)))
     for name, text in given.items():
-        if getattr(typed, name) is not None:
-            continue
         try:
-            setattr(options, name, _READERS.get(name, str)(text))
+            if getattr(options, name) is None:
+                setattr(options, name, _READERS.get(name, str)(text))
         except argparse.ArgumentTypeError as exc:
             parser.error(f"parameter ~{name}: {exc}")
+    return options
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until the node is shut down; return the exit status.
-
-    Args:
-        argv: Arguments without the program's name; None = those of the process.
-    """
-    arguments = list(sys.argv[1:] if argv is None else argv)
+def main() -> int:
+    """Serve until the node is shut down; return the exit status."""
     parser = make_parser()
-    words = strip_remappings(arguments)
-    options = parser.parse_args(words)
+    words = strip_remappings(None)
+    parser.parse_args(words)  # wrong usage and --help need no master
     from cassandra_ros.nodes.query_node import serve, start_node
 
-    apply_parameters(parser, options, words, start_node([PROGRAM, *arguments]))
+    options = read_options(parser, words, start_node(sys.argv))
     with open_store(options, make=True) as ros_cas:
-        serve(ros_cas, lambda line: print(line, flush=True), options.allow_writes)
+        serve(ros_cas, partial(print, flush=True), options.allow_writes)
     return 0

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+from dataclasses import fields
 from typing import TYPE_CHECKING, Sequence
 
 from cassandra_ros.cli.options import (
@@ -29,79 +30,35 @@ if TYPE_CHECKING:
     from cassandra_ros.recording.counts import TopicReport
 
 PROGRAM = "recorder"
-MEGABYTE = 1024 * 1024
 
 _UNITS = {"": 1, "s": 1, "m": 60, "h": 3600}
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return the parser of the command line."""
+    """Return the parser of the command line; its names are those of RecorderOptions."""
     parser = program_parser(PROGRAM, __doc__)
-    _add_choice(parser)
-    _add_limits(parser)
+    add = parser.add_argument
+    add("topics", metavar="TOPIC", nargs="*", help="record these topics")
+    add("-a", "--all", action="store_true", help="record all topics")
+    add("-e", "--regex", action="store_true", help="match topics using regular expressions")
+    text = "exclude topics matching the follow regular expression"
+    add("-x", "--exclude", metavar="EXCLUDE_REGEX", type=regular_expression, default="", help=text)
+    add_format_option(parser)
+    text = "name of the robot or entity that is recorded (default: none)"
+    add("--node-id", metavar="N", default="", help=text)
+    add("-q", "--quiet", action="store_true", help="suppress console output")
+    text = "record for this long, in seconds, unless 'm', or 'h' is appended."
+    add("--duration", type=duration, default=0.0, help=text)
+    text = "only record NUM messages on each topic"
+    add("-l", "--limit", metavar="NUM", type=whole_number, default=0, help=text)
+    text = "use an internal buffer of SIZE MB (Default: 256, 0 = infinite)"
+    add("-b", "--buffsize", metavar="SIZE", type=megabytes, default="256", help=text)
+    text = "let messages of new topics expire after this many seconds (default: never)"
+    add("--ttl", metavar="SEC", type=whole_number, default=0, help=text)
+    text = "Use the TCP_NODELAY transport hint when subscribing to topics."
+    add("--tcpnodelay", action="store_true", help=text)
     add_store_options(parser)
     return parser
-
-
-def _add_choice(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("topics", metavar="TOPIC", nargs="*", help="record these topics")
-    parser.add_argument("-a", "--all", action="store_true", help="record all topics")
-    parser.add_argument(
-        "-e", "--regex", action="store_true", help="match topics using regular expressions"
-    )
-    parser.add_argument(
-        "-x",
-        "--exclude",
-        metavar="EXCLUDE_REGEX",
-        type=regular_expression,
-        default="",
-        help="exclude topics matching the follow regular expression",
-    )
-    add_format_option(parser)
-    parser.add_argument(
-        "--node-id",
-        metavar="N",
-        default="",
-        help="name of the robot or entity that is recorded (default: none)",
-    )
-    parser.add_argument("-q", "--quiet", action="store_true", help="suppress console output")
-
-
-def _add_limits(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--duration",
-        type=duration,
-        default=0.0,
-        help="record for this long, in seconds, unless 'm', or 'h' is appended.",
-    )
-    parser.add_argument(
-        "-l",
-        "--limit",
-        metavar="NUM",
-        type=whole_number,
-        default=0,
-        help="only record NUM messages on each topic",
-    )
-    parser.add_argument(
-        "-b",
-        "--buffsize",
-        metavar="SIZE",
-        type=whole_number,
-        default=256,
-        help="use an internal buffer of SIZE MB (Default: 256, 0 = infinite)",
-    )
-    parser.add_argument(
-        "--ttl",
-        metavar="SEC",
-        type=whole_number,
-        default=0,
-        help="let messages of new topics expire after this many seconds (default: never)",
-    )
-    parser.add_argument(
-        "--tcpnodelay",
-        action="store_true",
-        help="Use the TCP_NODELAY transport hint when subscribing to topics.",
-    )
 
 
 def regular_expression(text: str) -> str:
@@ -128,58 +85,41 @@ def whole_number(text: str) -> int:
     return int(text)
 
 
+def megabytes(text: str) -> int:
+    """Read a number of MB as bytes, for argparse."""
+    return whole_number(text) << 20
+
+
 def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> RecorderOptions:
     """Return what is to be recorded; ends the program where that makes no sense."""
     from cassandra_ros.nodes.recorder_node import RecorderOptions
 
     if bool(options.topics) == options.all:
         parser.error("give topics to record, or -a for all" + (", not both" * options.all))
-    if options.format:
-        try:
+    try:
+        if options.format:
             format_class(options.format)
-        except UnknownFormat as exc:
-            parser.error(str(exc))
-    if options.regex:
-        for text in options.topics:
-            try:
-                regular_expression(text)
-            except argparse.ArgumentTypeError as exc:
-                parser.error(str(exc))
-    return RecorderOptions(
-        topics=tuple(options.topics),
-        all=options.all,
-        regex=options.regex,
-        exclude=options.exclude,
-        format=options.format,
-        node_id=options.node_id,
-        duration_sec=options.duration,
-        limit=options.limit,
-        buffer_bytes=options.buffsize * MEGABYTE,
-        ttl_sec=options.ttl,
-        tcp_nodelay=options.tcpnodelay,
-    )
+        for text in options.topics if options.regex else ():
+            regular_expression(text)
+    except (UnknownFormat, argparse.ArgumentTypeError) as exc:
+        parser.error(str(exc))
+    return RecorderOptions(**{f.name: getattr(options, f.name) for f in fields(RecorderOptions)})
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Record; return the exit status.
-
-    Args:
-        argv: Arguments without the program's name; None = those of the process.
-    """
-    arguments = list(sys.argv[1:] if argv is None else argv)
+def main() -> int:
+    """Record; return the exit status."""
     parser = make_parser()
-    options = parser.parse_args(strip_remappings(arguments))
+    options = parser.parse_args(strip_remappings(None))
     chosen = read_options(parser, options)
     from cassandra_ros.nodes.recorder_node import record
 
-    def say(line: str) -> None:
+    def say(text: str) -> None:
         if not options.quiet:
-            print(line, flush=True)
+            print(text, flush=True)
 
     with open_store(options, make=True) as ros_cas:
-        reports = record(ros_cas, chosen, [PROGRAM, *arguments], say)
-    if not options.quiet:
-        print(closing_table(reports), flush=True)
+        reports = record(ros_cas, chosen, sys.argv, say)
+    say(closing_table(reports))
     lost = sum(report.lost for report in reports)
     if lost:
         print(f"{PROGRAM}: {lost} messages were lost", file=sys.stderr)

@@ -15,7 +15,7 @@ from typing import IO, TYPE_CHECKING, Any, Iterable, Iterator, Sequence, Tuple
 
 from cassandra_ros.arrays.array_types import ArrayType
 from cassandra_ros.arrays.frames import optional_module
-from cassandra_ros.cli.text import shown
+from cassandra_ros.cli.text import align, shown
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.stamps import Stamp, iso_time
 from cassandra_ros.query.json_values import json_value, to_json
@@ -53,11 +53,7 @@ def write_table(columns: Columns, rows: Lines, stream: IO[str]) -> None:
     widths = [max(map(len, column)) for column in zip(header, *texts)]
     later = ([_cell(value) for value in row] for row in lines)
     for line in chain([header], texts, later):
-        cells = [
-            text.rjust(width) if is_right else text.ljust(width)
-            for text, width, is_right in zip(line, widths, right)
-        ]
-        stream.write("  ".join(cells).rstrip() + "\n")
+        stream.write(align(line, widths, right) + "\n")
 
 
 def _are_numbers(column: Sequence[object]) -> bool:
@@ -139,11 +135,7 @@ def _objects(columns: Columns, rows: Lines) -> Iterator[str]:
 
 
 def load_parquet() -> tuple[ModuleType, ModuleType]:
-    """Import pyarrow and pyarrow.parquet.
-
-    Raises:
-        MissingDependency: pyarrow is not installed.
-    """
+    """Import pyarrow and pyarrow.parquet; raises MissingDependency where they are not."""
     purpose = "--output parquet"
     return optional_module("pyarrow", purpose), optional_module("pyarrow.parquet", purpose)
 
@@ -154,15 +146,6 @@ def write_parquet(columns: Types, rows: Lines, stream: IO[bytes]) -> None:
     Numbers keep their types, times are timestamps in UTC and durations durations, both in ns;
     uint8[] is binary, other arrays are lists. Columns whose type differs among the definitions of
     a topic hold JSON.
-
-    Args:
-        columns: Name and type of each.
-        rows: Of a statement.
-        stream: Where to.
-
-    Raises:
-        MissingDependency: pyarrow is not installed.
-        InvalidOption: A value is not of its column's type.
     """
     arrow, parquet = load_parquet()
     groups = _groups(rows)
@@ -172,14 +155,10 @@ def write_parquet(columns: Types, rows: Lines, stream: IO[bytes]) -> None:
         [(name, _arrow_type(arrow, kind)) for (name, _), kind in zip(columns, kinds)]
     )
     with parquet.ParquetWriter(stream, schema) as writer:
-        group = first
-        while group:
-            arrays = [
-                _array(arrow, field, kind, values)
-                for field, kind, values in zip(schema, kinds, zip(*group))
-            ]
+        for group in chain([first] if first else [], groups):
+            found = zip(schema, kinds, zip(*group))
+            arrays = [_array(arrow, field, kind, values) for field, kind, values in found]
             writer.write_table(arrow.Table.from_arrays(arrays, schema=schema))
-            group = next(groups, [])
 
 
 def _groups(rows: Lines) -> Iterator[list[Tuple[object, ...]]]:
@@ -238,13 +217,7 @@ def _plain(value: object) -> object:
     return int(value.to_nsec()) if hasattr(value, "to_nsec") else value
 
 
-def write(
-    columns: Sequence[Tuple[str, ArrayType]],
-    rows: Lines,
-    output: str,
-    path: str | None,
-    force: bool,
-) -> None:
+def write(columns: Types, rows: Lines, output: str, path: str | None, force: bool) -> None:
     """Write rows in one of the forms.
 
     Args:

@@ -18,17 +18,24 @@ from cassandra_ros.errors import CassandraRosError
 
 # What a Python without our venv lacks, by import name: the packages of requirements.txt, and those
 # of ROS, which another Python than the system's does not see.
-_NEEDED = {"cassandra", "lark", "numpy", "tqdm", "genmsg", "genpy", "roslib", "rospy", "yaml"}
+_NEEDED = {
+    "cassandra",
+    "lark",
+    "numpy",
+    "psutil",
+    "tqdm",
+    "genmsg",
+    "genpy",
+    "roslib",
+    "rospy",
+    "yaml",
+}
 
 EXIT_INTERRUPTED = 128 + signal.SIGINT
 
 
 def run_script(module: str) -> None:
-    """Import a module, call its `main()` and end the process with what that returns.
-
-    Args:
-        module: Full name of a module with a function `main() -> int | None`.
-    """
+    """Import a module, call its `main() -> int` and end the process with what that returns."""
     try:
         status = importlib.import_module(module).main()
         sys.stdout.flush()
@@ -49,20 +56,18 @@ def run_script(module: str) -> None:
 
 def explain_missing(error: ImportError) -> str:
     """Return what to do when a Python package that we need is not there."""
-    requirements = _requirements()
     return (
         f"error: {error}; this Python ({sys.executable}) lacks what cassandra_ros needs.\n"
         "In a checkout of cassandra_ros: make setup\n"
         "In a catkin workspace of your own (the scripts then run with the Python of the venv):\n"
         "  /usr/bin/python3 -m venv --system-site-packages ~/cassandra_ros_venv\n"
-        f"  ~/cassandra_ros_venv/bin/pip install -r {requirements}\n"
+        f"  ~/cassandra_ros_venv/bin/pip install -r {_requirements()}\n"
         "  catkin_make -DPYTHON_EXECUTABLE=$HOME/cassandra_ros_venv/bin/python"
     )
 
 
 def _requirements() -> Path:
-    here = Path(__file__)
-    for parent in here.parents:
+    for parent in Path(__file__).parents:
         for place in (parent, parent / "share" / "cassandra_ros"):
             if (place / "requirements.txt").is_file():
                 return place / "requirements.txt"

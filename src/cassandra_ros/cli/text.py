@@ -18,23 +18,17 @@ _LENGTHS = ((86_400, "d"), (3_600, "h"), (60, "min"), (1, "s"))
 def format_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], right: Collection[str] = ()
 ) -> str:
-    """Align rows under a header.
-
-    Args:
-        header: Names of the columns.
-        rows: Texts, as many in each row as in the header.
-        right: Names of the columns that are aligned on the right.
-    """
+    """Align rows under a header, the columns named ``right`` on the right."""
     lines = [header, *rows]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
-    texts = []
-    for line in lines:
-        cells = [
-            text.rjust(width) if name in right else text.ljust(width)
-            for text, width, name in zip(line, widths, header)
-        ]
-        texts.append("  ".join(cells).rstrip())
-    return "\n".join(texts)
+    widths = [max(map(len, column)) for column in zip(*lines)]
+    return "\n".join(align(line, widths, [name in right for name in header]) for line in lines)
+
+
+def align(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:
+    """Write one line of a table."""
+    found = zip(cells, widths, right)
+    texts = [text.rjust(width) if last else text.ljust(width) for text, width, last in found]
+    return "  ".join(texts).rstrip()
 
 
 def format_bytes(count: int) -> str:
@@ -66,37 +60,20 @@ def shown(text: str) -> str:
     )
 
 
-class MessageBar:
-    """Shows on a terminal how many messages are done, from the second second on.
-
-    Args:
-        text: What is being done.
-        total: Messages in all; None where it is not known.
-    """
+class MessageBar(tqdm):
+    """Shows on a terminal how many messages are done, from the second second on."""
 
     def __init__(self, text: str, total: int | None = None) -> None:
         # disable=None: only where standard error is a terminal.
-        self._bar = tqdm(
-            desc=text,
-            total=total,
-            unit=" msg",
-            unit_scale=True,
-            delay=1.0,
-            leave=False,
-            disable=None,
+        super().__init__(
+            desc=text, total=total, unit=" msg", unit_scale=True, delay=1, leave=False, disable=None
         )
 
     def add(self, messages: int, size: int = 0) -> None:
         """Count messages as done."""
-        self._bar.update(messages)
+        self.update(messages)
 
     def reach(self, messages: int, total: int) -> None:
         """Say how many messages are done, of how many."""
-        self._bar.total = total
-        self._bar.update(messages - self._bar.n)
-
-    def __enter__(self) -> MessageBar:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self._bar.close()
+        self.total = total
+        self.update(messages - self.n)

@@ -1,6 +1,3 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Formats: how a message becomes the columns of a row, and a row a message again.
-
-A format is one class in one file and one line in ``table``.
-"""
+"""Formats: how a message becomes the columns of a row, and a row a message again."""

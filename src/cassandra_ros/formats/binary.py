@@ -14,21 +14,14 @@ class CassandraTopic_binary(CassandraTopic_):
     """The serialised message as a blob."""
 
     NAME = "binary"
-
-    def getColValidationClasses(self) -> dict[str, str]:
-        """Return the one column."""
-        return {"_data": "blob"}
+    COLUMNS = {"_data": "blob"}
 
     def encode_wire(self, wire: bytes) -> EncodedMessage:
         """Take the bytes as they are."""
         return EncodedMessage((wire,), False, None)
 
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
-        """Give the bytes back.
-
-        Raises:
-            CorruptMessage: The row has none.
-        """
+        """Give the bytes back."""
         wire = columns[0] if raw is None else raw
         if wire is None:
             raise CorruptMessage(f"a row of {self.msg_type} in format binary has no bytes")

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, NamedTuple, Sequence
+from typing import Any, Mapping, NamedTuple, Sequence
 
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.messages.classes import deserialize, message_class, raw_class, serialize
@@ -36,6 +36,8 @@ class CassandraTopic_(ABC):
     """By which it is chosen, and stored in the comment."""
     BY_FIELD = False
     """Whether each field has a column of its own, which conditions can be checked on."""
+    COLUMNS: Mapping[str, str]
+    """CQL type of each column by name, where all types of messages have the same."""
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         self.msg_type = msg_type
@@ -43,21 +45,15 @@ class CassandraTopic_(ABC):
         self.definition = definition
 
     def _usable(self) -> Definition:
-        """Return the definition, which the format cannot do without.
-
-        Raises:
-            DefinitionError: It is unusable.
-        """
+        """Return the definition, or raise DefinitionError where it is unusable."""
         if self.definition is None:
-            raise DefinitionError(
-                f"format {self.NAME} needs the definition of {self.msg_type}, which is unusable: "
-                f"use binary"
-            )
+            needs = f"format {self.NAME} needs the definition of {self.msg_type}"
+            raise DefinitionError(f"{needs}, which is unusable: use binary")
         return self.definition
 
-    @abstractmethod
     def getColValidationClasses(self) -> dict[str, str]:
         """Return the CQL type of each column by name, in the order of the columns."""
+        return dict(self.COLUMNS)
 
     @abstractmethod
     def encode_wire(self, wire: bytes) -> EncodedMessage:
@@ -65,42 +61,28 @@ class CassandraTopic_(ABC):
 
     @abstractmethod
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
-        """Return the wire bytes of a row, exactly as they were.
-
-        Raises:
-            CorruptMessage: The columns are no message of the type.
-        """
+        """Return the wire bytes of a row, exactly as they were, or raise CorruptMessage."""
 
     def describe(self) -> list[dict[str, str | None]]:
         """Return what the table's comment says about each column."""
         return []
 
     def require_class(self) -> None:
-        """Make sure that message objects of the type can be made; asked before a table is made.
-
-        Raises:
-            DefinitionError: They cannot: such a topic is kept as ``binary``.
-        """
+        """Make sure that message objects can be made, or raise DefinitionError."""
         if self.definition is None:
             raise DefinitionError(f"the definition of {self.msg_type} is unusable")
         message_class(self.definition)
 
     def encode(self, msg: Any) -> EncodedMessage:
-        """Turn a message into column values.
-
-        Raises:
-            TypeMismatch: A field holds what its type cannot.
-        """
+        """Turn a message into column values; TypeMismatch: a field holds what its type cannot."""
         return self.encode_wire(serialize(msg))
 
     def decode(self, encoded: EncodedMessage) -> Any:
         """Turn column values into a message; bytes only where the definition is unusable.
 
-        Raises:
-            CorruptMessage: The values are no message of the type.
-            DefinitionError: No class can be made of the definition.
+        Raises CorruptMessage: they are none; DefinitionError: no class can be made of the type.
         """
         wire = self.decode_wire(encoded.columns, encoded.raw)
-        if self.definition is None:
-            return deserialize(raw_class(self.msg_type, self.md5sum), wire)
-        return deserialize(message_class(self.definition), wire)
+        known = self.definition
+        cls = raw_class(self.msg_type, self.md5sum) if known is None else message_class(known)
+        return deserialize(cls, wire)

@@ -37,18 +37,11 @@ class CassandraTopic_ros(CassandraTopic_):
     def encode_wire(self, wire: bytes) -> EncodedMessage:
         """Walk the bytes once."""
         plan = self.plan
-        if len(wire) <= INLINE_BYTES:
-            columns, odd = plan.walk(wire)
-        else:
-            columns, odd = plan.walk_scalars(wire)
+        columns, odd = (plan.walk if len(wire) <= INLINE_BYTES else plan.walk_scalars)(wire)
         return EncodedMessage(columns, odd, wire if odd or not plan.complete else None)
 
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
-        """Build the bytes of the columns, unless the row has them.
-
-        Raises:
-            CorruptMessage: A column is missing or malformed.
-        """
+        """Build the bytes of the columns, unless the row has them."""
         return self.plan.build(columns) if raw is None else raw
 
     def describe(self) -> list[dict[str, str | None]]:
@@ -56,14 +49,7 @@ class CassandraTopic_ros(CassandraTopic_):
 
         A field without a CQL type has no column and lies in ``_raw`` only.
         """
-        stored = set(self.plan.columns)
-        return [
-            {
-                "name": c.name,
-                "cql": c.cql_type if c in stored else None,
-                "field": c.name,
-                "type": c.field_type,
-                "array": c.array,
-            }
-            for c in self.plan.all_columns
-        ]
+        types = self.getColValidationClasses()
+        keys, every = ("name", "cql", "field", "type", "array"), self.plan.all_columns
+        rows = [(c.name, types.get(c.name), c.name, c.field_type, c.array) for c in every]
+        return [dict(zip(keys, row)) for row in rows]

@@ -30,16 +30,11 @@ class CassandraTopic_string(TextFormat):
     def encode_wire(self, wire: bytes) -> EncodedMessage:
         """Print the message, and keep its bytes."""
         printed = self.print_wire(wire)
-        return EncodedMessage(
-            (None if printed is None else printed[0].encode(),), printed is None, wire
-        )
+        text = None if printed is None else printed[0].encode()
+        return EncodedMessage((text,), printed is None, wire)
 
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
-        """Return the bytes that the row has beside its text.
-
-        Raises:
-            CorruptMessage: It has none.
-        """
+        """Return the bytes that the row has beside its text."""
         if raw is None:
             raise CorruptMessage(f"a row of {self.msg_type} in format string has no bytes")
         return raw

@@ -28,11 +28,7 @@ FORMATS: Mapping[str, type[CassandraTopic_]] = {
 
 
 def format_class(name: str) -> type[CassandraTopic_]:
-    """Return the class of a format.
-
-    Raises:
-        UnknownFormat: There is none of this name; the text lists those that are.
-    """
+    """Return the class of a format; UnknownFormat lists those that there are."""
     if not isinstance(name, str) or name not in FORMATS:
         raise UnknownFormat(f"there is no format {name!r:.80}; formats are: {', '.join(FORMATS)}")
     return FORMATS[name]

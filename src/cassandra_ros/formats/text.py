@@ -27,6 +27,7 @@ class TextFormat(CassandraTopic_):
     ``rostopic echo --noarr --nostr`` prints of them.
     """
 
+    COLUMNS = {"_data": "text"}
     BYTE_CHARACTERS = 3
     """The least that a byte of uint8[] or char[] takes in the text."""
 
@@ -34,10 +35,6 @@ class TextFormat(CassandraTopic_):
         super().__init__(msg_type, md5sum, definition)
         self.definition: Definition = self._usable()
         self._reader = tree_reader(self.definition)
-
-    def getColValidationClasses(self) -> dict[str, str]:
-        """Return the one column."""
-        return {"_data": "text"}
 
     @abstractmethod
     def print_tree(self, tree: MessageTree) -> str | None:
@@ -56,9 +53,7 @@ class TextFormat(CassandraTopic_):
                 text = None if tree is None else self.print_tree(tree)
             except (CorruptMessage, RecursionError):
                 return None
-            if tree is None or text is None:
-                continue
-            if len(text.encode()) <= MAX_TEXT_BYTES:
+            if tree is not None and text is not None and len(text.encode()) <= MAX_TEXT_BYTES:
                 return text, tree, budget.shortened
         return None
 
@@ -72,11 +67,7 @@ class ParsedFormat(TextFormat):
 
     @staticmethod
     def field_bytes(value: object) -> bytes:
-        """Return the bytes of what a text holds for uint8[] or char[].
-
-        Raises:
-            ValueError, TypeError: It is none of the kind.
-        """
+        """Return the bytes of what a text holds for uint8[] or char[]; ValueError, TypeError."""
         return plain_bytes(value)
 
     @abstractmethod
@@ -107,22 +98,14 @@ class ParsedFormat(TextFormat):
             return False
 
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
-        """Build the bytes of the text, unless the row has them.
-
-        Raises:
-            CorruptMessage: There is no text, or it is no message of the type.
-        """
+        """Build the bytes of the text, unless the row has them."""
         if raw is not None:
             return raw
-        text = columns[0]
+        text, row = columns[0], f"a row of {self.msg_type}"
         if text is None or len(text) > MAX_TEXT_BYTES:
-            raise CorruptMessage(
-                f"a row of {self.msg_type} in format {self.NAME} has no text of at most 64 KiB"
-            )
+            raise CorruptMessage(f"{row} in format {self.NAME} has no text of at most 64 KiB")
         try:
             tree = self.parse(text.decode())
         except Exception as exc:  # whatever a parser makes of a hostile text
-            raise CorruptMessage(
-                f"a row of {self.msg_type} is no {self.NAME}: {str(exc)[:200]}"
-            ) from exc
+            raise CorruptMessage(f"{row} is no {self.NAME}: {str(exc)[:200]}") from exc
         return self._build(tree)

@@ -27,13 +27,11 @@ class CassandraTopic_yaml(ParsedFormat):
 
     def print_tree(self, tree: MessageTree) -> str | None:
         """Return the YAML of a message."""
+        layout = {"sort_keys": False, "allow_unicode": True, "width": ONE_LINE}
         try:
-            text: str = yaml.dump(
-                tree, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=ONE_LINE
-            )
+            return str(yaml.dump(tree, Dumper=_Dumper, **layout))
         except yaml.YAMLError:
             return None
-        return text
 
     def is_faithful(self, text: str) -> bool:
         """Return whether there is no NaN, whose bits are lost, and no text in quotes.
@@ -58,11 +56,7 @@ class CassandraTopic_yaml(ParsedFormat):
 
 
 def _check(text: str) -> None:
-    """Refuse what composing cannot bear, event by event, which takes no stack and no memory.
-
-    Raises:
-        ValueError: The text has aliases, which expand without end, or is nested too deep.
-    """
+    """Refuse aliases, which expand without end, and depth: event by event, which takes no stack."""
     depth = 0
     for event in yaml.parse(text, Loader=yaml.CSafeLoader):
         if isinstance(event, yaml.AliasEvent):

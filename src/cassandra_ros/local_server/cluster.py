@@ -15,9 +15,13 @@ from typing import Callable
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import preflight, processes
 from cassandra_ros.local_server.cql import answers_cql, schema_versions
-from cassandra_ros.local_server.jars import find_java, install_jars
+from cassandra_ros.local_server.jars import (
+    default_directory,
+    find_java,
+    install_jars,
+    jars_directory,
+)
 from cassandra_ros.local_server.nodes import Node, NodeStatus, with_visible_root
-from cassandra_ros.local_server.paths import default_directory, jars_directory
 from cassandra_ros.local_server.preflight import explain_failure, log_since, log_size
 from cassandra_ros.local_server.processes import locked
 from cassandra_ros.local_server.settings import (
@@ -33,14 +37,6 @@ STOP_TIMEOUT_SEC = 90.0
 _NEIGHBOUR_TIMEOUT_SEC = 30.0
 _STAGGER_SEC = 2.0  # kinder to few cores than all nodes at once
 _POLL_SEC = 0.1
-
-
-def _silent(text: str) -> None:
-    pass
-
-
-def _still(text: str, seconds: float) -> None:
-    pass
 
 
 class LocalCluster:
@@ -68,20 +64,25 @@ class LocalCluster:
         host: str | None = None,
         port: int | None = None,
         heap: str | None = None,
-        say: Callable[[str], None] = _silent,
-        progress: Callable[[str, float], None] = _still,
+        say: Callable[[str], None] = lambda text: None,
+        progress: Callable[[str, float], None] = lambda text, seconds: None,
     ) -> None:
         self.directory = Path(os.path.realpath(directory or default_directory()))
-        self._nodes, self._host, self._port, self._heap = nodes, host, port, heap
+        self._changes = nodes, host, port, heap
         self._say = say
         self._progress = progress
         self._children: dict[int, subprocess.Popen[bytes]] = {}
         self._load()
 
+    def _load(self) -> None:
+        self._stored = load_settings(self.directory)
+        self.settings = change_settings(self._stored or new_settings(), *self._changes)
+
     @property
     def nodes(self) -> list[Node]:
         """The nodes of the cluster, whether they run or not."""
-        return [self._node(number) for number in range(1, self.settings.nodes + 1)]
+        numbers = range(1, self.settings.nodes + 1)
+        return [Node(n, self.directory / f"node{n}", self.settings) for n in numbers]
 
     @property
     def exists(self) -> bool:
@@ -114,20 +115,16 @@ class LocalCluster:
         preflight.make_directory(self.directory, self.settings.nodes)
         with locked(self.directory / "lock"):
             self._load()  # somebody else may just have made the cluster
-            asleep = [node.number for node in self.nodes if not self._pid(node)]
+            offsets = {node.number: log_size(node) for node in self.nodes}
+            asleep = [node for node in self.nodes if not self._pid(node)]
             if self._stored is not None:
                 running = len(asleep) < self.settings.nodes
                 preflight.check_change(self.directory, self._stored, self.settings, running)
             if asleep:
-                java = self._prepare([self._node(number) for number in asleep])
-            offsets = {node.number: log_size(node) for node in self.nodes}
-            for number in asleep:
-                self._start_node(self._node(number), java, die_with_us)
-                if number != asleep[-1]:
-                    time.sleep(_STAGGER_SEC)
+                self._start_nodes(asleep, die_with_us)
             for node in self.nodes:
                 self._await_answer(node, offsets[node.number])
-            self._await_neighbours(asleep, offsets)
+            self._await_neighbours([node.number for node in asleep], offsets)
         return bool(asleep)
 
     def stop(self) -> bool:
@@ -163,9 +160,9 @@ class LocalCluster:
             self._load()
             if self._stored is None:
                 return False
-            if pids := [pid for pid in map(self._pid, self.nodes) if pid]:
+            if pid := next(filter(None, map(self._pid, self.nodes)), 0):
                 raise ServerError(
-                    f"the Cassandra in {self.directory} runs (pid {pids[0]}); stop it first: "
+                    f"the Cassandra in {self.directory} runs (pid {pid}); stop it first: "
                     "rosrun cassandra_ros local_cassandra stop"
                 )
             try:
@@ -186,24 +183,8 @@ class LocalCluster:
         while True:
             for node in self.nodes:
                 if not self._pid(node):
-                    raise ServerError(
-                        f"Cassandra node {node.number} ended by itself.\n"
-                        + explain_failure(node, 0)
-                    )
+                    self._fail(node, "ended by itself.", 0)
             time.sleep(1.0)
-
-    def _load(self) -> None:
-        self._stored = load_settings(self.directory)
-        self.settings = change_settings(
-            self._stored or new_settings(),
-            nodes=self._nodes,
-            host=self._host,
-            port=self._port,
-            heap=self._heap,
-        )
-
-    def _node(self, number: int) -> Node:
-        return Node(number, self.directory / f"node{number}", self.settings)
 
     def _pid(self, node: Node) -> int:
         """Return the pid of the node's server, 0 if it does not run."""
@@ -213,8 +194,8 @@ class LocalCluster:
         try:
             remembered = int(node.pid_file.read_text(encoding="ascii"))
         except (OSError, ValueError):
-            return processes.find_server(node.config)
-        if processes.is_server(remembered, node.config):
+            remembered = 0
+        if remembered and processes.is_server(remembered, node.config):
             return remembered
         return processes.find_server(node.config)
 
@@ -226,22 +207,22 @@ class LocalCluster:
             preflight.check_port(node)
         return java
 
-    def _prepare(self, asleep: list[Node]) -> str:
-        """Check what a start needs, choose the storage port, remember the settings; as _check."""
+    def _start_nodes(self, asleep: list[Node], die_with_us: bool) -> None:
+        """Check what a start needs, choose the storage port, remember the settings; start."""
         for node in asleep:
-            note = preflight.remove_stale_pid_file(node)
-            if note:
+            if note := preflight.remove_stale_pid_file(node):
                 self._say(note)
         java = self._check(asleep)
-        addresses = [node.address for node in asleep]
-        storage_port = preflight.choose_storage_port(self.settings, addresses)
-        self.settings = replace(self.settings, storage_port=storage_port)
+        storage_port = preflight.choose_storage_port(self.settings, [n.address for n in asleep])
+        self.settings = self._stored = replace(self.settings, storage_port=storage_port)
         try:
             save_settings(self.directory, self.settings)
         except OSError as exc:
             raise ServerError(f"{self.directory} cannot be written: {exc}") from exc
-        self._stored = self.settings
-        return java
+        for node in asleep:
+            if node != asleep[0]:
+                time.sleep(_STAGGER_SEC)
+            self._start_node(replace(node, settings=self.settings), java, die_with_us)
 
     def _start_node(self, node: Node, java: str, die_with_us: bool) -> None:
         # C.UTF-8: Java opens files by names in the locale's encoding.
@@ -261,17 +242,16 @@ class LocalCluster:
             waited = time.monotonic() - begun
             self._progress(f"starting Cassandra node {node.number}", waited)
             if not self._pid(node):
-                raise ServerError(
-                    f"Cassandra node {node.number} ended while it was starting.\n"
-                    + explain_failure(node, offset)
-                )
+                self._fail(node, "ended while it was starting.", offset)
             if waited > START_TIMEOUT_SEC:
-                raise ServerError(
-                    f"Cassandra node {node.number} does not answer on {node.address}:"
-                    f"{self.settings.port} after {waited:.0f} s; it is left running.\n"
-                    + explain_failure(node, offset)
-                )
+                where = f"{node.address}:{self.settings.port}"
+                text = f"does not answer on {where} after {waited:.0f} s; it is left running."
+                self._fail(node, text, offset)
             time.sleep(_POLL_SEC)
+
+    def _fail(self, node: Node, what: str, offset: int) -> None:
+        reason = explain_failure(node, offset)
+        raise ServerError(f"Cassandra node {node.number} {what}\n{reason}")
 
     def _await_neighbours(self, started: list[int], offsets: dict[int, int]) -> None:
         """Wait until the nodes that were just started and the others know each other.

@@ -8,15 +8,15 @@ The driver is not used: a server is started where only ROS and Java are.
 from __future__ import annotations
 
 import json
+import re
 import socket
 import struct
-from typing import Any
 
 _HEADER = struct.Struct(">BBhBi")
 _VERSION = 4
 _STARTUP, _READY, _OPTIONS, _SUPPORTED, _QUERY, _RESULT = 1, 2, 5, 6, 7, 8
+_STARTUP_OPTIONS = b"\0\1\0\x0bCQL_VERSION\0\x053.0.0"
 _CONSISTENCY_ONE = 1
-_GLOBAL_NAMES = 1
 _MAX_FRAME = 1 << 20
 
 
@@ -24,9 +24,10 @@ def answers_cql(host: str, port: int, timeout_sec: float = 2.0) -> bool:
     """Tell whether a CQL server answers OPTIONS, the request that needs no login."""
     try:
         with socket.create_connection((host, port), timeout=timeout_sec) as connection:
-            return _call(connection, _OPTIONS, b"")[0] == _SUPPORTED
+            _call(connection, _OPTIONS, b"", _SUPPORTED)
     except (OSError, struct.error):
         return False
+    return True
 
 
 def schema_versions(host: str, port: int, timeout_sec: float = 2.0) -> dict[str, str]:
@@ -38,62 +39,33 @@ def schema_versions(host: str, port: int, timeout_sec: float = 2.0) -> dict[str,
     """
     try:
         with socket.create_connection((host, port), timeout=timeout_sec) as connection:
-            options = _string_map({"CQL_VERSION": "3.0.0"})
-            if _call(connection, _STARTUP, options)[0] != _READY:
-                return {}
-            here = _select(connection, "SELECT JSON schema_version FROM system.local")
-            peers = _select(
-                connection, "SELECT JSON peer, schema_version, tokens FROM system.peers_v2"
-            )
-    except (OSError, struct.error, ValueError):
+            _call(connection, _STARTUP, _STARTUP_OPTIONS, _READY)
+            here = _select(connection, "schema_version FROM system.local")
+            peers = _select(connection, "peer, schema_version, tokens FROM system.peers_v2")
+    except (OSError, struct.error):
         return {}
     known = {row["peer"]: row["schema_version"] for row in peers if row["tokens"]}
     known["here"] = here[0]["schema_version"] if here else ""
     return {address: version for address, version in known.items() if version}
 
 
-def _select(connection: socket.socket, statement: str) -> list[dict[str, Any]]:
-    """Return the rows of a SELECT JSON: one column of text."""
-    text = statement.encode()
+def _select(connection: socket.socket, what: str) -> list[dict[str, str]]:
+    """Return the rows of a SELECT of plain columns."""
+    text = f"SELECT JSON {what}".encode()
     body = struct.pack(">i", len(text)) + text + struct.pack(">HB", _CONSISTENCY_ONE, 0)
-    opcode, answer = _call(connection, _QUERY, body)
-    if opcode != _RESULT:
-        raise ValueError("the server refused the question")
-    flags = struct.unpack_from(">i", answer, 4)[0]
-    position = 12
-    for _ in range(3 if flags & _GLOBAL_NAMES else 0):  # keyspace, table, column
-        position += 2 + struct.unpack_from(">H", answer, position)[0]
-    position += 2  # the column's type
-    count = struct.unpack_from(">i", answer, position)[0]
-    position += 4
-    rows = []
-    for _ in range(count):
-        length = struct.unpack_from(">i", answer, position)[0]
-        rows.append(json.loads(answer[position + 4 : position + 4 + length]))
-        position += 4 + length
-    return rows
+    answer = _call(connection, _QUERY, body, _RESULT)
+    # Each row is one text; what is packed around them holds no such brace.
+    return [json.loads(row) for row in re.findall(rb'\{"[^{}]*\}', answer)]
 
 
-def _call(connection: socket.socket, opcode: int, body: bytes) -> tuple[int, bytes]:
-    """Send a frame; return opcode and body of the answer."""
+def _call(connection: socket.socket, opcode: int, body: bytes, expected: int) -> bytes:
+    """Send a frame; return the body of the answer, which is to have the expected opcode."""
     connection.sendall(_HEADER.pack(_VERSION, 0, 0, opcode, len(body)) + body)
-    version, _, _, answer, length = _HEADER.unpack(_read(connection, _HEADER.size))
-    if version != 0x80 | _VERSION or not 0 <= length <= _MAX_FRAME:
-        raise OSError("this is no CQL")
-    return answer, _read(connection, length)
-
-
-def _read(connection: socket.socket, length: int) -> bytes:
-    data = b""
-    while len(data) < length:
-        piece = connection.recv(length - len(data))
-        if not piece:
-            raise OSError("the connection was closed")
-        data += piece
-    return data
-
-
-def _string_map(values: dict[str, str]) -> bytes:
-    words = [word.encode() for pair in values.items() for word in pair]
-    packed = b"".join(struct.pack(">H", len(word)) + word for word in words)
-    return struct.pack(">H", len(values)) + packed
+    with connection.makefile("rb") as stream:
+        version, _, _, answer, length = _HEADER.unpack(stream.read(_HEADER.size))
+        if (version, answer) != (0x80 | _VERSION, expected) or not 0 <= length <= _MAX_FRAME:
+            raise OSError("this is no CQL, or the server refused the question")
+        found = stream.read(length)
+    if len(found) < length:
+        raise OSError("the connection was closed")
+    return found

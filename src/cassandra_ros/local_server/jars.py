@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Fetch Cassandra's jars with Maven, whole or not at all."""
+"""Java and Cassandra's jars: where they lie; fetched with Maven, whole or not at all."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Callable
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server.paths import cassandra_version, jars_directory, pom_file
 from cassandra_ros.local_server.processes import locked
 
 _MARKER = "complete"
@@ -23,6 +22,47 @@ _ATTEMPTS = 4
 _PAUSE_SEC = 5
 _ATTEMPT_TIMEOUT_SEC = 1200
 _NEEDED_BYTES = 200 << 20
+JAVA_VERSION = 17
+_JVM_ROOT = Path("/usr/lib/jvm")
+
+
+def default_directory() -> Path:
+    """Return the directory of the local Cassandra that is used when none is named.
+
+    It lies in the ROS home: $ROS_HOME, else ~/.ros, as roslaunch resolves it.
+    """
+    return Path(os.environ.get("ROS_HOME") or Path.home() / ".ros") / "cassandra_ros"
+
+
+def jars_directory() -> Path:
+    """Return where the server's jars lie; every local cluster of a user shares them.
+
+    $CASSANDRA_ROS_JARS names another place, for example one that several users share.
+    """
+    named = os.environ.get("CASSANDRA_ROS_JARS")
+    return Path(named) if named else default_directory() / "jars" / cassandra_version()
+
+
+def server_file(name: str) -> Path:
+    """Return a file of server/, from the source tree, the devel space or the install space."""
+    here = Path(__file__).absolute()
+    for parent in here.parents:
+        for place in (parent / "server", parent / "share" / "cassandra_ros" / "server"):
+            if (place / name).is_file():
+                return place / name
+    raise ServerError(
+        f"server/{name}, which the local Cassandra needs, is in no folder above {here}; "
+        "the package is not completely installed: build it again with catkin_make"
+    )
+
+
+def cassandra_version() -> str:
+    """Return the version of Cassandra that server/pom.xml names."""
+    pom = server_file("pom.xml")
+    found = re.search(r"<cassandra\.version>([\w.-]+)</", pom.read_text(encoding="utf-8"))
+    if not found:
+        raise ServerError(f"{pom} names no cassandra.version; restore the file")
+    return found.group(1)
 
 
 def jars_installed() -> bool:
@@ -34,13 +74,7 @@ def jars_installed() -> bool:
 
 
 def install_jars(say: Callable[[str], None]) -> bool:
-    """Fetch the jars of Cassandra where they are missing.
-
-    Args:
-        say: Gets one line of text for each step.
-
-    Returns:
-        True when they were fetched, False when they were there.
+    """Fetch the jars of Cassandra where they are missing; return whether they were.
 
     Raises:
         ServerError: Maven is missing, or the download failed again and again.
@@ -85,17 +119,19 @@ def _fetch(directory: Path, say: Callable[[str], None]) -> None:
 
 
 def _run_maven(maven: str, target: Path, say: Callable[[str], None]) -> None:
-    command = [maven, "-B", "-q", "-f", str(pom_file()), "dependency:copy-dependencies"]
+    command = [maven, "-B", "-q", "-f", str(server_file("pom.xml")), "dependency:copy-dependencies"]
     command += ["-DincludeScope=runtime", f"-DoutputDirectory={target}"]
-    output = ""
     for attempt in range(1, _ATTEMPTS + 1):
-        # -U: Maven remembers a failed download for a day and would not even try again.
-        done, output = _attempt([*command, "-U"] if attempt > 1 else command)
-        if done:
+        status, output = _run(command, _ATTEMPT_TIMEOUT_SEC)
+        if status == 0:
             return
         if attempt < _ATTEMPTS:
-            say(f"attempt {attempt} of {_ATTEMPTS} failed ({_first_error(output)}); again soon")
+            error = re.search(r"^.*ERROR.*$", output, re.MULTILINE)
+            reason = error[0].replace("[ERROR]", "").strip() if error else "no reason given"
+            say(f"attempt {attempt} of {_ATTEMPTS} failed ({reason[:160]}); again soon")
             time.sleep(_PAUSE_SEC * attempt)
+        # Maven remembers a failed download for a day and would not even try again.
+        command = [*command, "-U"] if attempt == 1 else command
     raise ServerError(
         f"Maven could not fetch Cassandra {_ATTEMPTS} times; its last lines:\n"
         + "\n".join(output.strip().splitlines()[-12:])
@@ -103,8 +139,8 @@ def _run_maven(maven: str, target: Path, say: Callable[[str], None]) -> None:
     )
 
 
-def _attempt(command: list[str]) -> tuple[bool, str]:
-    """Run Maven once; return whether it succeeded, and what it printed."""
+def _run(command: list[str], timeout_sec: float) -> tuple[int, str]:
+    """Run a program; return its exit status, 1 when it does not start or end, and all it prints."""
     try:
         done = subprocess.run(
             command,
@@ -113,36 +149,24 @@ def _attempt(command: list[str]) -> tuple[bool, str]:
             stderr=subprocess.STDOUT,
             text=True,
             errors="replace",
-            timeout=_ATTEMPT_TIMEOUT_SEC,
+            timeout=timeout_sec,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return False, f"[ERROR] no end after {_ATTEMPT_TIMEOUT_SEC} s"
-    return done.returncode == 0, done.stdout
-
-
-def _first_error(output: str) -> str:
-    for line in output.splitlines():
-        if "ERROR" in line:
-            return line.replace("[ERROR]", "").strip()[:160]
-    return "no reason given"
+        return 1, f"[ERROR] no end after {timeout_sec} s"
+    except OSError as exc:
+        return 1, f"[ERROR] {exc}"
+    return done.returncode, done.stdout
 
 
 def _pom_digest() -> str:
-    return hashlib.sha256(pom_file().read_bytes()).hexdigest()
-
-
-JAVA_VERSION = 17
-_JVM_ROOT = Path("/usr/lib/jvm")
+    return hashlib.sha256(server_file("pom.xml").read_bytes()).hexdigest()
 
 
 def find_java() -> str:
     """Return the path of a `java` of version 17.
 
     $JAVA_HOME is asked first, then PATH, then Debian's folder of all Java versions.
-
-    Raises:
-        ServerError: There is no Java, or only other versions.
     """
     found = {}
     for path in _candidates():
@@ -160,27 +184,13 @@ def find_java() -> str:
 
 def java_version(path: str) -> int:
     """Return the major version of a `java`, 0 where it does not run."""
-    try:
-        done = subprocess.run(
-            [path, "-version"],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=30,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return 0
-    found = re.search(r'version "(?:1\.)?(\d+)', done.stderr + done.stdout)
+    found = re.search(r'version "(?:1\.)?(\d+)', _run([path, "-version"], 30)[1])
     return int(found.group(1)) if found else 0
 
 
 def _candidates() -> list[str]:
-    places = []
-    if os.environ.get("JAVA_HOME"):
-        places.append(os.path.join(os.environ["JAVA_HOME"], "bin", "java"))
-    on_path = shutil.which("java")
-    if on_path:
-        places.append(on_path)
+    home = os.environ.get("JAVA_HOME")
+    places = [os.path.join(home, "bin", "java")] if home else []
+    places.append(shutil.which("java") or "")
     places += [str(path) for path in sorted(_JVM_ROOT.glob(f"*{JAVA_VERSION}*/bin/java"))]
     return [path for path in dict.fromkeys(places) if os.access(path, os.X_OK)]

@@ -10,14 +10,17 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from cassandra_ros.local_server.jars import server_file
 from cassandra_ros.local_server.settings import Settings
 
 _RING = 1 << 64
 
-_JAVA_BASE_OPENS = (
-    "java.lang.module jdk.internal.loader jdk.internal.ref jdk.internal.reflect "
-    "jdk.internal.math jdk.internal.module jdk.internal.util.jar sun.nio.ch java.io "
-    "java.lang.reflect java.lang java.util java.nio"
+_OPENS = (
+    "java.base/java.lang.module java.base/jdk.internal.loader java.base/jdk.internal.ref "
+    "java.base/jdk.internal.reflect java.base/jdk.internal.math java.base/jdk.internal.module "
+    "java.base/jdk.internal.util.jar java.base/sun.nio.ch java.base/java.io "
+    "java.base/java.lang.reflect java.base/java.lang java.base/java.util java.base/java.nio "
+    "jdk.management/com.sun.management.internal"
 )
 _EXPORTS = (
     "java.base/jdk.internal.misc java.base/java.lang.ref "
@@ -46,77 +49,6 @@ _LOCAL_FLAGS = (
     "-Dcassandra.skip_wait_for_gossip_to_settle=0 -Dcassandra.ring_delay_ms=1000 "
     "-Dcassandra.superuser_setup_delay_ms=0 -Dcassandra.shutdown_announce_in_ms=0"
 )
-
-_YAML = """\
-# Written at every start of the local Cassandra; changes here are lost.
-cluster_name: {name}
-partitioner: org.apache.cassandra.dht.Murmur3Partitioner
-endpoint_snitch: SimpleSnitch
-num_tokens: 1
-initial_token: {token}
-auto_bootstrap: false
-listen_address: {address}
-rpc_address: {address}
-storage_port: {storage_port}
-native_transport_port: {port}
-seed_provider:
-  - class_name: org.apache.cassandra.locator.SimpleSeedProvider
-    parameters: [{{seeds: "{seeds}"}}]
-# What is acknowledged must survive a kill -9 and a power cut. The periodic mode loses the last
-# 100 ms even of a process that is only killed; with many writes in flight batch is as fast.
-commitlog_sync: batch
-# A flush that meets a table that is just being dropped fails with "Unknown CF", and the default
-# (stop) then ends the node. With ignore it goes on, and what cannot be logged is not acknowledged.
-commit_failure_policy: ignore
-commitlog_disk_access_mode: legacy
-commitlog_segment_size: 32MiB
-commitlog_total_space: 512MiB
-storage_compatibility_mode: NONE
-sstable: {{selected_format: bti}}
-memtable:
-  configurations:
-    trie: {{class_name: TrieMemtable}}
-    default: {{inherits: trie}}
-memtable_allocation_type: offheap_objects
-memtable_heap_space: {memtable_heap_mb}MiB
-memtable_offheap_space: {memtable_offheap_mb}MiB
-file_cache_size: 64MiB
-key_cache_size: 0MiB
-concurrent_reads: 8
-concurrent_writes: 16
-concurrent_compactors: 1
-native_transport_max_threads: 32
-sai_options: {{segment_write_buffer_size: 64MiB}}
-dynamic_snitch: false
-auto_snapshot: false
-hinted_handoff_enabled: true
-write_request_timeout: 10000ms
-read_request_timeout: 15000ms
-range_request_timeout: 20000ms
-request_timeout: 20000ms
-"""
-
-_LOGBACK = """\
-<configuration>
-  <appender name="FILE" class="ch.qos.logback.core.rolling.RollingFileAppender">
-    <file>${cassandra.logdir}/system.log</file>
-    <rollingPolicy class="ch.qos.logback.core.rolling.FixedWindowRollingPolicy">
-      <fileNamePattern>${cassandra.logdir}/system.log.%i</fileNamePattern>
-      <minIndex>1</minIndex>
-      <maxIndex>3</maxIndex>
-    </rollingPolicy>
-    <triggeringPolicy class="ch.qos.logback.core.rolling.SizeBasedTriggeringPolicy">
-      <maxFileSize>10MB</maxFileSize>
-    </triggeringPolicy>
-    <encoder>
-      <pattern>%-5level [%thread] %date{ISO8601} %F:%L - %msg%n</pattern>
-    </encoder>
-  </appender>
-  <root level="INFO">
-    <appender-ref ref="FILE" />
-  </root>
-</configuration>
-"""
 
 
 @dataclass(frozen=True)
@@ -149,11 +81,6 @@ class Node:
         return self.directory / "logs" / "console.log"
 
     @property
-    def temporary(self) -> Path:
-        """Where Java keeps what it needs only while it runs."""
-        return self.directory / "tmp"
-
-    @property
     def pid_file(self) -> Path:
         """Names the process of the last start."""
         return self.directory / "pid"
@@ -162,29 +89,34 @@ class Node:
         """Make the node's directory and write its configuration."""
         (self.directory / "logs").mkdir(parents=True, exist_ok=True)
         # Libraries unpack themselves there at every start and stay when the server is killed.
-        shutil.rmtree(self.temporary, ignore_errors=True)
-        self.temporary.mkdir()
+        shutil.rmtree(self.directory / "tmp", ignore_errors=True)
+        (self.directory / "tmp").mkdir()
         self.config.write_text(self.render_yaml(), encoding="utf-8")
-        (self.directory / "logback.xml").write_text(_LOGBACK, encoding="utf-8")
 
     def render_yaml(self) -> str:
-        """Return the text of the node's cassandra.yaml."""
+        """Return the text of the node's cassandra.yaml: the common part, and its own values."""
         settings = self.settings
-        everybody = [settings.address(i + 1) for i in range(settings.nodes)]
-        return _YAML.format(
-            name=json.dumps(settings.cluster_name),
-            token=(self.number - 1) * (_RING // settings.nodes) - (_RING >> 1),
-            address=self.address,
-            storage_port=settings.storage_port,
-            port=settings.port,
-            seeds=",".join(f"{address}:{settings.storage_port}" for address in everybody),
-            memtable_heap_mb=settings.java_heap_mb * 3 // 16,
-            memtable_offheap_mb=max(128, settings.java_heap_mb // 4),
-        )
+        numbers = range(1, settings.nodes + 1)
+        seeds = ",".join(f"{settings.address(n)}:{settings.storage_port}" for n in numbers)
+        seed_provider = "org.apache.cassandra.locator.SimpleSeedProvider"
+        own = {
+            "cluster_name": settings.cluster_name,
+            "initial_token": (self.number - 1) * (_RING // settings.nodes) - (_RING >> 1),
+            "listen_address": self.address,
+            "rpc_address": self.address,
+            "storage_port": settings.storage_port,
+            "native_transport_port": settings.port,
+            "seed_provider": [{"class_name": seed_provider, "parameters": [{"seeds": seeds}]}],
+            "memtable_heap_space": f"{settings.java_heap_mb * 3 // 16}MiB",
+            "memtable_offheap_space": f"{max(128, settings.java_heap_mb // 4)}MiB",
+        }
+        common = server_file("cassandra.yaml").read_text(encoding="utf-8")
+        note = "# Written at every start of the local Cassandra; changes here are lost.\n"
+        # What is JSON is YAML.
+        return note + common + "".join(f"{k}: {json.dumps(value)}\n" for k, value in own.items())
 
     def command(self, java: str, jars: Path) -> list[str]:
         """Return the command line of the node's server."""
-        agents = sorted(jars.glob("jamm-*.jar"))
         heap = self.settings.java_heap_mb
         # One that nobody named grows with the work: a robot's computer has other things to do
         # with a quarter of its memory. One that is named is taken at once, or refused at once.
@@ -194,20 +126,18 @@ class Node:
         arguments.append(f"-XX:MaxDirectMemorySize={max(512, heap // 2)}M")
         arguments.append("-XX:+UseParallelGC" if heap <= _SMALL_HEAP_MB else "-XX:+UseG1GC")
         arguments += _JVM_FLAGS.split() + _LOCAL_FLAGS.split()
-        arguments += [f"-javaagent:{agent}" for agent in agents[:1]]
-        for export in _EXPORTS.split():
-            arguments += ["--add-exports", f"{export}=ALL-UNNAMED"]
-        for package in _JAVA_BASE_OPENS.split():
-            arguments += ["--add-opens", f"java.base/{package}=ALL-UNNAMED"]
-        arguments += ["--add-opens", "jdk.management/com.sun.management.internal=ALL-UNNAMED"]
+        arguments += [f"-javaagent:{agent}" for agent in sorted(jars.glob("jamm-*.jar"))[:1]]
+        for option, packages in (("--add-exports", _EXPORTS), ("--add-opens", _OPENS)):
+            for package in packages.split():
+                arguments += [option, f"{package}=ALL-UNNAMED"]
         return [
             *arguments,
-            f"-Djava.io.tmpdir={self.temporary}",
+            f"-Djava.io.tmpdir={self.directory / 'tmp'}",
             f"-XX:ErrorFile={self.directory / 'logs' / 'java_error.log'}",
             f"-Dcassandra.config={self.config.as_uri()}",
             f"-Dcassandra.storagedir={self.directory}",
             f"-Dcassandra.logdir={self.directory / 'logs'}",
-            f"-Dlogback.configurationFile={(self.directory / 'logback.xml').as_uri()}",
+            f"-Dlogback.configurationFile={server_file('logback.xml').as_uri()}",
             "-cp",
             str(jars / "*"),
             "org.apache.cassandra.service.CassandraDaemon",
@@ -230,35 +160,22 @@ _COVER = 'mount --make-private "$0" && mount --rbind / "$0" && exec chroot "$0" 
 
 
 def with_visible_root(command: list[str], directory: Path) -> list[str]:
-    """Return the command, or one that first makes the directory's mount point visible.
-
-    Args:
-        command: A program and its arguments.
-        directory: Absolute path of an existing folder on whose file system it works.
-    """
+    """Return the command, or one that first makes visible where the directory is mounted."""
     mounts = mount_points()
     if mount_point_of(directory) in mounts or os.geteuid() != 0:
         return command
-    covers = [mount for mount in mounts if os.path.isdir(mount)]
-    if not covers:
-        return command
+    cover = next(filter(os.path.isdir, mounts), None)
     unshare = ["unshare", "--mount", "--propagation", "unchanged"]
-    return [*unshare, "sh", "-c", _COVER, covers[0], *command]
+    return [*unshare, "sh", "-c", _COVER, cover, *command] if cover else command
 
 
 def mount_points() -> list[str]:
     """Return the mount points that this process can see."""
-    try:
-        lines = Path("/proc/mounts").read_text(encoding="utf-8", errors="surrogateescape")
-    except OSError:
-        return []
+    lines = Path("/proc/mounts").read_text(encoding="utf-8", errors="surrogateescape")
     # A blank in a name stands there as \040.
     return [line.split(" ")[1].replace("\\040", " ") for line in lines.splitlines()]
 
 
 def mount_point_of(directory: Path) -> str:
     """Return where the file system of a folder begins, as Java finds it: by device numbers."""
-    device = directory.stat().st_dev
-    while directory != directory.parent and directory.parent.stat().st_dev == device:
-        directory = directory.parent
-    return str(directory)
+    return next(str(path) for path in (directory, *directory.parents) if path.is_mount())

@@ -35,38 +35,28 @@ def free_port(host: str = "127.0.0.1") -> int:
     """Return a port of the host that is free now, and that no client gets for its end."""
     # What the system gives away by itself begins above: such a port may be taken by a client
     # while a server that listened on it is started again.
-    candidates = random.sample(_SERVER_PORTS, len(_SERVER_PORTS))
-    for port in candidates:
+    for port in random.sample(_SERVER_PORTS, len(_SERVER_PORTS)):
         if is_free(host, port):
             return port
     raise ServerError(f"no port of {host} from 18000 to 32767 is free")
 
 
 def await_the_dead(host: str, port: int) -> bool:
-    """Wait while the listener of a port is a process that is just ending.
+    """Wait while the listener of a port is a process that is just ending; tell if it is free now.
 
     One that was killed gives its memory back first, and its port seconds later on a busy machine.
-
-    Returns:
-        Whether a server could listen on the port now.
     """
     deadline = time.monotonic() + _DYING_SEC
     while not is_free(host, port):
-        if time.monotonic() > deadline or not all(
-            map(_dying, _sockets(port, psutil.CONN_LISTEN, host))
-        ):
+        pids = [found.pid for found in _sockets(port, psutil.CONN_LISTEN, host)]
+        if time.monotonic() > deadline or any(pid and command_line(pid) for pid in pids):
             return False
         time.sleep(0.05)
     return True
 
 
 def port_owner(port: int, host: str = "") -> str:
-    """Describe who listens on a TCP port of this machine, as far as we may know it.
-
-    Args:
-        port: Its number.
-        host: Only listeners of this address; '' = of any.
-    """
+    """Describe who listens on a TCP port of this machine, of any address for host ''."""
     for found in _sockets(port, psutil.CONN_LISTEN, host):
         return describe_process(found.pid) if found.pid else "a process of another user"
     return "an unknown process"
@@ -87,8 +77,3 @@ def _sockets(port: int, state: str, host: str = "") -> list[Any]:
         and found.laddr.port == port
         and (not host or found.laddr.ip.replace("::ffff:", "") in wanted)
     ]
-
-
-def _dying(found: Any) -> bool:
-    """Tell whether the process that holds a socket has nothing left but that."""
-    return not found.pid or not command_line(found.pid)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is checked before a start, so that its failures have names."""
+"""What is checked before a start, so that its failures have names: all are ServerErrors."""
 
 from __future__ import annotations
 
@@ -18,11 +18,7 @@ _NEEDED_BYTES = 768 << 20  # per node: the commit log alone may take 512 MiB
 
 
 def make_directory(directory: Path, nodes: int) -> None:
-    """Make the cluster's directory and see that its disk has room.
-
-    Raises:
-        ServerError: It cannot be made, or the disk is nearly full.
-    """
+    """Make the cluster's directory and see that its disk has room."""
     try:
         there = next(path for path in (directory, *directory.parents) if path.is_dir())
         free, needed = shutil.disk_usage(there).free, _NEEDED_BYTES * nodes
@@ -39,11 +35,7 @@ def make_directory(directory: Path, nodes: int) -> None:
 
 
 def check_change(directory: Path, old: Settings, new: Settings, running: bool) -> None:
-    """Refuse options that contradict what runs, or what the data were written with.
-
-    Raises:
-        ServerError: They do.
-    """
+    """Refuse options that contradict what runs, or what the data were written with."""
     if new.nodes != old.nodes:
         raise ServerError(
             f"{directory} holds a cluster of {old.nodes} node(s), not {new.nodes}; leave --nodes "
@@ -75,11 +67,7 @@ def remove_stale_pid_file(node: Node) -> str:
 
 
 def check_port(node: Node) -> None:
-    """See that the node's CQL port is free.
-
-    Raises:
-        ServerError: It is not; the text says who has it, as far as that can be known.
-    """
+    """See that the node's CQL port is free; else say who has it, as far as that can be known."""
     port = node.settings.port
     if ports.await_the_dead(node.address, port):
         return
@@ -96,15 +84,7 @@ def check_port(node: Node) -> None:
 
 
 def choose_storage_port(settings: Settings, addresses: list[str]) -> int:
-    """Return a port, free on all addresses, for the traffic between the nodes.
-
-    Raises:
-        ServerError: None is free, or the one that a cluster of several nodes must keep.
-    """
-
-    def free(port: int) -> bool:
-        return all(ports.is_free(address, port) for address in addresses)
-
+    """Return a port, free on all addresses, for the traffic between the nodes."""
     known = settings.storage_port
     if known and all(ports.await_the_dead(address, known) for address in addresses):
         return known
@@ -117,9 +97,8 @@ def choose_storage_port(settings: Settings, addresses: list[str]) -> int:
         )
     # Two that start at once do not begin with the same one.
     first = os.getpid() % 100
-    candidates = [7000, *(17000 + (first + number) % 100 for number in range(100))]
-    for port in candidates:
-        if free(port):
+    for port in [7000, *(17000 + (first + number) % 100 for number in range(100))]:
+        if all(ports.is_free(address, port) for address in addresses):
             return port
     raise ServerError("no port from 17000 to 17099 is free for the traffic between the nodes")
 
@@ -167,29 +146,21 @@ def log_size(node: Node) -> int:
 
 def log_since(node: Node, offset: int) -> str:
     """Return what the node has logged since its log was `offset` bytes long."""
-    if log_size(node) < offset:
-        offset = 0  # it was rolled over
-    return _read(node.log, offset)
+    # It may have been rolled over.
+    return _read(node.log, offset if log_size(node) >= offset else 0)
 
 
 def explain_failure(node: Node, offset: int) -> str:
-    """Return reason, last lines of the log and where it is, for an error text.
-
-    Args:
-        node: The node that did not start.
-        offset: Length of its log before the start, bytes.
-    """
-    logged = log_since(node, offset)
-    printed = _read(node.console, 0)
+    """Return reason, last lines of the log from `offset` on and where it is, for an error text."""
+    logged, printed = log_since(node, offset), _read(node.console, 0)
     reason = next((why for sign, why in _REASONS if sign in logged + printed), "")
     source, text = (node.log, logged) if logged.strip() else (node.console, printed)
     if any(word in printed for word in ("Error", "Exception")) and "ERROR" not in logged:
         source, text = node.console, printed
-    lines = text.strip().splitlines()[-_TAIL_LINES:]
+    lines = text.strip().splitlines()[-_TAIL_LINES:] or ["(nothing was logged)"]
+    found = [f"Reason: {reason}."] if reason else []
     return "\n".join(
-        ([f"Reason: {reason}."] if reason else [])
-        + [f"The last lines of {source}:"]
-        + [f"  {line[:300]}" for line in lines or ["(nothing was logged)"]]
+        [*found, f"The last lines of {source}:", *(f"  {line[:300]}" for line in lines)]
     )
 
 

@@ -14,18 +14,19 @@ import os
 import signal
 import subprocess
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Callable, Iterator
 
 import psutil
 
 _PR_SET_PDEATHSIG = 1
+_CONFIG = "-Dcassandra.config="
 
 
 def config_argument(config: Path) -> str:
     """Return the argument by which a server's command line names its configuration."""
-    return f"-Dcassandra.config={config.as_uri()}"
+    return _CONFIG + config.as_uri()
 
 
 def command_line(pid: int) -> list[str]:
@@ -52,8 +53,8 @@ def describe_process(pid: int) -> str:
     if not words:
         return f"process {pid}, which has ended"
     for word in words:
-        if word.startswith("-Dcassandra.config="):
-            return f"another Cassandra ({word.split('=', 1)[1]}, pid {pid})"
+        if word.startswith(_CONFIG):
+            return f"another Cassandra ({word[len(_CONFIG) :]}, pid {pid})"
     return f"{os.path.basename(words[0])} (pid {pid})"
 
 
@@ -62,14 +63,7 @@ def spawn(
 ) -> subprocess.Popen[bytes]:
     """Start a process in a session of its own, apart from our terminal and its Ctrl-C.
 
-    Args:
-        command: What to run.
-        output: File that takes what it prints; begun anew.
-        environment: Its environment variables.
-        die_with_us: It gets a SIGTERM when this process ends, however that ends.
-
-    Returns:
-        The running process.
+    With ``die_with_us`` it gets a SIGTERM when this process ends, however that ends.
     """
     with open(output, "wb") as log:
         process = subprocess.Popen(
@@ -89,10 +83,8 @@ def spawn(
 
 def terminate(pid: int) -> None:
     """Ask a process to end; one that has ended already is fine."""
-    try:
+    with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGTERM)
-    except ProcessLookupError:
-        pass
 
 
 def _in_child(die_with_us: bool) -> Callable[[], None]:

@@ -52,11 +52,8 @@ class Settings:
 def own_heap_mb(nodes: int, memory_bytes: int | None = None) -> int:
     """Return the heap of a node that nobody named, MiB.
 
-    Every table keeps a quarter of a MiB of it, with or without rows.
-
-    Args:
-        nodes: They share a quarter of the memory, but each gets at least 512 MiB.
-        memory_bytes: What there is; None = of this machine, or of the container.
+    The nodes share a quarter of the memory (None = of this machine, or of the container), but each
+    gets at least 512 MiB. Every table keeps a quarter of a MiB of it, with or without rows.
     """
     least, most = OWN_HEAP_MB
     memory = _memory_bytes() if memory_bytes is None else memory_bytes
@@ -77,11 +74,7 @@ def new_settings() -> Settings:
 
 
 def load_settings(directory: Path) -> Settings | None:
-    """Read the settings of the cluster in a directory; None where there is none.
-
-    Raises:
-        ServerError: The directory holds something else, or its settings cannot be read.
-    """
+    """Read the settings of the cluster in a directory; None where there is none."""
     path = directory / SETTINGS_FILE
     try:
         # Before the settings are read: what another start makes meanwhile is nothing foreign.
@@ -109,42 +102,31 @@ def load_settings(directory: Path) -> Settings | None:
 
 def save_settings(directory: Path, settings: Settings) -> None:
     """Write the settings so that a crash leaves either the old or the new ones."""
-    path = directory / SETTINGS_FILE
     draft = directory / _DRAFT
     draft.write_text(json.dumps(asdict(settings), indent=2) + "\n", encoding="utf-8")
-    os.replace(draft, path)
+    os.replace(draft, directory / SETTINGS_FILE)
 
 
 def change_settings(
     settings: Settings,
-    *,
     nodes: int | None = None,
     host: str | None = None,
     port: int | None = None,
     heap: str | None = None,
 ) -> Settings:
-    """Return the settings with the options that were given, checked.
-
-    Raises:
-        ServerError: A value cannot be.
-    """
-    return check_settings(
-        replace(
-            settings,
-            nodes=settings.nodes if nodes is None else nodes,
-            host=settings.host if host is None else host,
-            port=settings.port if port is None else port,
-            heap_mb=settings.heap_mb if heap is None else parse_heap(heap),
-        )
+    """Return the settings with the options that were given, checked."""
+    changed = replace(
+        settings,
+        nodes=settings.nodes if nodes is None else nodes,
+        host=settings.host if host is None else host,
+        port=settings.port if port is None else port,
+        heap_mb=settings.heap_mb if heap is None else parse_heap(heap),
     )
+    return check_settings(changed)
 
 
 def parse_heap(text: str) -> int:
-    """Return a heap size such as 512M or 2G in MiB; a bare number is MiB.
-
-    Raises:
-        ServerError: The text is no size.
-    """
+    """Return a heap size such as 512M or 2G in MiB; a bare number is MiB."""
     found = re.fullmatch(r"(\d+)\s*([mMgG]?)(?:i?[bB])?", text.strip())
     if not found:
         raise ServerError(f"--heap {text}: write a size such as 512M or 2G")
@@ -152,14 +134,10 @@ def parse_heap(text: str) -> int:
 
 
 def check_settings(settings: Settings) -> Settings:
-    """Return the settings if a cluster can be started with them.
-
-    Raises:
-        ServerError: They name what cannot be.
-    """
+    """Return the settings if a cluster can be started with them; raise ServerError if not."""
     try:
-        last = ipaddress.IPv4Address(settings.host) + (settings.nodes - 1)
-        loopback = ipaddress.IPv4Address(settings.host).is_loopback and last.is_loopback
+        first = ipaddress.IPv4Address(settings.host)
+        loopback = first.is_loopback and (first + (settings.nodes - 1)).is_loopback
     except ValueError:
         loopback = False
     if not loopback:

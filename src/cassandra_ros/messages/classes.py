@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import importlib.abc
+import struct
 import threading
 from functools import lru_cache
 from io import BytesIO
@@ -19,15 +20,9 @@ import genpy.generator
 import genpy.message
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError, TypeMismatch
-from cassandra_ros.messages.definition import (
-    Definition,
-    attribute_name,
-    definition_of,
-    nested_definition,
-    render_spec,
-)
+from cassandra_ros.messages.definition import Definition, attribute_name, definition_of, render_spec
 from cassandra_ros.messages.installed import installed_class
-from cassandra_ros.messages.wire.skip import WIRE_ERRORS, compile_object_check, compile_skip
+from cassandra_ros.messages.wire.skip import compile_object_check, compile_skip
 
 _lock = threading.RLock()  # genpy generates through global variables
 _classes: dict[Definition, Any] = {}
@@ -73,11 +68,7 @@ class _Source(importlib.abc.InspectLoader):
 
 
 def installed_definition(msg_type: str) -> Definition:
-    """Return the definition of an installed message type.
-
-    Raises:
-        DefinitionError: The type is not installed, or its class is broken.
-    """
+    """Return the definition of an installed type; DefinitionError: it is not, or it is broken."""
     found = installed_class(msg_type)
     if found is None:
         raise DefinitionError(f"message type {msg_type} is not installed on this machine")
@@ -85,10 +76,9 @@ def installed_definition(msg_type: str) -> Definition:
 
 
 def message_class(definition: Definition) -> Any:
-    """Return the class of a definition: the installed one if it agrees, else a generated one.
+    """Return the installed class of a definition if it agrees, else a generated one.
 
-    Raises:
-        DefinitionError: genpy cannot make a class of it.
+    Raises DefinitionError where genpy cannot make one.
     """
     with _lock:
         if definition not in _classes:
@@ -116,10 +106,8 @@ def _generate(definition: Definition) -> Any:
         for msg_type, name in names.items():
             _complete(getattr(module, name), definition, msg_type)
     except Exception as exc:  # SyntaxError, MemoryError, RecursionError and five more are known
-        raise DefinitionError(
-            f"genpy cannot make a class of {definition.type}: {type(exc).__name__}: "
-            f"{str(exc)[:200]}"
-        ) from exc
+        why = f"{type(exc).__name__}: {str(exc)[:200]}"
+        raise DefinitionError(f"genpy cannot make a class of {definition.type}: {why}") from exc
     return getattr(module, names[definition.type])
 
 
@@ -128,19 +116,17 @@ def _source(definition: Definition) -> str:
     context = genmsg.MsgContext.create_default()
     load = genmsg.msg_loader.load_msg_from_string
     specs = {name: load(context, render_spec(s), name) for name, s in definition.specs.items()}
-    types = list(specs)
-    lines = []
-    for name, spec in specs.items():
-        for line in genpy.generator.msg_generator(context, spec, {}):
-            lines.append(genpy.dynamic._gen_dyn_modify_references(line, name, types))
-    return "\n".join(lines)
+    return "\n".join(
+        genpy.dynamic._gen_dyn_modify_references(line, name, list(specs))
+        for name, spec in specs.items()
+        for line in genpy.generator.msg_generator(context, spec, {})
+    )
 
 
 def _complete(generated: Any, definition: Definition, msg_type: str) -> None:
     """Give a generated class what was kept from genpy: text, md5 and constants."""
-    own = definition
-    if msg_type != definition.type:
-        own = nested_definition(definition, msg_type)
+    nested = msg_type != definition.type
+    own = definition.nested(msg_type) if nested else definition
     generated._definition = own
     generated._md5sum = own.md5sum
     generated._full_text = own.text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
@@ -151,11 +137,7 @@ def _complete(generated: Any, definition: Definition, msg_type: str) -> None:
 
 
 def serialize(msg: Any) -> bytes:
-    """Return the wire bytes of a message.
-
-    Raises:
-        TypeMismatch: A field holds what its type cannot.
-    """
+    """Return the wire bytes of a message; TypeMismatch: a field holds what its type cannot."""
     if getattr(type(msg), "_type", None) == "*":
         return bytes(msg._buff)  # RawMessage and rospy.AnyMsg
     buffer = BytesIO()
@@ -168,23 +150,17 @@ def serialize(msg: Any) -> bytes:
 
 
 def deserialize(cls: Any, wire: bytes) -> Any:
-    """Make a message of wire bytes. Surplus bytes are ignored, as in ROS.
-
-    Raises:
-        CorruptMessage: The bytes are no message of this class.
-    """
+    """Make a message of wire bytes, surplus ignored as in ROS; CorruptMessage: they are none."""
     if issubclass(cls, RawMessage):
         return cls(wire)
     try:
         # genpy cuts strings silently at the end of a short buffer.
         for check in _checks(cls):
             check(wire)
-    except WIRE_ERRORS as exc:
-        raise CorruptMessage(
-            f"{len(wire)} bytes are no {cls._type}: they end too early or count too far"
-        ) from exc
-    try:
         return cls().deserialize(wire)
+    except struct.error as exc:
+        why = "they end too early or count too far"
+        raise CorruptMessage(f"{len(wire)} bytes are no {cls._type}: {why}") from exc
     except Exception as exc:
         raise CorruptMessage(f"{len(wire)} bytes are no {cls._type}: {str(exc)[:300]}") from exc
 

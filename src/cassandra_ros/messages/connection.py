@@ -16,6 +16,10 @@ _LENGTH = struct.Struct("<I")
 _DEFINITION = b"message_definition"
 
 
+def _text_field(name: str) -> cached_property[str]:
+    return cached_property(lambda connection: _text(connection.fields.get(name, b"")))
+
+
 @dataclass(frozen=True)
 class Connection:
     """One publisher's connection to a topic."""
@@ -28,32 +32,17 @@ class Connection:
 
     @cached_property
     def fields(self) -> dict[str, bytes]:
-        """The header's fields by name.
-
-        Raises:
-            CorruptMessage: The bytes are not a connection header.
-        """
+        """The header's fields by name; CorruptMessage: the bytes are not a connection header."""
         return {_text(name): value for name, value, _ in _walk(self.header, self.topic)}
 
-    @cached_property
-    def type(self) -> str:
-        """Message type, 'pkg/Name'; '' when the header does not say."""
-        return _text(self.fields.get("type", b""))
-
-    @cached_property
-    def md5sum(self) -> str:
-        """md5 of the definition as the publisher gave it; '' when it did not."""
-        return _text(self.fields.get("md5sum", b""))
-
-    @cached_property
-    def definition_text(self) -> str:
-        """The message definition; bytes that are not UTF-8 are surrogates."""
-        return _text(self.fields.get("message_definition", b""))
-
-    @cached_property
-    def callerid(self) -> str:
-        """Name of the publishing node, or ''."""
-        return _text(self.fields.get("callerid", b""))
+    type = _text_field("type")
+    """Message type, 'pkg/Name'; '' when the header does not say."""
+    md5sum = _text_field("md5sum")
+    """md5 of the definition as the publisher gave it; '' when it did not."""
+    definition_text = _text_field("message_definition")
+    """The message definition; bytes that are not UTF-8 are surrogates."""
+    callerid = _text_field("callerid")
+    """Name of the publishing node, or ''."""
 
     @cached_property
     def latching(self) -> bool:
@@ -62,12 +51,7 @@ class Connection:
 
 
 def live_connection(topic: str, header: Mapping[str, str | bytes]) -> Connection:
-    """Make a connection of the header that rospy received, field by field.
-
-    Args:
-        topic: Resolved name of the topic.
-        header: rospy's ``_connection_header``; any field may be missing.
-    """
+    """Make a connection of rospy's ``_connection_header``; any field may be missing."""
     fields = [_bytes(name) + b"=" + _bytes(value) for name, value in header.items()]
     return Connection(topic, b"".join(_LENGTH.pack(len(field)) + field for field in fields))
 
@@ -82,44 +66,36 @@ def api_connection(topic: str, definition: Definition, callerid: str) -> Connect
 def cut_definition(header: bytes) -> tuple[bytes, int, bytes]:
     """Take the value of message_definition out of a header.
 
-    The field's length prefix stays as it was, so that join_definition is the exact inverse.
-
-    Returns:
-        The header without the value, the value's offset (-1: there is none, or the header is
-        malformed), and the value.
+    Return the header without it, its offset (-1: none, or a malformed header), and the value. The
+    field's length prefix stays as it was, so that join_definition is the exact inverse.
     """
-    offset, definition = -1, b""
     try:
-        for name, value, at in _walk(header, ""):
-            if name == _DEFINITION:
-                offset, definition = at, value
+        found = [(value, at) for name, value, at in _walk(header, "") if name == _DEFINITION]
     except CorruptMessage:
-        offset = -1
-    if offset < 0:
+        found = []
+    if not found:
         return header, -1, b""
+    definition, offset = found[-1]
     return header[:offset] + header[offset + len(definition) :], offset, definition
 
 
 def join_definition(header_without: bytes, offset: int, definition: bytes) -> bytes:
     """Put the definition back where cut_definition took it from."""
-    if offset < 0:
-        return header_without
-    return header_without[:offset] + definition + header_without[offset:]
+    rest = header_without
+    return rest if offset < 0 else rest[:offset] + definition + rest[offset:]
 
 
 def _walk(header: bytes, topic: str) -> Iterator[tuple[bytes, bytes, int]]:
     """Yield name, value and the value's offset of each field."""
-    at = 0
+    at, what = 0, f"the connection header of {topic or 'a topic'} is"
     while at < len(header):
         if at + 4 > len(header):
-            raise CorruptMessage(f"the connection header of {topic or 'a topic'} is cut short")
+            raise CorruptMessage(f"{what} cut short")
         (length,) = _LENGTH.unpack_from(header, at)
         field = header[at + 4 : at + 4 + length]
         name, equals, value = field.partition(b"=")
         if len(field) != length or not equals:
-            raise CorruptMessage(
-                f"the connection header of {topic or 'a topic'} is malformed at byte {at}"
-            )
+            raise CorruptMessage(f"{what} malformed at byte {at}")
         yield name, value, at + 4 + len(name) + 1
         at += 4 + length
 

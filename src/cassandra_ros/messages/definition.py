@@ -11,12 +11,18 @@ from __future__ import annotations
 import keyword
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, Iterable, Mapping
+from typing import Any, Mapping
 
 from cassandra_ros.errors import DefinitionError
-from cassandra_ros.messages.installed import installed_text
+from cassandra_ros.messages.installed import installed_class
 from cassandra_ros.messages.shape import check_shape, compute_md5
-from cassandra_ros.messages.spec import MessageSpec, check_type_name, parse_spec, resolve_type
+from cassandra_ros.messages.spec import (
+    MessageSpec,
+    Specs,
+    check_type_name,
+    parse_spec,
+    resolve_type,
+)
 
 MAX_TEXT = 1 << 20
 MAX_TYPES = 256
@@ -35,7 +41,7 @@ class Definition:
     md5sum: str
     text: str = field(compare=False, repr=False)
     """The text as it was given."""
-    specs: Mapping[str, MessageSpec] = field(compare=False, repr=False)
+    specs: Specs = field(compare=False, repr=False)
     """The type itself and every type that it uses, directly or not, by name."""
     md5sums: Mapping[str, str] = field(compare=False, repr=False)
     """The md5 of each of them."""
@@ -47,6 +53,10 @@ class Definition:
         """The spec of the type itself."""
         return self.specs[self.type]
 
+    def nested(self, msg_type: str) -> Definition:
+        """Return the definition of a type that this one uses, constants included."""
+        return parse_definition(msg_type, _render_whole(self, msg_type), self.md5sums[msg_type])
+
 
 def parse_definition(msg_type: str, text: str, md5sum: str | None = None) -> Definition:
     """Parse and check a full definition (the text of ``gendeps --cat``).
@@ -56,8 +66,7 @@ def parse_definition(msg_type: str, text: str, md5sum: str | None = None) -> Def
 
     Args:
         msg_type: 'pkg/Name'.
-        text: Definition of the type, then of each type that it uses, after a line of 80 '=' and
-            a line 'MSG: pkg/Name'.
+        text: Of the type, then of each that it uses after a line of 80 '=' and 'MSG: pkg/Name'.
         md5sum: What the md5 must be; None accepts any, but then the text must be complete.
 
     Raises:
@@ -80,7 +89,7 @@ def _parse(msg_type: str, text: str, md5sum: str | None) -> Definition:
             continue
         if name not in sections:
             missing.add(name)
-            sections.update(_installed_sections(name, msg_type, md5sum, sections))
+            sections = {**_installed_sections(name, msg_type, md5sum), **sections}
         specs[name] = parse_spec(name, sections[name])
         waiting.extend(f.type for f in specs[name].fields if not f.is_primitive)
         if len(specs) > MAX_TYPES:
@@ -89,16 +98,10 @@ def _parse(msg_type: str, text: str, md5sum: str | None) -> Definition:
     md5sums = compute_md5(msg_type, specs)
     if md5sum is not None and md5sums[msg_type] != md5sum:
         where = f" ({', '.join(sorted(missing))} taken from installed packages)" if missing else ""
-        raise DefinitionError(
-            f"the definition of {msg_type}{where} has md5 {md5sums[msg_type]}, not {md5sum[:80]!r} "
-            f"as its connection says"
-        )
-    arrays = tuple(
-        (name, f.name, f.length)
-        for name in sorted(specs)
-        for f in specs[name].fields
-        if f.is_array and not f.is_primitive
-    )
+        what = f"has md5 {md5sums[msg_type]}, not {md5sum[:80]!r} as its connection says"
+        raise DefinitionError(f"the definition of {msg_type}{where} {what}")
+    fields = ((name, f) for name in sorted(specs) for f in specs[name].fields)
+    arrays = tuple((n, f.name, f.length) for n, f in fields if f.is_array and not f.is_primitive)
     definition = Definition(msg_type, md5sums[msg_type], text, specs, md5sums, arrays)
     if missing:
         # What other packages of this machine gave is kept too: others have them not, or newer ones.
@@ -115,10 +118,8 @@ def _split(msg_type: str, text: str) -> dict[str, str]:
         stripped = line.strip()
         if expect_name:
             if not stripped.startswith("MSG:"):
-                raise DefinitionError(
-                    f"the definition of {msg_type} names no type after a separator: "
-                    f"{stripped[:80]!r}"
-                )
+                what = f"names no type after a separator: {stripped[:80]!r}"
+                raise DefinitionError(f"the definition of {msg_type} {what}")
             name = check_type_name(resolve_type(stripped[4:].strip(), ""))
             lines, expect_name = [], False
         elif len(stripped) >= 8 and stripped == "=" * len(stripped):
@@ -131,17 +132,14 @@ def _split(msg_type: str, text: str) -> dict[str, str]:
     return sections
 
 
-def _installed_sections(
-    name: str, msg_type: str, md5sum: str | None, known: Iterable[str]
-) -> dict[str, str]:
+def _installed_sections(name: str, msg_type: str, md5sum: str | None) -> dict[str, str]:
     """Return the text of a missing type, and of what it uses, from the installed packages."""
-    found = installed_text(name) if md5sum is not None else None
+    found = installed_class(name) if md5sum is not None else None
     if found is None:
-        raise DefinitionError(
-            f"the definition of {msg_type} uses {name}, which it does not define"
-            + (" and which is not installed" if md5sum is not None else "")
-        )
-    return {key: text for key, text in _split(name, found).items() if key not in known}
+        lacking = " and which is not installed" if md5sum is not None else ""
+        what = f"the definition of {msg_type} uses {name}, which it does not define"
+        raise DefinitionError(what + lacking)
+    return _split(name, str(found._full_text))
 
 
 def render_spec(spec: MessageSpec) -> str:
@@ -158,12 +156,6 @@ def attribute_name(name: str) -> str:
     return name + "_" if keyword.iskeyword(name) or name == "self" else name
 
 
-def nested_definition(definition: Definition, msg_type: str) -> Definition:
-    """Return the definition of a type that another one uses, constants included."""
-    text = _render_whole(definition, msg_type)
-    return parse_definition(msg_type, text, definition.md5sums[msg_type])
-
-
 def _render_whole(definition: Definition, msg_type: str) -> str:
     """Write the full text of a type, constants included, as ``gendeps --cat`` does."""
     names = [msg_type]
@@ -171,21 +163,17 @@ def _render_whole(definition: Definition, msg_type: str) -> str:
         used = (f.type for f in definition.specs[name].fields if not f.is_primitive)
         names.extend(dict.fromkeys(n for n in used if n not in names))
     parts = []
-    for spec in map(definition.specs.__getitem__, names):
+    for name in names:
+        spec = definition.specs[name]
         lines = [f"{c.type} {c.name}={c.text}" for c in spec.constants]
         lines += [f"{f.declared or f.full_type} {f.name}" for f in spec.fields]
-        parts.append("\n".join(lines))
-    return f"\n{_SEPARATOR}\nMSG: ".join(
-        [parts[0], *(f"{name}\n{part}" for name, part in zip(names[1:], parts[1:]))]
-    )
+        body = "\n".join(lines)
+        parts.append(body if name == msg_type else f"{name}\n{body}")
+    return f"\n{_SEPARATOR}\nMSG: ".join(parts)
 
 
 def definition_of(msg_class: Any) -> Definition:
-    """Return the definition of an installed or generated message class (or an instance).
-
-    Raises:
-        DefinitionError: It is no message class.
-    """
+    """Return the definition of a message class or instance; DefinitionError: it is none."""
     known = getattr(msg_class, "_definition", None)
     if isinstance(known, Definition):  # of a class that message_class generated
         return known

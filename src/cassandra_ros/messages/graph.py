@@ -27,13 +27,9 @@ class _Transport(xmlrpc.client.Transport):
 
 
 def topic_type(topic: str) -> str | None:
-    """Ask the ROS master for the type of a topic.
+    """Ask the ROS master for the type of a topic; a missing leading slash is added.
 
-    Args:
-        topic: Global name; a missing leading slash is added.
-
-    Returns:
-        'pkg/Name', or None: no master answers within a second, or it does not know the topic.
+    Return 'pkg/Name', or None: no master answers within a second, or it does not know the topic.
     """
     uri = rosgraph.get_master_uri()
     name = topic if topic.startswith("/") else "/" + topic
@@ -50,5 +46,4 @@ def topic_type(topic: str) -> str | None:
     if code != 1:
         _log.info("the ROS master at %s refuses: %s", uri, status)
         return None
-    found = types.get(name)
-    return None if found in (None, "*") else found
+    return None if types.get(name) == "*" else types.get(name)

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import difflib
 import struct
-from typing import Callable, Dict, List, Optional, Sequence
+from typing import Callable, List, Optional, Sequence
 
 from cassandra_ros.errors import InvalidName
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.layout import FieldColumn, element_of
+from cassandra_ros.messages.wire.layout import FieldColumn, Fixed, element_of
 from cassandra_ros.messages.wire.plan import wire_plan
 from cassandra_ros.messages.wire.values import CQL_CODES, pack_list, pack_numbers, split_list
 
@@ -31,18 +31,12 @@ _Split = Callable[[bytes], Optional[List[bytes]]]
 class IndexField:
     """One indexed field of a message type.
 
-    Args:
-        definition: Of the type.
+    Attributes:
         field: Dotted path of the field, as 'linear.x' or 'transforms.child_frame_id'.
         shadow: Name of the column that carries the index.
-
-    Attributes:
-        field, shadow: As given.
         element_type: CQL type of one value.
-        kind: What a value is: 'int', 'float', 'bool', 'text', 'time' or 'duration' (as
-            FieldColumn has it).
-        many: The field has many values (it is an array, or lies in an array of messages): the
-            column is a set of them.
+        kind: What a value is: as FieldColumn has it, but no array.
+        many: The field is an array, or lies in one of messages: the column is a set of values.
         cql_type: Of the column.
 
     Raises:
@@ -51,28 +45,25 @@ class IndexField:
 
     def __init__(self, definition: Definition, field: str, shadow: str) -> None:
         plan = wire_plan(definition)
-        columns = {column.name: column for column in plan.all_columns}
-        column = columns.get(field)
+        column = plan.column(field)
         if column is None or _is_nested(column):
-            hint = nearest_fields(field, [n for n, each in columns.items() if not _is_nested(each)])
+            able = [each.name for each in plan.all_columns if not _is_nested(each)]
+            hint = nearest_fields(field, able)
             if column is None:
                 raise InvalidName(f"{definition.type} has no field {field!r} to index; {hint}")
-            raise InvalidName(
-                f"field {field} of {definition.type} cannot be indexed: it is an array inside of "
-                f"an array of messages, which its column holds as bytes; {hint}"
-            )
+            why = "it is an array inside of an array of messages, which its column holds as bytes"
+            what = f"field {field} of {definition.type} cannot be indexed"
+            raise InvalidName(f"{what}: {why}; {hint}")
         self.field = field
         self.shadow = shadow
         self._pick = plan.picker(field)
         self.many = column.is_list or column.kind == "array"
+        self.element_type, self.kind = column.element_type, column.kind
+        self._split: _Split = _split_column
         if column.kind == "array":
             one = element_of(column)
             self.element_type, self.kind = one.column.cql_type, one.column.kind
-            self._split = _split_numbers(column)
-        else:
-            self.element_type = column.element_type
-            self.kind = column.kind
-            self._split = _split_column
+            self._split = _split_numbers(one)
         self.cql_type = f"set<{self.element_type}>" if self.many else self.element_type
 
     def value(self, wire: bytes) -> tuple[bytes | None, bool]:
@@ -89,14 +80,11 @@ class IndexField:
         values = self._split(raw)
         if values is None:
             return None, True
-        found: Dict[bytes, None] = {}
-        for each in values:
-            value = self.normal(each)
-            if value is None:
-                return None, True
-            found[value] = None
+        found = [value for value in map(self.normal, values) if value is not None]
+        if len(found) < len(values):
+            return None, True
         # A set is encoded as a list is; an empty one would be a tombstone.
-        return (pack_list(list(found)) if found else None), False
+        return (pack_list(list(dict.fromkeys(found))) if found else None), False
 
     def normal(self, raw: bytes) -> bytes | None:
         """Return one encoded value as the index has it; None where it has none."""
@@ -131,8 +119,7 @@ def _split_column(raw: bytes) -> Optional[List[bytes]]:
     return None if int.from_bytes(raw[:4], "big") > MAX_ELEMENTS else split_list(raw)
 
 
-def _split_numbers(column: FieldColumn) -> _Split:
-    fixed = element_of(column)
+def _split_numbers(fixed: Fixed) -> _Split:
     unit, encode = struct.calcsize("<" + fixed.little), pack_numbers(fixed, True)
 
     def split(raw: bytes) -> Optional[List[bytes]]:

@@ -12,7 +12,6 @@ import sys
 from functools import lru_cache
 from typing import Any
 
-from cassandra_ros.errors import DefinitionError
 from cassandra_ros.messages.spec import check_type_name
 
 _log = logging.getLogger(__name__)
@@ -20,13 +19,10 @@ _log = logging.getLogger(__name__)
 
 @lru_cache(maxsize=1024)
 def installed_class(msg_type: str) -> Any | None:
-    """Return the class of an installed message type, or None.
+    """Return the class of an installed message type, or None; DefinitionError: no 'pkg/Name'.
 
     A type name comes from outside: nothing is imported before the package is seen to be a folder
     that has ``msg/_Name.py``.
-
-    Raises:
-        DefinitionError: It is no 'pkg/Name'.
     """
     package, name = check_type_name(msg_type).split("/")
     if not _has_message(package, name):
@@ -52,12 +48,3 @@ def _has_message(package: str, name: str) -> bool:
             return False
         folders = (spec.submodule_search_locations if spec is not None else None) or []
     return any(os.path.isfile(os.path.join(f, "msg", f"_{name}.py")) for f in folders)
-
-
-def installed_text(msg_type: str) -> str | None:
-    """Return the full definition text of an installed type, or None."""
-    try:
-        found = installed_class(msg_type)
-    except DefinitionError:
-        return None
-    return None if found is None else str(found._full_text)

@@ -25,11 +25,8 @@ _BEYOND = {"int": struct.error, "float": OverflowError}
 class KeyPart:
     """One field of a message type: its value in a message, and what finds it in an index.
 
-    Args:
-        definition: Of the type.
-        field: Dotted path of the field, as 'header.stamp'.
-
     Attributes:
+        field: Dotted path of the field, as 'header.stamp'.
         digest: The field is an array, and the index holds the md5 of the whole.
         is_time: The field is a time: rows lie by it, in its order.
         is_text: The field is a text: whatever a person types can be its value.
@@ -40,19 +37,14 @@ class KeyPart:
     """
 
     def __init__(self, definition: Definition, field: str) -> None:
-        plan = wire_plan(definition)
-        columns = {column.name: column for column in plan.all_columns}
-        column = columns.get(field)
+        plan, name = wire_plan(definition), definition.type
+        column = plan.column(field)
         if column is None:
-            raise InvalidKey(
-                f"{definition.type} has no field {field!r} that could be a key; "
-                f"{nearest_fields(field, sorted(columns))}"
-            )
+            hint = nearest_fields(field, sorted(each.name for each in plan.all_columns))
+            raise InvalidKey(f"{name} has no field {field!r} that could be a key; {hint}")
         if column.array or column.kind == "wire":
-            raise InvalidKey(
-                f"field {field} of {definition.type} lies in an array of messages: it has many "
-                "values, and a key is one; choose another field for key_part"
-            )
+            why = "it has many values, and a key is one; choose another field for key_part"
+            raise InvalidKey(f"field {field} of {name} lies in an array of messages: {why}")
         self.field = field
         self._column = column
         self._pick = plan.picker(field)
@@ -80,43 +72,31 @@ class KeyPart:
     def encode(self, value: object) -> bytes | None:
         """Return the value that somebody asks for as ``value`` does; None: no message has it.
 
-        Raises:
-            InvalidKey: It is of another kind than the field.
+        InvalidKey: it is of another kind than the field.
         """
         try:
             raw = self._encode(value)
         except (TypeError, ValueError, ArithmeticError, struct.error) as exc:
-            raise InvalidKey(
-                f"the key of these messages is their field {self.field}, a "
-                f"{self._column.field_type}; {value!r:.80} is none"
-            ) from exc
+            what = f"field {self.field}, a {self._column.field_type}; {value!r:.80} is none"
+            raise InvalidKey(f"the key of these messages is their {what}") from exc
         return None if raw is None else self._normal(raw)
 
     def from_text(self, text: str) -> object:
-        """Read a value of the field that a person typed.
-
-        Raises:
-            InvalidKey: The text is none.
-        """
+        """Read a value of the field that a person typed; InvalidKey: the text is none."""
         kind = "list" if self.digest else self._column.kind
         try:
             if kind == "bool":
                 return {"true": True, "false": False}[text.strip().lower()]
-            if kind == "text":
-                return text
-            return json.loads(text)
+            return text if kind == "text" else json.loads(text)
         except (KeyError, ValueError, RecursionError) as exc:
-            raise InvalidKey(
-                f"{text!r:.80} is no value of the key field {self.field}, a "
-                f"{self._column.field_type}"
-            ) from exc
+            what = f"no value of the key field {self.field}, a {self._column.field_type}"
+            raise InvalidKey(f"{text!r:.80} is {what}") from exc
 
     def _encode(self, value: object) -> bytes | None:
         column = self._column
         if column.is_list:
-            return pack_list(
-                [encode_value("text", _plain("text", text)) for text in _elements(value)]
-            )
+            texts = [_plain("text", text) for text in _elements(value)]
+            return pack_list([encode_value("text", text) for text in texts])
         if column.kind == "array":
             return _array(column.field_type, value)
         try:
@@ -127,17 +107,12 @@ class KeyPart:
             raise
 
     def _normal(self, raw: bytes) -> bytes | None:
-        if self._column.kind != "float" or self.digest:
-            return raw
-        return normal_float(self._column.cql_type, raw)
+        is_float = self._column.kind == "float" and not self.digest
+        return normal_float(self._column.cql_type, raw) if is_float else raw
 
 
 def _plain(kind: str, value: Any) -> Primitive:
-    """Return what somebody gave as a Python value of a column's kind.
-
-    Raises:
-        TypeError, ValueError, ArithmeticError: It is of another kind.
-    """
+    """Return what somebody gave as a Python value of a column's kind; raises as encode takes it."""
     if kind in ("bool", "text"):
         if not isinstance(value, bool if kind == "bool" else str):
             raise TypeError(value)

@@ -6,10 +6,9 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from typing import Mapping
 
 from cassandra_ros.errors import DefinitionError
-from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, MessageSpec
+from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, Specs
 
 MAX_DEPTH = 64
 MAX_FIXED_BYTES = 1 << 26
@@ -28,17 +27,12 @@ class _Shape:
     """Messages that one such message consists of, itself included; var. arrays count as empty."""
 
 
-def check_shape(msg_type: str, specs: Mapping[str, MessageSpec]) -> None:
-    """Check that a type is finite and of a size that a machine can bear.
-
-    Raises:
-        DefinitionError: A type contains itself, is nested deeper than 64, has fixed arrays of
-            more than 2**26 bytes, or more than 2**12 fields.
-    """
+def check_shape(msg_type: str, specs: Specs) -> None:
+    """Check that a type is finite and of a size that a machine can bear; else DefinitionError."""
     _shape(msg_type, specs, {}, ())
 
 
-def object_counts(msg_type: str, specs: Mapping[str, MessageSpec]) -> dict[str, int] | None:
+def object_counts(msg_type: str, specs: Specs) -> dict[str, int] | None:
     """Return the objects in a message of each type where a few bytes can mean many of them.
 
     That takes a message without bytes inside another one. None: there is none.
@@ -50,9 +44,7 @@ def object_counts(msg_type: str, specs: Mapping[str, MessageSpec]) -> dict[str, 
     return {name: shape.objects for name, shape in done.items()}
 
 
-def _shape(
-    name: str, specs: Mapping[str, MessageSpec], done: dict[str, _Shape], path: tuple[str, ...]
-) -> _Shape:
+def _shape(name: str, specs: Specs, done: dict[str, _Shape], path: tuple[str, ...]) -> _Shape:
     if name in done:
         return done[name]
     if name in path:
@@ -88,7 +80,7 @@ def _count(name: str, field: Field, element: _Shape) -> int | None:
     return field.length
 
 
-def compute_md5(msg_type: str, specs: Mapping[str, MessageSpec]) -> dict[str, str]:
+def compute_md5(msg_type: str, specs: Specs) -> dict[str, str]:
     """Return the md5 of a checked type and of all that it uses, as genmsg computes it.
 
     It covers constants, then fields; names of message types are replaced by their md5.

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import re
 import struct
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import Mapping
 
 from cassandra_ros.errors import DefinitionError
 
@@ -103,27 +105,19 @@ class MessageSpec:
     constants: tuple[Constant, ...]
 
 
-def check_type_name(name: str) -> str:
-    """Return name if it is a message type, 'pkg/Name'.
+Specs = Mapping[str, MessageSpec]
+"""A type and all that it uses, by name."""
 
-    Raises:
-        DefinitionError: It is not.
-    """
+
+def check_type_name(name: str) -> str:
+    """Return name if it is a message type, 'pkg/Name', or raise DefinitionError."""
     if not isinstance(name, str) or len(name) > MAX_NAME or not _IS_TYPE.fullmatch(name):
         raise DefinitionError(f"{str(name)[:80]!r} is not a message type: expected pkg/Name")
     return name
 
 
 def parse_spec(msg_type: str, text: str) -> MessageSpec:
-    """Parse the text of one message type, without those that it uses.
-
-    Args:
-        msg_type: Checked 'pkg/Name'; its package resolves the types that name none.
-        text: The lines of its .msg file.
-
-    Raises:
-        DefinitionError: A line is neither field nor constant, or a name occurs twice.
-    """
+    """Parse the lines of the .msg file of one type, a checked name; raises DefinitionError."""
     package = msg_type.split("/")[0]
     fields: list[Field] = []
     constants: list[Constant] = []
@@ -208,9 +202,7 @@ def _literal(type_: str, text: str) -> int | float | bool | str:
         value = int(text)
         if type_ == "bool":
             return bool(value)
-        try:
+        with suppress(struct.error):  # out of range
             struct.pack("<" + CODES[type_], value)
             return value
-        except struct.error:
-            pass  # out of range
     raise DefinitionError(f"{text[:80]!r} is not a literal of type {type_}")

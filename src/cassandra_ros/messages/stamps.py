@@ -4,19 +4,23 @@
 
 from __future__ import annotations
 
+import operator
 import re
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timedelta
 from decimal import Decimal, InvalidOperation
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, Callable
 
 import genpy
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import MAX_NS, SECOND_NS
 
+SECONDS_BELOW = 10**12
+"""An integer time below is 17 minutes after 1970, or was meant as seconds."""
+
 _EPOCH = datetime(1970, 1, 1)
-_DECIMAL = re.compile(r"[0-9]+\.[0-9]*|\.[0-9]+")
+_DECIMAL = re.compile(r"[0-9]+\.?[0-9]*|\.[0-9]+")
 _ISO = re.compile(
     r"(?P<date>[0-9]{4}-[0-9]{2}-[0-9]{2})"
     r"(?:[Tt ](?P<hour>[0-9]{2}):(?P<minute>[0-9]{2})"
@@ -28,10 +32,8 @@ _ISO = re.compile(
 def seconds_to_ns(seconds: Any) -> int:
     """Convert seconds (int, float, Decimal) to nanoseconds, rounded half to even.
 
-    The shortest decimal text of a float is what was meant: 0.1 is 100,000,000 ns.
-
-    Raises:
-        InvalidKey: Not a finite number.
+    The shortest decimal text of a float is what was meant: 0.1 is 100,000,000 ns. Raises InvalidKey
+    where it is no finite number.
     """
     if isinstance(seconds, Integral):
         return int(seconds) * SECOND_NS
@@ -43,11 +45,7 @@ def seconds_to_ns(seconds: Any) -> int:
 
 
 def check_ns(ns: int, shown: object = None) -> int:
-    """Return ns if ROS can express it: 0 to the end of 32-bit seconds (February 2106).
-
-    Raises:
-        InvalidKey: It lies outside.
-    """
+    """Return ns if ROS can express it, else raise InvalidKey."""
     if 0 <= ns <= MAX_NS:
         return ns
     what = f"{ns} ns" if shown is None else repr(shown)
@@ -55,6 +53,14 @@ def check_ns(ns: int, shown: object = None) -> int:
         f"{what} is not a time of ROS 1, which reaches from 1970 to 2106-02-07 "
         f"({MAX_NS} ns); an int means nanoseconds, a float seconds"
     )
+
+
+def _ordering(compare: Callable[[float, float], bool]) -> Callable[[Stamp, object], bool]:
+    def method(self: Stamp, other: object) -> bool:
+        limit = _comparable(other)
+        return NotImplemented if limit is None else compare(self.ns, limit)
+
+    return method
 
 
 class Stamp(genpy.Time):
@@ -90,11 +96,7 @@ class Stamp(genpy.Time):
     def from_ns(
         cls, ns: int, node: str | None = None, seq: int | None = None, table: str | None = None
     ) -> Stamp:
-        """Make a stamp of integer nanoseconds since 1970.
-
-        Raises:
-            InvalidKey: Before 1970 or after 2106.
-        """
+        """Make a stamp of integer nanoseconds since 1970; InvalidKey after 2106 or before 1970."""
         return cls(0, ns, node, seq, table)
 
     @classmethod
@@ -133,21 +135,10 @@ class Stamp(genpy.Time):
             return NotImplemented
         return type(self)(0, max(0, self.ns - offset))
 
-    def __lt__(self, other: object) -> bool:
-        limit = _comparable(other)
-        return NotImplemented if limit is None else self.ns < limit
-
-    def __le__(self, other: object) -> bool:
-        limit = _comparable(other)
-        return NotImplemented if limit is None else self.ns <= limit
-
-    def __gt__(self, other: object) -> bool:
-        limit = _comparable(other)
-        return NotImplemented if limit is None else self.ns > limit
-
-    def __ge__(self, other: object) -> bool:
-        limit = _comparable(other)
-        return NotImplemented if limit is None else self.ns >= limit
+    __lt__ = _ordering(operator.lt)
+    __le__ = _ordering(operator.le)
+    __gt__ = _ordering(operator.gt)
+    __ge__ = _ordering(operator.ge)
 
 
 def _is_number(value: object) -> bool:
@@ -155,26 +146,18 @@ def _is_number(value: object) -> bool:
 
 
 def _offset_ns(value: object) -> int | None:
-    """Nanoseconds of something that can be added to a stamp, or None."""
+    """Return the nanoseconds of something that can be added to a stamp, or None."""
     if isinstance(value, genpy.Duration):
         return int(value.to_nsec())
     return seconds_to_ns(value) if _is_number(value) else None
 
 
 def duration_ns(value: object) -> int:
-    """Return the nanoseconds of a length of time.
-
-    Args:
-        value: genpy.Duration (exact), or a number of seconds; at least 0.
-
-    Raises:
-        InvalidKey: It is neither, or negative.
-    """
+    """Return the ns of a genpy.Duration or a number of seconds; InvalidKey below 0 or of others."""
     ns = _offset_ns(value)
     if ns is None or ns < 0:
-        raise InvalidKey(
-            f"{value!r:.80} is no length of time: give seconds, at least 0, or a genpy.Duration"
-        )
+        known = "seconds, at least 0, or a genpy.Duration"
+        raise InvalidKey(f"{value!r:.80} is no length of time: give {known}")
     return ns
 
 
@@ -210,18 +193,14 @@ def to_ns(value: object) -> int:
         return check_ns(int(value), value)
     if _is_number(value):
         return check_ns(seconds_to_ns(value), value)
-    raise InvalidKey(
-        f"{value!r} is not a time: give a genpy.Time, an int (nanoseconds), a float (seconds) "
-        f"or ISO 8601 text"
-    )
+    known = "a genpy.Time, an int (nanoseconds), a float (seconds) or ISO 8601 text"
+    raise InvalidKey(f"{value!r} is not a time: give {known}")
 
 
 def _text_to_ns(text: str) -> int:
     stripped = text.strip()
-    if re.fullmatch(r"[0-9]{1,40}", stripped):
-        return int(stripped)
     if len(stripped) <= 40 and _DECIMAL.fullmatch(stripped):
-        return seconds_to_ns(Decimal(stripped))
+        return seconds_to_ns(Decimal(stripped)) if "." in stripped else int(stripped)
     match = _ISO.fullmatch(stripped)
     if match is None:
         raise InvalidKey(
@@ -259,11 +238,6 @@ def is_time(value: object) -> bool:
 
 
 def iso_time(ns: int) -> str:
-    """Return the UTC time as ISO 8601 with 9 digits, like 2013-05-08T14:06:20.123456789Z.
-
-    Args:
-        ns: Nanoseconds since 1970.
-    """
+    """Return nanoseconds since 1970 as ISO 8601, like 2013-05-08T14:06:20.123456789Z."""
     seconds, rest = divmod(ns, SECOND_NS)
-    moment = datetime(1970, 1, 1, tzinfo=timezone.utc) + timedelta(seconds=seconds)
-    return f"{moment:%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"
+    return f"{_EPOCH + timedelta(seconds=seconds):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"

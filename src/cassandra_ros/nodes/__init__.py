@@ -3,6 +3,6 @@
 """The ROS nodes: they unpack, call the library, pack. Only here is rospy imported.
 
 ``recorder_node`` subscribes and hands bytes on, through ``subscription``, which loses nothing that
-rospy would lose; ``query_node`` answers services with what ``services`` makes of the store. The
+rospy would lose; ``query_node`` answers services with what the library makes of the store. The
 module ``node`` is for both: name, log and time.
 """

@@ -23,34 +23,24 @@ _OURS = "cassandra_ros"
 _ROSPY = "rosout"
 """The logger behind rospy.logwarn and its like."""
 _STAMP = struct.Struct("<II")
-_REMAP = "__name:="
+REMAP = "__name:="
 _TIMEOUT_SEC = 2.0
 MASTER_ERRORS = (OSError, HTTPException, xmlrpc.client.Error, ExpatError)
 """What asking a master raises that is away, or dies in the middle of its answer."""
 
 
-def wanted_name(default: str, argv: Sequence[str]) -> str:
-    """Return the base name that a node is to have.
+def own_name(default: str, argv: Sequence[str]) -> tuple[str, str, bool]:
+    """Return a node's base name, its full name in our namespace, and whether such a node lives.
 
-    Args:
-        default: Its own.
-        argv: The command line; ``__name:=x`` wins.
+    The base name is ``default`` where the command line has no ``__name:=x``.
     """
-    given = [word[len(_REMAP) :] for word in argv if word.startswith(_REMAP)]
-    return given[-1] if given else default
+    given = [word[len(REMAP) :] for word in argv if word.startswith(REMAP)]
+    name = given[-1] if given else default
+    full_name = str(rospy.get_namespace()) + name
+    return name, full_name, _is_taken(full_name)
 
 
-def without_name(argv: Sequence[str]) -> list[str]:
-    """Return the command line without ``__name:=x``, which forbids an anonymous name."""
-    return [word for word in argv if not word.startswith(_REMAP)]
-
-
-def resolved_name(name: str) -> str:
-    """Return a node's base name with the namespace that this process is in."""
-    return str(rospy.get_namespace()) + name
-
-
-def is_taken(full_name: str) -> bool:
+def _is_taken(full_name: str) -> bool:
     """Say whether a node of this name lives; False also where no master answers yet."""
     try:
         code, _, uri = rospy.get_master().lookupNode(full_name)
@@ -106,11 +96,7 @@ def follow_clock() -> None:
 
 
 def now_ns() -> int:
-    """Tell the time; exactly, while rospy's wall clock goes through a float.
-
-    Raises:
-        ClockNotSet: Simulated time is in use and no /clock message has come.
-    """
+    """Tell the time; exactly, while rospy's wall clock goes through a float."""
     if rospy.rostime.is_wallclock():
         return time.time_ns()
     now = int(rospy.rostime.get_rostime().to_nsec())

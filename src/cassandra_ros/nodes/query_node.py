@@ -1,41 +1,72 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Node cassandra_ros: the store, asked over ROS services."""
+"""Node cassandra_ros: the store, asked over ROS services. They unpack, ask the library, pack."""
 
 from __future__ import annotations
 
 import logging
-from typing import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from typing import Callable, Iterator, Optional, Sequence, TypeVar
 
 import rospy
 
-from cassandra_ros.errors import InvalidName
-from cassandra_ros.nodes.node import forward_logging, is_taken, resolved_name, wanted_name
-from cassandra_ros.nodes.services import Services
-from cassandra_ros.srv import ExecuteCQL, GetData, LookupTransform, Range
+from cassandra_ros.errors import (
+    CassandraRosError,
+    CorruptMessage,
+    DefinitionError,
+    InvalidKey,
+    InvalidName,
+)
+from cassandra_ros.keys import SECOND_NS, decode_cursor, encode_cursor
+from cassandra_ros.messages.classes import to_yaml
+from cassandra_ros.messages.stamps import iso_time, to_ns
+from cassandra_ros.msg import Row, StoredMessage
+from cassandra_ros.nodes.node import forward_logging, own_name
+from cassandra_ros.query.json_values import from_json, to_json
+from cassandra_ros.query.parse import parse_statement
+from cassandra_ros.query.run import Condition
+from cassandra_ros.query.syntax import Select
+from cassandra_ros.srv import (
+    ExecuteCQL,
+    ExecuteCQLRequest,
+    ExecuteCQLResponse,
+    GetData,
+    GetDataRequest,
+    GetDataResponse,
+    LookupTransform,
+    LookupTransformRequest,
+    LookupTransformResponse,
+    Range,
+    RangeRequest,
+    RangeResponse,
+)
 from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.stored_row import StoredRow
 
-NAME = "cassandra_ros"
-PARAMETERS = ("host", "port", "keyspace", "allow_writes")
+Request = TypeVar("Request")
+Response = TypeVar("Response")
 
 _log = logging.getLogger(__name__)
 
-Say = Callable[[str], None]
+PARAMETERS = ("host", "port", "keyspace", "allow_writes")
+DEFAULT_LIMIT = 100
+MAX_REPLY_BYTES = 16 * 1024 * 1024
+"""A page ends behind the message that passes this."""
+YAML_BYTES = 1024 * 1024
+"""Larger messages are not written as YAML: it takes seconds, and ten times the bytes."""
+READ_ONLY = (
+    "the statement changes what is stored, and this node only reads; start it with the parameter "
+    "~allow_writes, as rosrun cassandra_ros query_server _allow_writes:=true, or run the statement "
+    "with RosCassandra.executeCQL"
+)
 
 
 def start_node(argv: Sequence[str]) -> dict[str, str]:
-    """Become the node; return its private parameters, as texts.
-
-    Args:
-        argv: Command line with the program's name and ROS remappings.
-
-    Raises:
-        InvalidName: A node of this name lives; its services would be taken away.
-        KeyboardInterrupt: The process was told to end before a master answered.
-    """
-    name = wanted_name(NAME, argv)
-    full = resolved_name(name)
-    if is_taken(full):
+    """Become the node that the command line names; return its private parameters, as texts."""
+    name, full, taken = own_name("cassandra_ros", argv)
+    if taken:  # its services would be taken away
         raise InvalidName(
             f"a node {full} runs already: stop it with rosnode kill {full}, "
             "or give this one another name with __name:=other"
@@ -52,19 +83,16 @@ def start_node(argv: Sequence[str]) -> dict[str, str]:
     return {name: str(value) for name, value in given.items() if value is not None}
 
 
-def serve(ros_cas: RosCassandra, say: Say, allow_writes: bool = False) -> None:
-    """Answer requests until the node is shut down.
-
-    Args:
-        ros_cas: A RosCassandra connected to a keyspace.
-        say: Prints a line.
-        allow_writes: Let ~executeCQL change what is stored.
-    """
+def serve(ros_cas: RosCassandra, say: Callable[[str], None], allow_writes: bool = False) -> None:
+    """Answer requests until the node is shut down; with ``allow_writes`` also those that write."""
     services = Services(ros_cas, allow_writes)
-    rospy.Service("~getData", GetData, services.get_data)
-    rospy.Service("~range", Range, services.range)
-    rospy.Service("~executeCQL", ExecuteCQL, services.execute_cql)
-    rospy.Service("~lookupTransform", LookupTransform, services.lookup_transform)
+    for name, kind, response_class, handler in (
+        ("~getData", GetData, GetDataResponse, services.get_data),
+        ("~range", Range, RangeResponse, services.range),
+        ("~executeCQL", ExecuteCQL, ExecuteCQLResponse, services.execute_cql),
+        ("~lookupTransform", LookupTransform, LookupTransformResponse, services.lookup_transform),
+    ):
+        rospy.Service(name, kind, partial(_answer, handler, response_class))
     absence = ros_cas.parts.side_tables.absence()
     if absence:
         _log.warning("%s; until then no topic is found", absence)
@@ -72,3 +100,155 @@ def serve(ros_cas: RosCassandra, say: Say, allow_writes: bool = False) -> None:
     how = "writes are allowed" if allow_writes else "read-only"
     say(f"serving keyspace {ros_cas.keyspace}, {how}")
     rospy.spin()
+
+
+def _answer(
+    handler: Callable[[Request], Response],
+    response_class: Callable[..., Response],
+    request: Request,
+) -> Response:
+    """Call a handler; answer ``success: false`` for whatever goes wrong in it."""
+    try:
+        return handler(request)
+    except CassandraRosError as exc:
+        return response_class(success=False, message=clean(str(exc)))
+    except Exception as exc:  # noqa: BLE001 - a mistake of ours must not end the node
+        _log.exception("%s failed", handler.__name__)
+        reason = f"internal error: {type(exc).__name__}: {exc}; the node's log has more"
+        return response_class(success=False, message=clean(reason))
+
+
+@dataclass(frozen=True)
+class Services:
+    """The handlers, for one store. Thread-safe."""
+
+    ros_cas: RosCassandra
+    allow_writes: bool
+    """Run statements that change what is stored."""
+
+    def get_data(self, request: GetDataRequest) -> GetDataResponse:
+        """Answer GetData."""
+        topic = self.ros_cas.getTopic(request.topic)
+        key = topic.keyOfText(request.key_text) if request.key_text.strip() else request.key
+        nearest, node = request.nearest or None, request.node_id or None
+        asked = {"nearest": nearest, "nodeID": node, "where": request.where or None}
+        while (row := topic.getRow(key, **asked)) is None:
+            topic.getData(key, **asked)  # raises what lies near; or it has come just now
+        return GetDataResponse(True, "", pack(row, request.omit_data, request.omit_yaml))
+
+    def range(self, request: RangeRequest) -> RangeResponse:
+        """Answer Range."""
+        limit = request.limit or DEFAULT_LIMIT
+        response = RangeResponse(success=True)
+        size = 0
+        rows = self._rows(request, limit + 1)
+        for row in islice(rows, limit):
+            try:
+                message = pack(row, request.omit_data, request.omit_yaml)
+            except CorruptMessage as exc:
+                if response.data:
+                    return response  # the next page begins with it
+                # The cursor leads past it.
+                cursor = encode_cursor(row.position)
+                return RangeResponse(False, clean(str(exc)), [], cursor)
+            response.data.append(message)
+            response.next_cursor = encode_cursor(row.position)
+            size += size_of(message)
+            if size > MAX_REPLY_BYTES:
+                break
+        # With a condition the next match may be far away; the next page then may be empty.
+        full = len(response.data) == limit or size > MAX_REPLY_BYTES
+        if not full or (not request.where and next(rows, None) is None):
+            response.next_cursor = ""
+        return response
+
+    def _rows(self, request: RangeRequest, most: int) -> Iterator[StoredRow]:
+        topic = self.ros_cas.getTopic(request.topic)
+        low = to_ns(request.key)
+        high = to_ns(request.to_key) or None
+        if high is not None and high < low:
+            raise InvalidKey(f"to_key ({high} ns) lies before key ({low} ns)")
+        after = decode_cursor(request.cursor) if request.cursor else None
+        node = request.node_id or None
+        if request.where:
+            return Condition(request.where, node=node).rows(topic, low, high, after)
+        return topic.rows(low, high, nodeID=node, limit=most, after=after)
+
+    def execute_cql(self, request: ExecuteCQLRequest) -> ExecuteCQLResponse:
+        """Answer ExecuteCQL."""
+        params = [from_json(text, f"params[{n}]") for n, text in enumerate(request.params)]
+        statement = parse_statement(request.statement, params)
+        node = request.node_id or None
+        if isinstance(statement, Select):
+            return self._page(statement, node, request.limit or DEFAULT_LIMIT, request.cursor)
+        if not self.allow_writes:
+            return ExecuteCQLResponse(success=False, message=READ_ONLY)
+        if request.cursor:
+            raise InvalidKey("a cursor leads to the next page of a SELECT; leave it out here")
+        found = self.ros_cas.statements.run(statement, node=node)
+        rows = [Row([to_json(value) for value in values]) for values in found]
+        return ExecuteCQLResponse(success=True, columns=list(found.columns), rows=rows)
+
+    def _page(
+        self, select: Select, node: Optional[str], limit: int, cursor: str
+    ) -> ExecuteCQLResponse:
+        with self.ros_cas.statements.select(
+            select, node=node, limit=limit + 1, after=cursor
+        ) as result:
+            response = ExecuteCQLResponse(success=True, columns=[clean(c) for c in result.columns])
+            size = 0
+            for values in islice(result, limit):
+                row = Row([to_json(value) for value in values])
+                response.rows.append(row)
+                response.next_cursor = result.cursor
+                size += 64 + sum(len(text) + 16 for text in row.values)
+                if size > MAX_REPLY_BYTES:
+                    break
+            full = len(response.rows) == limit or size > MAX_REPLY_BYTES
+            if not full or (result.direct and next(result, None) is None):
+                response.next_cursor = ""
+        return response
+
+    def lookup_transform(self, request: LookupTransformRequest) -> LookupTransformResponse:
+        """Answer LookupTransform."""
+        asked = {"nodeID": request.node_id, "tf": request.tf, "tf_static": request.tf_static}
+        found = self.ros_cas.lookupTransform(
+            request.target_frame,
+            request.source_frame,
+            request.time,
+            **{name: value for name, value in asked.items() if value},
+        )
+        return LookupTransformResponse(True, "", found)
+
+
+def pack(row: StoredRow, omit_data: bool, omit_yaml: bool) -> StoredMessage:
+    """Make a StoredMessage of a stored row."""
+    return StoredMessage(
+        key=rospy.Time(*divmod(row.t, SECOND_NS)),
+        key_text=clean(row.name) or (iso_time(row.t) if row.table.value_part else str(row.t)),
+        node_id=clean(row.node),
+        topic=clean(row.topic),
+        type=clean(row.type),
+        md5sum=clean(row.md5sum),
+        data=b"" if omit_data else row.wire,
+        yaml="" if omit_yaml else clean(_yaml(row)),
+    )
+
+
+def size_of(message: StoredMessage) -> int:
+    """Return about how many bytes a StoredMessage takes in a reply."""
+    return len(message.data) + len(message.yaml) + 200
+
+
+def clean(text: str) -> str:
+    """Return text that is valid UTF-8, for what came from outside may hold anything."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+
+
+def _yaml(row: StoredRow) -> str:
+    if row.size > YAML_BYTES:
+        return f"# {row.size} bytes of {row.type}, too many to be shown here: read data"
+    try:
+        return to_yaml(row.message())
+    except (CorruptMessage, DefinitionError) as exc:
+        return "# " + " ".join(str(exc).split())

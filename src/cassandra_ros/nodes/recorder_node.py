@@ -17,17 +17,15 @@ import rospy
 
 from cassandra_ros.nodes.node import (
     MASTER_ERRORS,
+    REMAP,
     follow_clock,
     forward_logging,
-    is_taken,
     now_ns,
-    resolved_name,
-    wanted_name,
-    without_name,
+    own_name,
 )
 from cassandra_ros.nodes.subscription import connected_uris, is_drained, subscribe
 from cassandra_ros.recording.counts import TopicReport
-from cassandra_ros.recording.recording import DEFAULT_BUFFER_BYTES, Recording
+from cassandra_ros.recording.recording import Recording
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
@@ -45,23 +43,23 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class RecorderOptions:
-    """What to record, and how."""
+    """What to record, and how: the options of the command line."""
 
-    topics: tuple[str, ...] = ()
+    topics: Sequence[str]
     """Names, or regular expressions."""
-    all: bool = False
-    regex: bool = False
-    exclude: str = ""
+    all: bool
+    regex: bool
+    exclude: str
     """Regular expression of topics that are left out."""
-    format: Optional[str] = None
-    node_id: str = ""
-    duration_sec: float = 0.0
-    """0 = until it is stopped."""
-    limit: int = 0
-    """Messages of each topic; 0 = all."""
-    buffer_bytes: int = DEFAULT_BUFFER_BYTES
-    ttl_sec: int = 0
-    tcp_nodelay: bool = False
+    format: Optional[str]
+    node_id: str
+    duration: float
+    """Seconds; 0 = until it is stopped."""
+    limit: int
+    buffsize: int
+    """Bytes."""
+    ttl: int
+    tcpnodelay: bool
 
     @property
     def discovers(self) -> bool:
@@ -81,36 +79,25 @@ class RecorderOptions:
 def record(
     ros_cas: RosCassandra, options: RecorderOptions, argv: Sequence[str], say: Say
 ) -> list[TopicReport]:
-    """Record until a signal, the master, the duration or the limit ends it.
-
-    Args:
-        ros_cas: A RosCassandra connected to a keyspace.
-        options: What to record.
-        argv: Command line with the program's name and ROS remappings.
-        say: Prints a line.
-
-    Returns:
-        What became of the messages of each topic.
-    """
+    """Record until a signal, the master, the duration or the limit ends it; report each topic."""
     name = _start_node(argv)
     recorder = Recording(
         ros_cas,
         clock=now_ns,
         format=options.format,
         node=options.node_id,
-        buffer_bytes=options.buffer_bytes,
+        buffer_bytes=options.buffsize,
         limit=options.limit,
-        ttl=options.ttl_sec,
+        ttl=options.ttl,
         name=name,
     )
     try:
-        reports = _Session(recorder, options, say).run()
+        return _Session(recorder, options, say).run()
     except BaseException:
         recorder.close()
         raise
     finally:
         rospy.signal_shutdown("the recording has ended")
-    return reports
 
 
 class _Session:
@@ -131,7 +118,7 @@ class _Session:
         self._await_publishers()
         topics = len(self._subscribers)
         self._say(f"recording {topics} topic{'' if topics == 1 else 's'}")
-        ends = time.monotonic() + (self._options.duration_sec or 1e12)
+        ends = time.monotonic() + (self._options.duration or 1e12)
         while not (self._stop.wait(POLL_SEC) or rospy.is_shutdown() or time.monotonic() >= ends):
             if self._options.discovers:
                 self._discover(announce=True)
@@ -163,9 +150,9 @@ class _Session:
 
     def _subscribe(self, topic: str) -> None:
         if topic not in self._subscribers:
-            nodelay = self._options.tcp_nodelay
+            take, nodelay = self._recorder.received, self._options.tcpnodelay
             self._recorder.expect(topic)
-            self._subscribers[topic] = subscribe(topic, self._recorder.received, nodelay)
+            self._subscribers[topic] = subscribe(topic, take, nodelay)
 
     def _await_publishers(self) -> None:
         """Return when the publishers that exist are connected, or after a while."""
@@ -231,16 +218,14 @@ class _Session:
 
 def _start_node(argv: Sequence[str]) -> str:
     """Become /recorder where that name is free, else a node of an anonymous name."""
-    name = wanted_name("recorder", argv)
-    taken = is_taken(resolved_name(name))
-    words = without_name(argv) if taken else list(argv)
+    name, full_name, taken = own_name("recorder", argv)
+    # A name that is given forbids an anonymous one.
+    words = [word for word in argv if not (taken and word.startswith(REMAP))]
     rospy.init_node(name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True)
     forward_logging()
     follow_clock()
     if taken:
-        _log.warning(
-            "a node %s runs already; this one is %s", resolved_name(name), rospy.get_name()
-        )
+        _log.warning("a node %s runs already; this one is %s", full_name, rospy.get_name())
     return str(rospy.get_name())
 
 

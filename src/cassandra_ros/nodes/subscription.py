@@ -36,7 +36,9 @@ from rospy.impl.registration import Registration, get_registration_listeners, ge
 from rospy.impl.transport import Transport
 from rospy.topics import _SubscriberImpl
 
+from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection import Connection
 
 BUFF_SIZE = 16 * 1024 * 1024
 """Most bytes that are read at once; with rospy's 64 KiB large messages lag."""
@@ -56,15 +58,9 @@ Callback = Callable[[str, Mapping[str, str], bytes], None]
 
 
 def subscribe(topic: str, callback: Callback, tcp_nodelay: bool = False) -> rospy.Subscriber:
-    """Subscribe to a topic of any type.
+    """Subscribe to a topic of any type, by its resolved name.
 
-    Args:
-        topic: Resolved name.
-        callback: Called on the thread of each publisher.
-        tcp_nodelay: Ask publishers for TCP_NODELAY.
-
-    Returns:
-        The subscriber; ``impl`` is rospy's.
+    The callback is called on the thread of each publisher.
     """
     # Let rospy read with the functions below, in this process.
     tcpros_base.read_ros_handshake_header = read_header
@@ -185,16 +181,7 @@ def unread_bytes(sock: socket.socket) -> int:
 
 
 def receive(sock: socket.socket, b: io.BytesIO, buff_size: int) -> int:
-    """Read what is there, as rospy's recv_buff; count it before it leaves the socket.
-
-    Args:
-        sock: Blocking socket.
-        b: What is read is appended to it.
-        buff_size: At most so many bytes.
-
-    Returns:
-        The number of bytes.
-    """
+    """Append what is there to ``b``, as rospy's recv_buff; count it before it leaves the socket."""
     try:
         poller = select.poll()
         poller.register(sock, select.POLLIN)
@@ -213,10 +200,7 @@ def receive(sock: socket.socket, b: io.BytesIO, buff_size: int) -> int:
 def read_header(sock: socket.socket, b: io.BytesIO, buff_size: int) -> dict[str, str]:
     """Read a connection header as rosgraph does, keeping bytes that are not UTF-8.
 
-    Args:
-        sock: Blocking socket.
-        b: Afterwards holds what came behind the header.
-        buff_size: Bytes to read at once.
+    What came behind the header is in ``b`` afterwards.
     """
     while b.tell() < 4 or b.tell() - 4 < _length(b.getvalue())[0]:
         if sock.recv(1, socket.MSG_PEEK):
@@ -235,18 +219,10 @@ def read_header(sock: socket.socket, b: io.BytesIO, buff_size: int) -> dict[str,
     b.truncate(0)
     b.write(received[end:])
     _received[sock] = len(received) - end
-    return _fields(received[4:end])
-
-
-def _fields(header: bytes) -> dict[str, str]:
-    fields: dict[str, str] = {}
-    at = 0
-    while at + 4 <= len(header):
-        (size,) = _length(header, at)
-        name, equals, value = header[at + 4 : at + 4 + size].partition(b"=")
-        at += 4 + size
-        if not equals or at > len(header):
-            raise rospy.exceptions.TransportInitError("a connection header is malformed")
-        text = name.decode("utf-8", "surrogateescape").strip()
-        fields[text] = value.decode("utf-8", "surrogateescape")
-    return fields
+    try:
+        fields = Connection("", received[4:end]).fields
+    except CorruptMessage as exc:
+        raise rospy.exceptions.TransportInitError(str(exc)) from exc
+    return {
+        name.strip(): value.decode("utf-8", "surrogateescape") for name, value in fields.items()
+    }

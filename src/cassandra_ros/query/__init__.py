@@ -5,7 +5,7 @@
 ``cql.lark`` is the grammar and ``syntax`` the tree that ``parse`` makes of a statement; ``names``
 finds the fields that it names, ``literals`` fits its values to their types, ``evaluate`` says what
 a condition means, ``extract`` takes values out of messages, and ``projection`` makes of all this
-the plan for one table. ``conditions`` and ``pushdown`` say what the store may leave out, ``run``
-and ``aggregates`` give the rows, ``explain`` tells how. ``protocols`` is what is needed of whoever
-has the rows. No driver, no rospy.
+the plan for one table. ``run`` and ``pushdown`` say what the store may leave out, ``run`` and
+``aggregates`` give the rows, ``explain`` tells how. ``protocols`` is what is needed of whoever has
+the rows. No driver, no rospy.
 """

@@ -15,7 +15,7 @@ import math
 import operator
 from collections import defaultdict
 from fractions import Fraction
-from typing import Any, Callable, Dict, Protocol, Sequence, Union
+from typing import Any, Callable, Dict, Sequence, Union
 
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.projection import ResultRow
@@ -23,24 +23,17 @@ from cassandra_ros.query.syntax import Select
 
 
 class Aggregation:
-    """The aggregates of a statement, over the rows that it is given.
-
-    Args:
-        select: A statement whose columns are aggregates.
-    """
+    """The aggregates of a statement whose columns are such, over the rows that it is given."""
 
     def __init__(self, select: Select) -> None:
-        self._select = select
-        self._totals = [_TOTALS[asked.function]() for asked in select.aggregates]
+        self._text = select.text
+        self._asked = select.aggregates
+        self._totals = [_TOTALS[asked.function]() for asked in self._asked]
 
     def add(self, rows: Sequence[ResultRow]) -> None:
-        """Take rows in; each has a value for every aggregate.
-
-        Raises:
-            InvalidQuery: The values of a field are of kinds that have no order among them.
-        """
+        """Take rows in; InvalidQuery: the values of a field have no order among them."""
         for row in rows:
-            for total, asked, value in zip(self._totals, self._select.aggregates, row):
+            for total, asked, value in zip(self._totals, self._asked, row):
                 try:
                     if value is not None:
                         total.add(value)
@@ -49,30 +42,24 @@ class Aggregation:
                         "the definitions of this topic hold values of different kinds there, "
                         f"which {asked.function} cannot compare ({exc})"
                     )
-                    raise InvalidQuery(self._select.text, asked.position, reason) from None
+                    raise InvalidQuery(self._text, asked.position, reason) from None
 
     def values(self) -> ResultRow:
         """Return the aggregates of the rows so far."""
         return tuple(total.value() for total in self._totals)
 
 
-class _Total(Protocol):
-    def add(self, value: Any) -> None: ...
-    def value(self) -> object: ...
-
-
 class _Count:
-    def __init__(self) -> None:
-        self._count = 0
+    _count = 0
 
-    def add(self, value: object) -> None:
+    def add(self, value: Any) -> None:
         self._count += 1
 
-    def value(self) -> int:
+    def value(self) -> object:
         return self._count
 
 
-class _Extreme:
+class _Extreme(_Count):
     def __init__(self, better: Callable[[Any, Any], bool]) -> None:
         self._better = better
         self._best: Any = None
@@ -86,12 +73,11 @@ class _Extreme:
         return self._best
 
 
-class _Sum:
+class _Sum(_Count):
     """An exact sum; of integers alone an integer."""
 
     def __init__(self, mean: bool = False) -> None:
         self._mean = self._floats = mean
-        self._count = 0
         # A fraction for each row would cost thirty times as much as the row's integers.
         self._numerators: Dict[int, int] = defaultdict(int)
         """By their denominators."""
@@ -122,7 +108,7 @@ class _Sum:
             return math.inf if exact > 0 else -math.inf
 
 
-_TOTALS: dict[str, Callable[[], _Total]] = {
+_TOTALS: dict[str, Callable[[], _Count]] = {
     "count": _Count,
     "min": lambda: _Extreme(operator.lt),
     "max": lambda: _Extreme(operator.gt),

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import operator
 import re
+from functools import partial
 from typing import Any, Callable, Optional, Pattern, Sequence
 
 from cassandra_ros.query.literals import Comparable
@@ -43,24 +44,19 @@ Locate = Callable[[Leaf], Optional[int]]
 Fit = Callable[[Leaf, Literal], Optional[Comparable]]
 """Fits a literal to its operand; None where it can never be compared."""
 
-_OPERATORS = {
+_SWAPPED = {
     "=": operator.eq,
     "!=": operator.ne,
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
+    "<": operator.gt,
+    "<=": operator.ge,
+    ">": operator.lt,
+    ">=": operator.le,
 }
+"""Their arguments are the other way round, so that ``partial`` can bind what is compared with."""
 
 
 def compile_condition(expression: Optional[Expression], locate: Locate, fit: Fit) -> Check:
-    """Make a function that tells whether values satisfy a condition.
-
-    Args:
-        expression: The condition, bound; None is always true.
-        locate: Finds the place of an operand's value.
-        fit: Fits the literals.
-    """
+    """Make a function that tells whether values satisfy a condition; None is always true."""
     if expression is None:
         return lambda values: True
     if isinstance(expression, Negation):
@@ -71,32 +67,22 @@ def compile_condition(expression: Optional[Expression], locate: Locate, fit: Fit
     place = locate(expression)
     if isinstance(expression, IsNull):
         return (lambda values: True) if place is None else (lambda values: values[place] is None)
-    listed = [fit(expression, value) for value in given(expression) if isinstance(value, Literal)]
+    listed = [fit(expression, value) for value in given(expression)]
     if place is None:
-        return _unknown
+        return lambda values: None
     if isinstance(expression, Compare):
         return _comparison(place, expression.operator, listed[0])
     return _membership(place, listed)
 
 
-def _unknown(values: Values) -> Optional[bool]:
-    return None
-
-
 def _comparison(place: int, sign: str, wanted: Optional[Comparable]) -> Check:
     if wanted is None:
-        return _unknown
+        return lambda values: None
     if sign == "LIKE":
         return _tested(place, _like(str(wanted)))
     if sign == "CONTAINS":
         return _tested(place, _holding(wanted))
-    compare = _OPERATORS[sign]
-
-    def check(values: Values) -> Optional[bool]:
-        value = values[place]
-        return None if value is None else compare(value, wanted)
-
-    return check
+    return _tested(place, partial(_SWAPPED[sign], wanted))
 
 
 def _membership(place: int, listed: Sequence[Optional[Comparable]]) -> Check:

@@ -7,19 +7,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Iterator, Optional
 
-from cassandra_ros.query.protocols import Row, Source
+from cassandra_ros.query.protocols import Row
 from cassandra_ros.query.run import QueryResult
+from cassandra_ros.query.source import Source
 from cassandra_ros.query.syntax import (
     All,
     Compare,
     Either,
     Expression,
     IsNull,
-    KeyOperand,
     Leaf,
-    Literal,
     Negation,
-    NodeOperand,
+    Path,
+    conjuncts,
     given,
     leaves,
 )
@@ -56,16 +56,13 @@ class Explanation:
 
     def __str__(self) -> str:
         read = self.indexed + self.filtered + self.whole
-        ways = [
-            f"{count} {how}"
-            for count, how in (
-                (self.indexed, "by an index"),
-                (self.filtered, "filtered by the server"),
-                (self.whole, "whole"),
-                (self.skipped, "known to hold nothing"),
-            )
-            if count
-        ]
+        counts = {
+            "by an index": self.indexed,
+            "filtered by the server": self.filtered,
+            "whole": self.whole,
+            "known to hold nothing": self.skipped,
+        }
+        ways = [f"{count} {how}" for how, count in counts.items() if count]
         return "\n".join(
             [
                 self.statement.strip(),
@@ -105,13 +102,10 @@ def explain(result: QueryResult, source: Source[Row]) -> Explanation:
 
 def _alone(condition: Optional[Expression], pushed: set[Leaf]) -> Iterator[str]:
     """Yield the parts of a condition of which the server checked nothing."""
-    if isinstance(condition, All):
-        for item in condition.items:
-            yield from _alone(item, pushed)
-    elif condition is not None and not pushed.intersection(leaves(condition)):
-        inside = list(leaves(condition))
-        if not all(isinstance(leaf.operand, (KeyOperand, NodeOperand)) for leaf in inside):
-            yield _shown(condition)
+    for part in conjuncts(condition):
+        fields = any(isinstance(leaf.operand, Path) for leaf in leaves(part))
+        if fields and not pushed.intersection(leaves(part)):
+            yield _shown(part)
 
 
 def _shown(condition: Expression) -> str:
@@ -126,7 +120,7 @@ def _shown(condition: Expression) -> str:
 def _leaf(leaf: Leaf) -> str:
     if isinstance(leaf, IsNull):
         return f"{leaf.operand.text} IS NULL"
-    values = [_value(v.value) if isinstance(v, Literal) else "?" for v in given(leaf)]
+    values = [_value(v.value) for v in given(leaf)]
     if isinstance(leaf, Compare):
         return f"{leaf.operand.text} {leaf.operator} {values[0]}"
     more = ", …" if len(values) > 5 else ""

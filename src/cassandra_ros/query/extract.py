@@ -24,10 +24,7 @@ Read = List[Any]
 class Extractor:
     """Reads the values of some fields of one message type out of stored messages.
 
-    Args:
-        definition: The type.
-        refs: The fields.
-        unnested: The arrays of messages to unnest, each inside the one before.
+    Each unnested array of messages lies inside the one before.
 
     Attributes:
         columns: The columns of format ``ros`` that hold the fields, in their order; None where one
@@ -47,18 +44,13 @@ class Extractor:
             _gets(ref, n, unnested) if n else _empty_gets(definition, ref, unnested)
             for ref, n in zip(refs, held)
         ]
+        levels = range(self._depth + 1)
         self._steps = [
-            [
-                (n, g[level])
-                for n, g in enumerate(gets)
-                if g[level : level + 1] not in ([], [_itself])
-            ]
-            for level in range(self._depth + 1)
+            [(n, g[at]) for n, g in enumerate(gets) if at < len(g) and g[at] is not _itself]
+            for at in levels
         ]
         """For each level of unnesting which values are to be changed, and how."""
-        self._inner = [
-            [n for n, g in enumerate(gets) if len(g) > level + 1] for level in range(self._depth)
-        ]
+        self._inner = [[n for n, g in enumerate(gets) if len(g) > at] for at in levels[1:]]
         """For each level which values are lists over the elements of its array."""
         self._read = self._plan.reader(names)
         numbers = {column.name: n for n, column in enumerate(self._plan.columns)}
@@ -70,11 +62,7 @@ class Extractor:
             self.columns = [self._plan.columns[n].name for n in asked]
 
     def values(self, row: Row) -> Iterator[Read]:
-        """Yield the values of a stored row: once, or once per element of the unnested array.
-
-        Raises:
-            CorruptMessage: The bytes are no message of the type.
-        """
+        """Yield the values of a row, once or per unnested element; CorruptMessage: it is none."""
         found = iter(self._columns(row))
         return self._unnest(0, [next(found) if given else [] for given in self._given])
 
@@ -119,24 +107,21 @@ def _held_steps(ref: FieldRef, known: Container[str]) -> int:
 
 def _empty_gets(definition: Definition, ref: FieldRef, unnested: Sequence[Array]) -> list[Get]:
     """As _gets for what lies in no column: an array of fixed length 0, or what is inside one."""
-    msg_type, level = definition.type, -1
-    for number, step in enumerate(ref.steps):
+    msg_type = definition.type
+    for number, step in enumerate(ref.steps, 1):
         field = next(f for f in definition.specs[msg_type].fields if f.name == step.name)
+        if field.length == 0 and ref.steps[:number] in unnested:
+            return [_itself] * (list(unnested).index(ref.steps[:number]) + 2)
         if field.length == 0:
-            if ref.steps[: number + 1] in unnested:
-                level = list(unnested).index(ref.steps[: number + 1])
             break
         msg_type = field.type
-    return [_itself] * (level + 2)
+    return [_itself]
 
 
 def _gets(ref: FieldRef, held: int, unnested: Sequence[Array]) -> list[Get]:
     """Functions from a column's value to the field's, one more than arrays are unnested.
 
-    Args:
-        ref: The field.
-        held: How many steps lead to the column; the other ones lead on inside of a blob.
-        unnested: The arrays of messages that are unnested.
+    ``held`` steps lead to the column; the other ones lead on inside of a blob.
     """
     gets: list[Get] = []
     get = _last(ref)
@@ -178,13 +163,12 @@ def _at(index: int, then: Get) -> Get:
 
 
 def _last(ref: FieldRef) -> Get:
-    get = {"": _itself, "secs": _secs, "nsecs": _nsecs}[ref.part]
+    get = _PARTS[ref.part]
     return get if ref.index is None else _at(ref.index, get)
 
 
-def _secs(ns: Optional[int]) -> Optional[int]:
-    return None if ns is None else ns // SECOND_NS
-
-
-def _nsecs(ns: Optional[int]) -> Optional[int]:
-    return None if ns is None else ns % SECOND_NS
+_PARTS: dict[str, Get] = {
+    "": _itself,
+    "secs": lambda ns: None if ns is None else ns // SECOND_NS,
+    "nsecs": lambda ns: None if ns is None else ns % SECOND_NS,
+}

@@ -35,21 +35,16 @@ def json_value(value: object) -> object:
 
 
 def from_json(text: str, name: str = "the value") -> Any:
-    """Read the value of a parameter; decimal numbers keep all their digits.
-
-    Args:
-        text: JSON: a number, "text", true, false, or a list of them.
-        name: What it is, for the error text.
+    """Read a parameter from JSON: a number with all its digits, "text", true, false, or a list.
 
     Raises:
-        InvalidExpression: It is not.
+        InvalidExpression: The text, of what error texts call ``name``, is none of them.
     """
     try:
         value = json.loads(text, parse_float=DecimalText, parse_constant=DecimalText)
     except (ValueError, RecursionError) as exc:
-        raise InvalidExpression(
-            f'{name} is not JSON: {text[:80]!r} (text stands in double quotes: "base_link")'
-        ) from exc
+        reason = f'is not JSON: {text[:80]!r} (text stands in double quotes: "base_link")'
+        raise InvalidExpression(f"{name} {reason}") from exc
     if isinstance(value, dict) or value is None:
         raise InvalidExpression(f"{name} is {text[:80]}; nothing can be compared with that")
     return value

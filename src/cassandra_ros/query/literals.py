@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from decimal import Decimal
 from numbers import Integral, Real
-from typing import Any, Optional, Union
+from typing import Any, Callable, Optional, Union
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.messages.stamps import seconds_to_ns, to_ns
@@ -22,36 +22,25 @@ Comparable = Union[int, float, str]
 
 _BEYOND_SEC = 1e20
 """Later and earlier than any time; also stands for the infinities."""
-_KINDS = {"bool": "bool", "string": "text", "time": "time", "duration": "duration"}
 
 
 def fit_to_field(literal: Literal, ref: FieldRef) -> Comparable:
-    """Return a value that the values of a field can be compared with.
-
-    Raises:
-        StatementError: The value is of another kind.
-    """
-    kind = _KINDS.get(ref.type, "number")
-    if kind == "time":
+    """Return what the values of a field can be compared with; StatementError: there is nothing."""
+    if ref.type == "time":
         return fit_to_time(literal, ref.name)
-    fitted = _FITS[kind](literal.value)
+    fit, wanted = _FITS.get(ref.type, (_number, "a number"))
+    fitted = fit(literal.value)
     if fitted is None:
-        shape = "[]" if ref.is_array else ""
-        raise StatementError(
-            literal.position,
-            f"{ref.name} is a {ref.type}{shape}; compare it with {_WANTED[kind]}, "
-            f"not with {_shown(literal.value)}",
-        )
+        is_a = f"{ref.name} is a {ref.type}{'[]' if ref.is_array else ''}"
+        reason = f"{is_a}; compare it with {wanted}, not with {_shown(literal.value)}"
+        raise StatementError(literal.position, reason)
     return fitted
 
 
 def fit_to_time(literal: Literal, name: str = "KEY") -> int:
-    """Return the nanoseconds of a value that KEY or a time field is compared with.
+    """Return the nanoseconds of a value; StatementError: it is no time.
 
     Numbers may lie outside of what ROS can express: the comparison is then simply true or false.
-
-    Raises:
-        StatementError: The value is no time.
     """
     ns = _number_to_ns(literal.value)
     if ns is not None:
@@ -63,16 +52,11 @@ def fit_to_time(literal: Literal, name: str = "KEY") -> int:
 
 
 def fit_to_text(literal: Literal, name: str) -> str:
-    """Return the text that NODE, or the KEY of a topic with names, is compared with.
-
-    Raises:
-        StatementError: The value is not text.
-    """
+    """Return the text that NODE, or a KEY that is a name, is compared with, or StatementError."""
     if isinstance(literal.value, str):
         return literal.value
-    raise StatementError(
-        literal.position, f"{name} is text; compare it with 'text', not {_shown(literal.value)}"
-    )
+    reason = f"{name} is text; compare it with 'text', not {_shown(literal.value)}"
+    raise StatementError(literal.position, reason)
 
 
 def _number(value: object) -> Optional[Comparable]:
@@ -114,13 +98,12 @@ def _duration(value: Any) -> Optional[Comparable]:
     return _number_to_ns(value)
 
 
-_FITS = {"number": _number, "bool": _bool, "text": _text, "duration": _duration}
-_WANTED = {
-    "number": "a number",
-    "bool": "true or false",
-    "text": "'text'",
-    "duration": "a number (integer nanoseconds or decimal seconds)",
+_FITS: dict[str, tuple[Callable[[object], Optional[Comparable]], str]] = {
+    "bool": (_bool, "true or false"),
+    "string": (_text, "'text'"),
+    "duration": (_duration, "a number (integer nanoseconds or decimal seconds)"),
 }
+"""For the type of a field what fits a value to it (None: of another kind), and what it takes."""
 
 
 def _shown(value: object) -> str:

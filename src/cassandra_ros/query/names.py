@@ -17,9 +17,6 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import Field
 from cassandra_ros.query.syntax import (
     OWN_WORDS,
-    Compare,
-    IsNull,
-    Leaf,
     Part,
     Path,
     StatementError,
@@ -75,33 +72,23 @@ class FieldRef:
     @property
     def arrays(self) -> tuple[Array, ...]:
         """The arrays of messages without an index on the way, outermost first."""
-        return tuple(
-            self.steps[: n + 1]
-            for n, step in enumerate(self.steps)
-            if step.many and step.index is None
-        )
+        steps = self.steps
+        whole = (n for n, step in enumerate(steps, 1) if step.many and step.index is None)
+        return tuple(steps[:n] for n in whole)
 
 
 class Findings:
-    """What was found wrong in some table, and what was found right in another."""
+    """What was found wrong in some table, and what was found fine in another, by its position."""
 
     def __init__(self, text: str) -> None:
         self._text = text
-        self._problems: dict[int, StatementError] = {}
-        self._fine: set[int] = set()
-
-    def fine(self, position: int) -> None:
-        """Note that what stands at a position makes sense in a table."""
-        self._fine.add(position)
-
-    def wrong(self, position: int, problem: StatementError) -> None:
-        """Note that it makes none in a table."""
-        self._problems.setdefault(position, problem)
+        self.wrong: dict[int, StatementError] = {}
+        self.fine: set[int] = set()
 
     def check(self) -> None:
         """Raise InvalidQuery for the first thing that makes sense in no table."""
-        for position, problem in sorted(self._problems.items()):
-            if position not in self._fine:
+        for position, problem in sorted(self.wrong.items()):
+            if position not in self.fine:
                 raise InvalidQuery(self._text, problem.position, problem.reason)
 
 
@@ -111,59 +98,36 @@ def all_fields(definition: Definition) -> list[FieldRef]:
 
 
 def fields_of(path: Path, definition: Definition) -> list[FieldRef]:
-    """Find what a path names: one field, or all fields of a message.
-
-    Raises:
-        StatementError: There is no such field.
-    """
+    """Find what a path names: one field, or all of a message; StatementError: there is none."""
     steps: tuple[Step, ...] = ()
     msg_type = definition.type
     for number, part in enumerate(path.parts):
         field = _field(definition, msg_type, part, steps)
+        _check_index(part, field, path)
         if field.is_primitive:
             return [_primitive(path, number, steps, field)]
-        if part.index is not None:
-            _check_index(part, field, path)
         steps = (*steps, Step(field.name, field.is_array, part.index))
         msg_type = field.type
     return list(_leaves(definition, msg_type, steps))
 
 
 def field_of(path: Path, definition: Definition, array: Optional[bool] = False) -> FieldRef:
-    """Find the one field that a path names, for a condition.
+    """Find the one field that a path names, for a condition; StatementError: there is none.
 
-    Args:
-        path: A field.
-        definition: The message type.
-        array: Whether it is to be an array as a whole; None = either.
-
-    Raises:
-        StatementError: There is no such field, or it is a message, or an array and is to be none.
+    ``array`` says whether it is to be an array as a whole; None = either.
     """
     found = fields_of(path, definition)
     if len(found) != 1 or len(found[0].steps) > len(path.parts):
-        inside = [ref.name for ref in found[:3]]
-        raise StatementError(
-            path.position,
-            f"{path.text} is a message; name one of its fields"
-            + (f", like {' or '.join(inside)}" if inside else " (it has none)"),
-        )
-    if array is True and not found[0].is_array:
-        raise StatementError(
-            path.position, f"{path.text} is a {found[0].type}, not an array; compare it with ="
-        )
-    if array is False and found[0].is_array:
-        raise StatementError(
-            path.position, f"{path.text} is an array; name an element, like {path.text}[0]"
-        )
-    return found[0]
-
-
-def wants_array(leaf: Leaf) -> Optional[bool]:
-    """Say whether a comparison's operand is an array as a whole; None = either."""
-    if isinstance(leaf, IsNull):
-        return None
-    return isinstance(leaf, Compare) and leaf.operator == "CONTAINS"
+        inside = " or ".join(ref.name for ref in found[:3])
+        hint = f", like {inside}" if inside else " (it has none)"
+        reason = f"is a message; name one of its fields{hint}"
+    elif array is True and not found[0].is_array:
+        reason = f"is a {found[0].type}, not an array; compare it with ="
+    elif array is False and found[0].is_array:
+        reason = f"is an array; name an element, like {path.text}[0]"
+    else:
+        return found[0]
+    raise StatementError(path.position, f"{path.text} {reason}")
 
 
 def nearest(name: str, known: Sequence[str]) -> str:
@@ -179,36 +143,28 @@ def _meant(names: Sequence[str]) -> str:
 
 
 def _field(definition: Definition, msg_type: str, part: Part, steps: Sequence[Step]) -> Field:
-    fields = definition.specs[msg_type].fields
-    for field in fields:
-        if field.name == part.name:
-            return field
-    prefix = "".join(f"{step.name}." for step in steps)
-    names = [field.name for field in fields]
+    fields = {field.name: field for field in definition.specs[msg_type].fields}
+    if part.name in fields:
+        return fields[part.name]
+    prefix, names = "".join(f"{step.name}." for step in steps), list(fields)
     own = [word for word in OWN_WORDS if not steps and word == part.name.upper()]
     deeper = [ref.name for ref in all_fields(definition) if ref.steps[-1].name == part.name]
     hint = "" if own else nearest(part.name, names)
-    raise StatementError(
-        part.position,
-        f"{definition.type} has no field {prefix}{part.name}{hint or _meant(own + deeper)}; "
-        f"{'its' if not prefix else prefix[:-1]} fields are {', '.join(names[:20]) or 'none'}",
-    )
+    reason = f"{definition.type} has no field {prefix}{part.name}{hint or _meant(own + deeper)}; "
+    reason += f"{prefix[:-1] or 'its'} fields are {', '.join(names[:20]) or 'none'}"
+    raise StatementError(part.position, reason)
 
 
 def _check_index(part: Part, field: Field, path: Path) -> None:
-    if not field.is_array:
+    if part.index is not None and not field.is_array:
         raise StatementError(part.position, f"{part.name} in {path.text} is not an array")
-    if field.length is not None and part.index is not None and part.index >= field.length:
-        raise StatementError(
-            part.position,
-            f"{part.name} has {field.length} elements, counted from 0; {path.text} asks for more",
-        )
+    if part.index is not None and field.length is not None and part.index >= field.length:
+        reason = f"has {field.length} elements, counted from 0; {path.text} asks for more"
+        raise StatementError(part.position, f"{part.name} {reason}")
 
 
 def _primitive(path: Path, number: int, steps: tuple[Step, ...], field: Field) -> FieldRef:
     part, rest = path.parts[number], path.parts[number + 1 :]
-    if part.index is not None:
-        _check_index(part, field, path)
     whole = field.is_array and part.index is None
     ref = FieldRef((*steps, Step(field.name)), field.base, whole, part.index)
     if not rest:
@@ -216,10 +172,8 @@ def _primitive(path: Path, number: int, steps: tuple[Step, ...], field: Field) -
     if field.base in _TIME_PARTS and not whole and len(rest) == 1 and rest[0].index is None:
         if rest[0].name in ("secs", "nsecs"):
             return replace(ref, type=_TIME_PARTS[field.base], part=rest[0].name)
-    name = rest[0].name
-    raise StatementError(
-        rest[0].position, f"{ref.name} is a {field.full_type}; it has no field {name}"
-    )
+    reason = f"{ref.name} is a {field.full_type}; it has no field {rest[0].name}"
+    raise StatementError(rest[0].position, reason)
 
 
 def _leaves(definition: Definition, msg_type: str, steps: tuple[Step, ...]) -> Iterator[FieldRef]:

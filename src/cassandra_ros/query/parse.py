@@ -13,7 +13,6 @@ from typing import (
     Any,
     Collection,
     Iterable,
-    Iterator,
     Mapping,
     Optional,
     Sequence,
@@ -48,12 +47,10 @@ from cassandra_ros.query.syntax import (
     Operand,
     Part,
     Path,
-    Placeholder,
     Select,
     Selected,
     StatementError,
     Truncate,
-    Value,
     given,
     leaves,
     parts,
@@ -78,7 +75,7 @@ _WORDS = {
     "DOT": "'.'",
     "$END": "the end",
 }
-_KEPT_KEYWORDS = {"ASC", "DESC", "TABLE", "NOT", "LIKE", "CONTAINS"}
+_KEPT_KEYWORDS = {"ASC", "DESC", "NOT", "LIKE", "CONTAINS"}
 """Those that the grammar leaves in the tree; the names of the others begin with '_'."""
 _UNSAID = {"QUOTED", "_END", "FUNCTION", "TRUE", "FALSE"}
 _NEVER_CHANGED = (
@@ -94,8 +91,6 @@ _INSTEAD = {
     "DROP TABLE": "removeTopic removes a topic, TRUNCATE its messages",
 }
 """What does here what other words do in CQL."""
-
-
 _Not = Optional[Token]
 MAX_DEPTH = 100
 MAX_DIGITS = 400
@@ -108,41 +103,33 @@ class _Builder(Transformer):  # type: ignore[type-arg]
 
     def select(
         self,
-        columns: Optional[tuple[Selected, ...]],
+        columns: Union[Token, tuple[Selected, ...]],
         topic: tuple[str, int],
         condition: Optional[Expression],
         descending: Optional[bool],
-        limit: Optional[Value],
-    ) -> tuple[Select, Optional[Value]]:
-        return Select("", columns, *topic, condition, bool(descending)), limit
+        limit: Optional[Literal],
+    ) -> tuple[Select, Optional[Literal]]:
+        shown = None if isinstance(columns, Token) else columns
+        return Select("", shown, *topic, condition, bool(descending)), limit
 
     def delete(self, topic: tuple[str, int], condition: Optional[Expression]) -> Delete:
-        if condition is None:
-            raise StatementError(
-                topic[1],
-                "DELETE takes a condition: WHERE KEY < …, say; every message of a topic is removed "
-                "by TRUNCATE",
-            )
-        return Delete("", *topic, condition)
+        if condition is not None:
+            return Delete("", *topic, condition)
+        reason = "DELETE takes a condition: WHERE KEY < …, say; every message of a topic is removed"
+        raise StatementError(topic[1], f"{reason} by TRUNCATE")
 
-    def truncate(self, *words: Union[Token, tuple[str, int]]) -> Truncate:
-        last = words[-1]
-        return Truncate("", *(self.topic(last) if isinstance(last, Token) else last))
+    def truncate(self, topic: tuple[str, int]) -> Truncate:
+        return Truncate("", *topic)
 
     def create_index(
-        self, unless: Optional[bool], name: Optional[IndexName], indexed: Indexed
+        self, unless: Optional[object], name: Optional[IndexName], indexed: Indexed
     ) -> CreateIndex:
-        return CreateIndex("", indexed, name, bool(unless))
+        return CreateIndex("", indexed, name, unless is not None)
 
-    def drop_index(self, condition: Optional[bool], index: Union[IndexName, Indexed]) -> DropIndex:
-        return DropIndex("", index, bool(condition))
-
-    drop_index_on = drop_index
-
-    def if_exists(self, *_not: Token) -> bool:
-        return True
-
-    if_not_exists = if_exists
+    def drop_index(
+        self, condition: Optional[object], index: Union[IndexName, Indexed]
+    ) -> DropIndex:
+        return DropIndex("", index, condition is not None)
 
     def index_name(self, token: Token) -> IndexName:
         # As CQL has it.
@@ -153,24 +140,17 @@ class _Builder(Transformer):  # type: ignore[type-arg]
             raise StatementError(field.position, f"{field.text} needs no index: rows lie by it")
         for part in field.parts:
             if part.index is not None:
-                raise StatementError(
-                    part.position,
-                    f"an index is on all elements of an array: leave [{part.index}] out",
-                )
+                reason = f"an index is on all elements of an array: leave [{part.index}] out"
+                raise StatementError(part.position, reason)
         return Indexed(*topic, field)
-
-    def everything(self, _star: Token) -> None:
-        return None
 
     def selected(self, *columns: Selected) -> tuple[Selected, ...]:
         one = [c.what for c in columns if isinstance(c.what, Aggregate)]
         many = [c.what for c in columns if not isinstance(c.what, Aggregate)]
         if one and many:
-            raise StatementError(
-                one[0].position,
-                f"{one[0].text} is one value made of all rows: it stands alone or beside other "
-                f"aggregates, not beside {many[0].text}",
-            )
+            reason = "is one value made of all rows: it stands alone or beside other aggregates, "
+            reason += f"not beside {many[0].text}"
+            raise StatementError(one[0].position, f"{one[0].text} {reason}")
         return columns
 
     def column(self, what: Union[Operand, Aggregate], alias: Optional[Token]) -> Selected:
@@ -190,31 +170,37 @@ class _Builder(Transformer):  # type: ignore[type-arg]
     def order(self, _key: Token, direction: Optional[Token]) -> bool:
         return direction is not None and direction.type == "DESC"
 
-    def limit(self, count: Union[Token, Placeholder]) -> Value:
-        return Literal(_integer(count), _at(count)) if isinstance(count, Token) else count
+    def where(self, condition: Expression) -> Expression:
+        """Refuse what is nested so deep that walking it would overflow the stack."""
+        level, depth = [condition], 1
+        while level:
+            if depth > MAX_DEPTH:
+                raise StatementError(0, f"the condition is nested deeper than {MAX_DEPTH}")
+            level, depth = [part for item in level for part in parts(item)], depth + 1
+        return condition
 
     def either(self, *items: Expression) -> Expression:
-        return items[0] if len(items) == 1 else _shallow(Either(items), items)
+        return items[0] if len(items) == 1 else Either(items)
 
     def all(self, *items: Expression) -> Expression:
-        return items[0] if len(items) == 1 else _shallow(All(items), items)
+        return items[0] if len(items) == 1 else All(items)
 
-    def negate(self, _not: Token, item: Expression) -> Expression:
-        return _shallow(Negation(item), (item,))
+    def negate(self, _not: Token, item: Expression) -> Negation:
+        return Negation(item)
 
-    def compare(self, operand: Operand, operator: Token, value: Value) -> Compare:
+    def compare(self, operand: Operand, operator: Token, value: Literal) -> Compare:
         return Compare(operand, "!=" if operator == "<>" else str(operator), value)
 
-    def match(self, operand: Operand, negated: _Not, operator: Token, value: Value) -> Expression:
+    def match(self, operand: Operand, negated: _Not, operator: Token, value: Literal) -> Expression:
         return _unless(negated, Compare(operand, operator.upper(), value))
 
-    def one_of(self, operand: Operand, negated: _Not, *values: Optional[Value]) -> Expression:
+    def one_of(self, operand: Operand, negated: _Not, *values: Optional[Literal]) -> Expression:
         return _unless(negated, OneOf(operand, tuple(v for v in values if v is not None)))
 
-    def in_list(self, operand: Operand, negated: _Not, values: Placeholder) -> Expression:
+    def in_list(self, operand: Operand, negated: _Not, values: Literal) -> Expression:
         return _unless(negated, OneOf(operand, (values,), whole=True))
 
-    def between(self, operand: Operand, negated: _Not, low: Value, high: Value) -> Expression:
+    def between(self, operand: Operand, negated: _Not, low: Literal, high: Literal) -> Expression:
         inside = All((Compare(operand, ">=", low), Compare(operand, "<=", high)))
         return _unless(negated, inside)
 
@@ -222,17 +208,12 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         return _unless(negated, IsNull(operand))
 
     def aggregate_as_condition(self, found: Aggregate) -> Operand:
-        raise StatementError(
-            found.position,
-            f"{found.text} is made of the rows that satisfy the condition, so it cannot stand in "
-            "it; select it, and compare its value in a second statement",
-        )
+        reason = "is made of the rows that satisfy the condition, so it cannot stand in it; "
+        reason += "select it, and compare its value in a second statement"
+        raise StatementError(found.position, f"{found.text} {reason}")
 
-    def key(self, token: Token) -> KeyOperand:
-        return KeyOperand(_at(token))
-
-    def node(self, token: Token) -> NodeOperand:
-        return NodeOperand(_at(token))
+    def place(self, token: Token) -> Operand:
+        return KeyOperand(_at(token)) if token == KeyOperand.text else NodeOperand(_at(token))
 
     def path(self, *parts: tuple[Part, ...]) -> Path:
         names = tuple(name for part in parts for name in part)
@@ -245,22 +226,15 @@ class _Builder(Transformer):  # type: ignore[type-arg]
             made[-1] = Part(names[-1], _integer(index), _at(token))
         return tuple(made)
 
-    def number(self, token: Token) -> Literal:
-        if token.lstrip("+-").isdigit():
-            return Literal(_integer(token), _at(token))
-        return Literal(DecimalText(str(token)), _at(token))
-
-    def text(self, token: Token) -> Literal:
-        return Literal(token[1:-1].replace("''", "'"), _at(token))
-
-    def true(self, token: Token) -> Literal:
-        return Literal(True, _at(token))
-
-    def false(self, token: Token) -> Literal:
-        return Literal(False, _at(token))
-
-    def placeholder(self, token: Token) -> Placeholder:
-        return Placeholder(_at(token))
+    def literal(self, token: Token) -> Literal:
+        if token.type == "PLACEHOLDER":
+            return Literal(None, _at(token), bound=False)
+        if token.type in ("TRUE", "FALSE"):
+            return Literal(token.type == "TRUE", _at(token))
+        if token.type == "TEXT":
+            return Literal(token[1:-1].replace("''", "'"), _at(token))
+        whole = token.lstrip("+-").isdigit()
+        return Literal(_integer(token) if whole else DecimalText(str(token)), _at(token))
 
 
 def _at(token: Token) -> int:
@@ -281,17 +255,6 @@ def _integer(token: Token) -> int:
     return int(token)
 
 
-def _shallow(made: Expression, items: tuple[Expression, ...]) -> Expression:
-    """Return made unless it is nested so deep that walking it would overflow the stack."""
-    level, depth = list(items), 1
-    while level:
-        level = [part for item in level for part in parts(item)]
-        depth += 1
-        if depth > MAX_DEPTH:
-            raise StatementError(0, f"the condition is nested deeper than {MAX_DEPTH}")
-    return made
-
-
 @lru_cache(maxsize=1)
 def _grammar() -> Lark:
     return Lark.open(
@@ -304,27 +267,20 @@ def _grammar() -> Lark:
 
 
 def parse_statement(text: str, params: Sequence[object] = ()) -> Union[Select, Change]:
-    """Parse a statement and bind its parameters.
-
-    Args:
-        text: The statement.
-        params: A value for each ``?`` or ``%s``, in their order.
+    """Parse a statement and bind its parameters: a value for each ``?`` or ``%s``, in their order.
 
     Raises:
         InvalidQuery: The text is no statement, or the parameters do not fit.
     """
     found = _parse(text, "statement")
-    parsed: Union[Select, Change]
     parsed, limit = found if isinstance(found, tuple) else (found, None)
-    if not isinstance(parsed, (Select, Delete)):
-        _Binding(text, params)
-        return replace(parsed, text=text)
-    bound = _Binding(text, params, parsed.condition, limit)
-    if isinstance(parsed, Delete):
-        return replace(parsed, text=text, condition=bound.expression(parsed.condition))
-    condition = parsed.condition and bound.expression(parsed.condition)
-    most = limit and _limit(text, bound.value(limit))
-    return replace(parsed, text=text, condition=condition, limit=most)
+    bound = _Binding(text, params, getattr(parsed, "condition", None), limit)
+    if isinstance(parsed, (Select, Delete)) and parsed.condition is not None:
+        parsed = replace(parsed, condition=bound.expression(parsed.condition))
+    if limit is not None:
+        parsed = replace(parsed, limit=_limit(text, bound.value(limit)))
+    statement: Union[Select, Change] = replace(parsed, text=text)
+    return statement
 
 
 def parse_select(text: str, params: Sequence[object] = ()) -> Select:
@@ -336,12 +292,8 @@ def parse_select(text: str, params: Sequence[object] = ()) -> Select:
     statement = parse_statement(text, params)
     if isinstance(statement, Select):
         return statement
-    raise InvalidQuery(
-        text,
-        len(text) - len(text.lstrip()),
-        "this changes what is stored; here only SELECT can be asked, and executeCQL runs the "
-        "others",
-    )
+    reason = "this changes what is stored; here only SELECT can be asked, and executeCQL runs "
+    raise InvalidQuery(text, len(text) - len(text.lstrip()), f"{reason}the others")
 
 
 def parse_condition(text: str, params: Sequence[object] = ()) -> Expression:
@@ -355,31 +307,23 @@ def parse_condition(text: str, params: Sequence[object] = ()) -> Expression:
 
 
 class _Binding:
-    """Puts the values of parameters where their placeholders stand.
-
-    Args:
-        text: The statement.
-        params: The values.
-        condition, limit: The clauses in which placeholders may stand.
-    """
+    """Puts the values of parameters where their placeholders stand, in condition and limit."""
 
     def __init__(
         self,
         text: str,
         params: Sequence[object],
-        condition: Optional[Expression] = None,
-        limit: Optional[Value] = None,
+        condition: Optional[Expression],
+        limit: Optional[Literal] = None,
     ) -> None:
         values = [value for leaf in leaves(condition) for value in given(leaf)]
-        if limit is not None:
-            values.append(limit)
-        found = sorted(value.position for value in values if isinstance(value, Placeholder))
+        values += [] if limit is None else [limit]
+        found = sorted(value.position for value in values if not value.bound)
         _check_params(text, found, params)
         if len(found) != len(params):
             at = found[len(params)] if len(params) < len(found) else len(text)
-            raise InvalidQuery(
-                text, at, f"the statement has {len(found)} parameters, {len(params)} were given"
-            )
+            reason = f"the statement has {len(found)} parameters, {len(params)} were given"
+            raise InvalidQuery(text, at, reason)
         self._text = text
         self._values = dict(zip(found, params))
 
@@ -387,28 +331,22 @@ class _Binding:
         if isinstance(item, Compare):
             return replace(item, value=self.value(item.value))
         if isinstance(item, OneOf):
-            return OneOf(item.operand, tuple(self._listed(item)))
+            values = tuple(map(self.value, item.values))
+            return OneOf(item.operand, self._elements(*values) if item.whole else values)
         if isinstance(item, IsNull):
             return item
         if isinstance(item, Negation):
             return Negation(self.expression(item.item))
-        return replace(item, items=tuple(self.expression(part) for part in item.items))
+        return replace(item, items=tuple(map(self.expression, item.items)))
 
-    def value(self, value: Value) -> Literal:
-        if isinstance(value, Literal):
-            return value
-        return Literal(self._values[value.position], value.position)
+    def value(self, value: Literal) -> Literal:
+        at = value.position
+        return value if value.bound else Literal(self._values[at], at)
 
-    def _listed(self, item: OneOf) -> Iterator[Literal]:
-        values = [self.value(value) for value in item.values]
-        if not item.whole:
-            yield from values
-            return
-        (whole,) = values
+    def _elements(self, whole: Literal) -> tuple[Literal, ...]:
         if not isinstance(whole.value, (list, tuple, set, frozenset)):
             raise InvalidQuery(self._text, whole.position, "IN ? takes a list as its value")
-        for element in whole.value:
-            yield Literal(element, whole.position)
+        return tuple(Literal(element, whole.position) for element in whole.value)
 
 
 def _check_params(text: str, found: Sequence[int], params: object) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, Callable, Iterator, NamedTuple, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
@@ -14,15 +15,7 @@ from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.evaluate import Check, Values, compile_condition
 from cassandra_ros.query.extract import Extractor, Get
 from cassandra_ros.query.literals import Comparable, fit_to_field, fit_to_text, fit_to_time
-from cassandra_ros.query.names import (
-    Array,
-    FieldRef,
-    Findings,
-    all_fields,
-    field_of,
-    fields_of,
-    wants_array,
-)
+from cassandra_ros.query.names import Array, FieldRef, Findings, all_fields, field_of, fields_of
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.syntax import (
     Aggregate,
@@ -31,10 +24,12 @@ from cassandra_ros.query.syntax import (
     Leaf,
     Literal,
     NodeOperand,
+    Operand,
     Path,
     Select,
     Selected,
     StatementError,
+    wants_array,
 )
 
 _log = logging.getLogger(__name__)
@@ -85,34 +80,19 @@ class Projection:
 
     @classmethod
     def compile(cls, select: Select, table: Table, findings: Findings) -> Projection:
-        """Find out what a statement means in a table.
-
-        Args:
-            select: The statement.
-            table: Whose rows.
-            findings: Collects what the statement names in vain.
-        """
+        """Find out what a statement means in a table; findings collect what it names in vain."""
         names = _Names(table, findings)
-        if select.columns is None:
-            key = Output("KEY", KEY_PLACE, "string" if table.named else "time")
-            groups: tuple[tuple[Output, ...], ...] = ((key,), tuple(names.fields(None)))
-        else:
-            groups = tuple(tuple(names.outputs(selected)) for selected in select.columns)
+        every = (Selected(KeyOperand(0)), None)
+        asked = every if select.columns is None else select.columns
+        groups = tuple(tuple(names.outputs(selected)) for selected in asked)
         check = compile_condition(select.condition, names.locate, names.fit)
         extractor = None
         columns: Optional[Sequence[str]] = ()
         if table.definition is not None and names.refs:
             extractor = Extractor(table.definition, names.refs, names.unnested)
             columns = extractor.columns if table.by_field else None
-        made = cls(
-            groups=groups,
-            check=check,
-            columns=columns,
-            unnested=tuple(names.unnested),
-            named=table.named,
-            extractor=extractor,
-            width=2 + len(names.refs),
-        )
+        unnested, width = tuple(names.unnested), 2 + len(names.refs)
+        made = cls(groups, check, columns, unnested, table.named, extractor, width)
         return made.showing([[output.name for output in group] for group in groups])
 
     def showing(self, names: Sequence[Sequence[str]]) -> Projection:
@@ -124,10 +104,7 @@ class Projection:
         return replace(self, shown=tuple(shown))
 
     def values(self, row: Row) -> Sequence[Values]:
-        """Return the values of a stored row: once, or once for each unnested element.
-
-        Where its bytes are no message its fields are missing.
-        """
+        """Return the values of a row, once or for each unnested element; None = missing."""
         own = (row.name if self.named else row.t, row.node)
         if self.extractor is None:
             return [own]
@@ -160,11 +137,7 @@ class Projection:
 
 
 class Projections:
-    """The projections of a statement, one for each table of a topic.
-
-    Args:
-        select: The statement.
-        tables: The tables of its topic; others may be made while it runs.
+    """The projections of a statement, one for each table of a topic, also of those made since.
 
     Attributes:
         names: The columns of each selected path, over all tables.
@@ -178,14 +151,11 @@ class Projections:
         findings = Findings(select.text)
         made = {table.name: Projection.compile(select, table, findings) for table in tables}
         findings.check()
-        groups = [projection.groups for projection in made.values()]
-        self.names = [
-            list(dict.fromkeys(output.name for group in same for output in group))
-            for same in zip(*groups)
-        ]
-        if not made:
-            columns = select.columns or (Selected(KeyOperand(0)),)
-            self.names = [[selected.text] for selected in columns]
+        columns = select.columns or (Selected(KeyOperand(0)),)
+        self.names = [[selected.text] for selected in columns]
+        if made:
+            same = zip(*(projection.groups for projection in made.values()))
+            self.names = [list(dict.fromkeys(o.name for o in chain(*groups))) for groups in same]
         self._made = {name: each.showing(self.names) for name, each in made.items()}
 
     def __iter__(self) -> Iterator[Projection]:
@@ -198,121 +168,90 @@ class Projections:
             self._made[table.name] = projection.showing(self.names)
         return self._made[table.name]
 
+    def columns(self, table: Table) -> Optional[Sequence[str]]:
+        """Return the columns of a table that are read, in their order; None = all."""
+        return self.of(table).columns
+
+    def hit(self, row: Row) -> bool:
+        """Say whether a row, or one unnested element of it, satisfies the condition."""
+        return any(self.of(row.table).hits(row))
+
 
 class _Names:
-    """Finds the fields that a statement names in one table, while it is compiled.
-
-    Attributes:
-        refs: The fields that were found so far, in the order of their values.
-        unnested: The arrays of messages whose elements are named, outermost first.
-    """
+    """Finds the fields that a statement names in one table, while it is compiled."""
 
     def __init__(self, table: Table, findings: Findings) -> None:
         self._definition = table.definition
         self._named = table.named
         self._findings = findings
         self.refs: list[FieldRef] = []
+        """The fields that were found so far, in the order of their values."""
         self.unnested: list[Array] = []
+        """The arrays of messages whose elements are named, outermost first."""
 
-    # ---------------------------------------------------------------- columns
-
-    def outputs(self, selected: Selected) -> Sequence[Output]:
-        """Return the columns that one selected path gives."""
+    def outputs(self, selected: Optional[Selected]) -> Sequence[Output]:
+        """Return the columns that one selected path gives; None = every field."""
+        if selected is None:
+            return self._shown([] if self._definition is None else all_fields(self._definition))
         what = selected.what
         if isinstance(what, Aggregate):
             return self._aggregated(what, selected.text)
-        if isinstance(what, Path):
-            found = self.fields(what)
-            if selected.alias is None:
-                return found
-            if len(found) > 1:
-                reason = f"{what.text} has {len(found)} fields; AS gives a name to one"
-                self._refuse(what, reason)
-            return [output._replace(name=selected.alias) for output in found[:1]]
-        place, kind = self._own(what)
-        return [Output(selected.text, place, kind)]
+        if not isinstance(what, Path):
+            own = self._output(what)
+            return [] if own is None else [own._replace(name=selected.text)]
+        found = self._shown(self._resolved(what, lambda definition: fields_of(what, definition)))
+        if selected.alias is None:
+            return found
+        if len(found) > 1:
+            self._refuse(what, f"{what.text} has {len(found)} fields; AS gives a name to one")
+        return [output._replace(name=selected.alias) for output in found[:1]]
 
-    def fields(self, path: Optional[Path]) -> list[Output]:
-        """Return the columns of the fields that a path (None = ``*``) names."""
-        if path is not None:
-            found = self._resolved(path, lambda definition: fields_of(path, definition))
-        else:
-            found = [] if self._definition is None else all_fields(self._definition)
-        return [Output(ref.name, self._place(ref), ref.type, ref) for ref in found]
+    def _shown(self, refs: Sequence[FieldRef]) -> list[Output]:
+        return [Output(ref.name, self._place(ref), ref.type, ref) for ref in refs]
 
     def _aggregated(self, asked: Aggregate, name: str) -> Sequence[Output]:
         operand, function = asked.operand, asked.function
-        ref = None
-        if isinstance(operand, Path):
-            ref = self._field(operand)
-            if ref is None:
-                return []
-            place, kind = self._place(ref), ref.type
-        else:
-            place, kind = self._own(operand or KeyOperand(0))
-        if operand is not None and function in ("sum", "avg") and kind in _NO_NUMBERS:
-            problem = StatementError(
-                operand.position,
-                f"{operand.text} is a {kind}, and {function} is for numbers; "
-                "min, max and count take any field",
-            )
-            self._findings.wrong(asked.position, problem)
+        found = self._output(operand or KeyOperand(0))
+        if found is None:
             return []
-        self._findings.fine(asked.position)
+        if operand is not None and function in ("sum", "avg") and found.kind in _NO_NUMBERS:
+            reason = f"{operand.text} is a {found.kind}, and {function} is for numbers; "
+            problem = StatementError(operand.position, reason + "min, max and count take any field")
+            self._findings.wrong.setdefault(asked.position, problem)
+            return []
+        self._findings.fine.add(asked.position)
         if function in ("min", "max"):
-            return [Output(name, place, kind, ref)]
-        total = "float64" if kind.startswith("float") else "sum"
-        return [Output(name, place, {"count": "int64", "avg": "float64", "sum": total}[function])]
+            return [found._replace(name=name)]
+        total = "float64" if found.kind.startswith("float") else "sum"
+        kinds = {"count": "int64", "avg": "float64", "sum": total}
+        return [Output(name, found.place, kinds[function])]
 
-    def _own(self, operand: Union[KeyOperand, NodeOperand]) -> tuple[int, str]:
+    def _output(self, operand: Operand, array: Optional[bool] = False) -> Optional[Output]:
+        """Return the column of one operand; None where the table lacks it."""
         if isinstance(operand, NodeOperand):
-            return NODE_PLACE, "string"
-        return KEY_PLACE, "string" if self._named else "time"
-
-    # ---------------------------------------------------------------- the condition
+            return Output(operand.text, NODE_PLACE, "string")
+        if isinstance(operand, KeyOperand):
+            return Output(operand.text, KEY_PLACE, "string" if self._named else "time")
+        found = self._resolved(operand, lambda definition: [field_of(operand, definition, array)])
+        return self._shown(found)[0] if found else None
 
     def locate(self, leaf: Leaf) -> Optional[int]:
         """Return the place of a comparison's operand; None where the table lacks it."""
-        if not isinstance(leaf.operand, Path):
-            return self._own(leaf.operand)[0]
-        ref = self._field(leaf.operand, wants_array(leaf))
-        return None if ref is None else self._place(ref)
+        found = self._output(leaf.operand, wants_array(leaf))
+        return None if found is None else found.place
 
     def fit(self, leaf: Leaf, literal: Literal) -> Optional[Comparable]:
         """Fit a literal to its operand; None where they cannot be compared here."""
-        try:
-            fitted = self._fitted(leaf, literal)
-        except StatementError as exc:
-            self._findings.wrong(literal.position, exc)
+        found = self._output(leaf.operand, wants_array(leaf))
+        if found is None:
             return None
-        if fitted is not None:
-            self._findings.fine(literal.position)
+        try:
+            fitted = _fitted(found, leaf, literal)
+        except StatementError as exc:
+            self._findings.wrong.setdefault(literal.position, exc)
+            return None
+        self._findings.fine.add(literal.position)
         return fitted
-
-    def _fitted(self, leaf: Leaf, literal: Literal) -> Optional[Comparable]:
-        operand, sign = leaf.operand, leaf.operator if isinstance(leaf, Compare) else ""
-        if isinstance(operand, Path):
-            ref = self._field(operand, wants_array(leaf))
-            if ref is None:
-                return None
-            if sign == "LIKE":
-                _check_text(operand, ref.type)
-            return fit_to_field(literal, ref)
-        if sign == "CONTAINS":
-            raise StatementError(
-                operand.position, f"{operand.text} is not an array; compare it with ="
-            )
-        if self._named or isinstance(operand, NodeOperand):
-            return fit_to_text(literal, operand.text)
-        if sign == "LIKE":
-            _check_text(operand, "time")
-        return fit_to_time(literal)
-
-    # ---------------------------------------------------------------- fields
-
-    def _field(self, path: Path, array: Optional[bool] = False) -> Optional[FieldRef]:
-        found = self._resolved(path, lambda definition: [field_of(path, definition, array)])
-        return found[0] if found else None
 
     def _resolved(
         self, path: Path, resolve: Callable[[Definition], list[FieldRef]]
@@ -322,9 +261,9 @@ class _Names:
                 raise StatementError(path.position, "the messages of this topic have no definition")
             found = resolve(self._definition)
         except StatementError as exc:
-            self._findings.wrong(path.position, exc)
+            self._findings.wrong.setdefault(path.position, exc)
             return []
-        self._findings.fine(path.position)
+        self._findings.fine.add(path.position)
         for ref in found:
             # Those whose elements the path names, not those that it names whole.
             for array in ref.arrays:
@@ -346,7 +285,9 @@ class _Names:
 
     def _refuse(self, path: Path, reason: str) -> None:
         """Note that a path, although there is such a field, cannot stand where it does."""
-        self._findings.wrong(_BESIDE - path.position, StatementError(path.position, reason))
+        self._findings.wrong.setdefault(
+            _BESIDE - path.position, StatementError(path.position, reason)
+        )
 
     def _place(self, ref: FieldRef) -> int:
         if ref not in self.refs:
@@ -354,12 +295,17 @@ class _Names:
         return 2 + self.refs.index(ref)
 
 
-def _check_text(operand: Union[Path, KeyOperand], kind: str) -> None:
-    if kind != "string":
-        raise StatementError(
-            operand.position,
-            f"{operand.text} is a {kind}, and LIKE is for text; compare it with = < > or BETWEEN",
-        )
+def _fitted(found: Output, leaf: Leaf, literal: Literal) -> Comparable:
+    operand, sign = leaf.operand, leaf.operator if isinstance(leaf, Compare) else ""
+    if sign == "CONTAINS" and found.ref is None:
+        reason = f"{operand.text} is not an array; compare it with ="
+        raise StatementError(operand.position, reason)
+    if sign == "LIKE" and found.kind != "string":
+        reason = f"is a {found.kind}, and LIKE is for text; compare it with = < > or BETWEEN"
+        raise StatementError(operand.position, f"{operand.text} {reason}")
+    if found.ref is not None:
+        return fit_to_field(literal, found.ref)
+    return fit_to_text(literal, operand.text) if found.kind == "string" else fit_to_time(literal)
 
 
 def _shown_as(make: Get) -> Get:

@@ -15,9 +15,10 @@ hold cannot match.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Dict, Iterator, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, FrozenSet, Iterator, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 import numpy
 
@@ -25,8 +26,8 @@ from cassandra_ros.messages.index_field import MAX_TEXT_BYTES
 from cassandra_ros.messages.wire.plan import wire_plan
 from cassandra_ros.messages.wire.values import encode_value
 from cassandra_ros.query.literals import Comparable, fit_to_field
-from cassandra_ros.query.names import FieldRef, field_of, wants_array
-from cassandra_ros.query.protocols import Bucket, Query, Table, Term
+from cassandra_ros.query.names import FieldRef, field_of
+from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.syntax import (
     All,
     Compare,
@@ -34,11 +35,11 @@ from cassandra_ros.query.syntax import (
     Expression,
     IsNull,
     Leaf,
-    Literal,
     Negation,
     Path,
     StatementError,
     given,
+    wants_array,
 )
 
 PLANS = ("auto", "index", "filter", "client")
@@ -56,14 +57,33 @@ DENSE_ROWS = 500
 """So few are no burden, whatever their share."""
 CROWDED_SHARE = 0.3
 """Where more of a bucket is wanted, it is read once instead of by several queries."""
-_ODD = ((("_odd", "=", b"\x01"),), False)
+Term = Tuple[str, str, bytes]
+"""Column, operator and encoded value."""
+Query = Tuple[Tuple[Term, ...], bool]
+"""What the server is to check, all of it, and whether it finds the rows by an index."""
+_ODD: Query = ((("_odd", "=", b"\x01"),), False)
 Ways = Optional[Tuple[Tuple[Term, ...], ...]]
 """Each way is a set of terms that all hold; what matches does so in one way at least. None: any row
 may match. Empty: none can."""
 
 NEVER: Ways = ()
-_INTEGERS = {"tinyint": 8, "smallint": 16, "int": 32, "bigint": 64}
+_BITS = {"tinyint": 8, "smallint": 16, "int": 32, "bigint": 64}
+_RANGES = {cql_type: (-(2 ** (n - 1)), 2 ** (n - 1) - 1) for cql_type, n in _BITS.items()}
+_RANGES.update(boolean=(0, 1), varint=(0, 2**64 - 1))
 _FLOATS: Any = {"float": numpy.float32, "double": numpy.float64}
+
+
+class _Bucket(Protocol):
+    """What one writer notes of a partition in the directory, as the store's BucketRow has it."""
+
+    @property
+    def rows(self) -> int: ...
+    @property
+    def odd(self) -> int: ...
+    @property
+    def closed(self) -> bool: ...
+    @property
+    def filled(self) -> FrozenSet[str]: ...
 
 
 @dataclass(frozen=True)
@@ -83,11 +103,11 @@ class Need(NamedTuple):
     """One comparison, as the server can check it."""
 
     leaf: Leaf
-    filtered: Ways
+    filtered: Ways = None
     """By the column of format ``ros``."""
-    shadow: str
+    shadow: str = ""
     """The column with an index on the field, '' = none."""
-    indexed: Ways
+    indexed: Ways = None
     """By the index."""
 
 
@@ -98,7 +118,7 @@ Used = Dict[Tuple[int, str], Leaf]
 
 
 class Pushdown:
-    """Decides for every bucket what the server is to check (a Chooser).
+    """Decides for every bucket what the server is to check; see Chooser in store/reader.py.
 
     Args:
         expression: The condition, bound; None is always true.
@@ -122,8 +142,8 @@ class Pushdown:
         self.indexed = self.filtered = self.whole = self.skipped = 0
         self.used: Used = {}
 
-    def choose(self, table: Table, bucket: Sequence[Bucket]) -> Optional[Sequence[Query]]:
-        """Return the queries whose rows include those that match; see Chooser."""
+    def choose(self, table: Table, bucket: Sequence[_Bucket]) -> Optional[Sequence[Query]]:
+        """Return the queries whose rows include those that match; None = all rows."""
         chosen = self._chosen(table, bucket)
         if chosen is None:
             self.whole += 1
@@ -136,10 +156,10 @@ class Pushdown:
         return chosen
 
     def few(self, table: Table) -> bool:
-        """Say whether little was found so far; see Chooser."""
+        """Say whether little was found so far."""
         return table.name not in self._many
 
-    def learn(self, table: Table, bucket: Sequence[Bucket], found: int) -> None:
+    def learn(self, table: Table, bucket: Sequence[_Bucket], found: int) -> None:
         """Do less in the next buckets where much was found in this one."""
         every = sum(row.rows for row in bucket)
         if found > FEW_ROWS and found > FEW_SHARE * every:
@@ -149,7 +169,7 @@ class Pushdown:
             if found > CROWDED_SHARE * every:
                 self._crowded.add(table.name)
 
-    def _chosen(self, table: Table, bucket: Sequence[Bucket]) -> Optional[list[Query]]:
+    def _chosen(self, table: Table, bucket: Sequence[_Bucket]) -> Optional[list[Query]]:
         if self._plan == "client" or self._expression is None:
             return None
         if table.name not in self._branches:
@@ -157,7 +177,10 @@ class Pushdown:
         branches = self._branches[table.name]
         if branches is None:
             return None
-        filled = self._filled(table, bucket)
+        dense = self._plan == "auto" and table.name in self._dense
+        filled = frozenset.intersection(*(row.filled for row in bucket))
+        if self._plan == "filter" or (dense and table.by_field):
+            filled = frozenset()
         queries: list[Query] = []
         used: Used = {}
         for branch in branches:
@@ -171,13 +194,6 @@ class Pushdown:
         if any(row.odd or not row.closed for row in bucket):
             queries.append(_ODD)
         return queries
-
-    def _filled(self, table: Table, bucket: Sequence[Bucket]) -> frozenset[str]:
-        """Name the shadow columns that can be used in a bucket."""
-        dense = self._plan == "auto" and table.name in self._dense
-        if self._plan == "filter" or (dense and table.by_field):
-            return frozenset()
-        return frozenset.intersection(*(row.filled for row in bucket))
 
     def _queries(self, branch: Branch, filled: frozenset[str], used: Used) -> Optional[list[Query]]:
         """Return the queries for one branch; None where the server cannot check anything of it."""
@@ -245,27 +261,21 @@ def _joined(found: Sequence[Optional[list[Branch]]]) -> Optional[list[Branch]]:
 
 def _need(leaf: Leaf, table: Table) -> Need:
     if isinstance(leaf, IsNull) or not isinstance(leaf.operand, Path) or table.definition is None:
-        return Need(leaf, None, "", None)
+        return Need(leaf)
     operator = leaf.operator if isinstance(leaf, Compare) else "="
     try:
         ref = field_of(leaf.operand, table.definition, wants_array(leaf))
     except StatementError:
-        return Need(leaf, NEVER, "", None)  # missing here, and what is missing never matches
+        return Need(leaf, NEVER)  # missing here, and what is missing never matches
     values = list(_fitted(leaf, ref))
-    if not values:
-        return Need(leaf, NEVER, "", None)
-    if ref.part:
-        return Need(leaf, None, "", None)
+    if not values or ref.part:
+        return Need(leaf, None if values else NEVER)
+    filtered = _ways(_column_of(ref, table), operator, values, FEW_VALUES)
     index = table.index_fields.get(ref.column)
-    carried = None
-    if index is not None:
-        carried = Held(index.shadow, index.element_type, index.many, MAX_TEXT_BYTES)
-    return Need(
-        leaf,
-        _ways(_column_of(ref, table), operator, values, FEW_VALUES),
-        index.shadow if index else "",
-        _ways(carried, operator, values, MAX_QUERIES),
-    )
+    if index is None:
+        return Need(leaf, filtered)
+    carried = Held(index.shadow, index.element_type, index.many, MAX_TEXT_BYTES)
+    return Need(leaf, filtered, index.shadow, _ways(carried, operator, values, MAX_QUERIES))
 
 
 def _ways(held: Optional[Held], operator: str, values: Sequence[Comparable], most: int) -> Ways:
@@ -277,11 +287,8 @@ def _ways(held: Optional[Held], operator: str, values: Sequence[Comparable], mos
 
 def _fitted(leaf: Leaf, ref: FieldRef) -> Iterator[Comparable]:
     for literal in given(leaf):
-        try:
-            if isinstance(literal, Literal):
-                yield fit_to_field(literal, ref)
-        except StatementError:
-            continue  # of another kind: it equals nothing here
+        with suppress(StatementError):  # of another kind: it equals nothing here
+            yield fit_to_field(literal, ref)
 
 
 def _column_of(ref: FieldRef, table: Table) -> Optional[Held]:
@@ -296,12 +303,9 @@ def _column_of(ref: FieldRef, table: Table) -> Optional[Held]:
 
 
 def ways_of(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
-    """Say how the server can check that a column compares so with one of some values.
+    """Say how the server can check that a column compares so (= < <= > >= CONTAINS) with a value.
 
-    Args:
-        held: The column.
-        operator: One of = < <= > >= CONTAINS.
-        values: One; for ``=`` and ``CONTAINS`` also several, of which one is to match.
+    For ``=`` and ``CONTAINS`` there may be several, of which one is to match.
     """
     if operator == "=" or (operator == "CONTAINS" and held.many):
         return _equal(held, "CONTAINS" if held.many else "=", values)
@@ -337,31 +341,23 @@ def _equal(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
 
 def _exact(held: Held, value: Comparable) -> Optional[list[bytes]]:
     """Encode all that equals a value; None where the column may lack what does."""
-    if held.cql_type == "text":
-        return _text(held, value)
-    if isinstance(value, str) or value != value:
+    if isinstance(value, str) != (held.cql_type == "text") or value != value:
         return []
-    if held.cql_type == "boolean":
-        return [encode_value("boolean", bool(value))] if value in (0, 1) else []
+    if isinstance(value, str):
+        try:
+            raw = encode_value("text", value)
+        except UnicodeEncodeError:
+            return None
+        return [raw] if len(raw) <= held.longest else None
     if held.cql_type in _FLOATS:
         below, above = (_float(held.cql_type, value, upwards) for upwards in (True, False))
         if below == above:
             return [below]
         return [below, above] if value == 0 else []
-    low, high = _range(held.cql_type)
+    low, high = _RANGES[held.cql_type]
     if not low <= value <= high or value != int(value):
         return []
     return [encode_value(held.cql_type, int(value))]
-
-
-def _text(held: Held, value: Comparable) -> Optional[list[bytes]]:
-    if not isinstance(value, str):
-        return []
-    try:
-        raw = encode_value("text", value)
-    except UnicodeEncodeError:
-        return None
-    return [raw] if len(raw) <= held.longest else None
 
 
 def _bounded(held: Held, operator: str, value: Comparable) -> Ways:
@@ -373,18 +369,13 @@ def _bounded(held: Held, operator: str, value: Comparable) -> Ways:
     if held.cql_type in _FLOATS:
         raw = _float(held.cql_type, value, upwards)
         return (((held.column, operator[0] + "=", raw),),)
-    low, high = _range(held.cql_type)
+    low, high = _RANGES[held.cql_type]
     if (value > high or (value == high and operator == ">")) if upwards else value < low:
         return NEVER
     if value <= low if upwards else value >= high:
         return None
     bound = math.ceil(value) if upwards else math.floor(value)
     return (((held.column, operator[0] + "=", encode_value(held.cql_type, bound)),),)
-
-
-def _range(cql_type: str) -> tuple[int, int]:
-    bits = _INTEGERS.get(cql_type)
-    return (0, 2**64 - 1) if bits is None else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
 
 
 def _float(cql_type: str, value: Comparable, upwards: bool) -> bytes:

@@ -1,24 +1,212 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Run a statement over the stored rows of a source."""
+"""Run a statement, or a condition by itself, over the stored rows of a source.
+
+Of any condition the store can check the span of KEY, and NODE: its bounds. Only conjuncts are used
+for them, so they may be weaker than the condition and are never stronger.
+"""
 
 from __future__ import annotations
 
-from typing import Generator, Iterable, Iterator, NamedTuple, Optional, Sequence, Union
+import logging
+from dataclasses import dataclass, replace
+from itertools import chain, islice
+from typing import Callable, Generator, Iterable, Iterator, NamedTuple, Optional, Sequence, Union
 
-from cassandra_ros.errors import InvalidKey
-from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_behind
-from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.arguments import check_node
+from cassandra_ros.errors import InvalidKey, InvalidName, InvalidQuery
+from cassandra_ros.keys import MAX_NS, Position, decode_cursor, encode_cursor, is_behind
+from cassandra_ros.messages.stamps import SECONDS_BELOW, Stamp
 from cassandra_ros.query.aggregates import Aggregation
-from cassandra_ros.query.conditions import Bounds, bounded_rows, bounds_of, warn_of_seconds
+from cassandra_ros.query.literals import fit_to_text, fit_to_time
+from cassandra_ros.query.parse import parse_condition
 from cassandra_ros.query.projection import Projections, ResultRow
-from cassandra_ros.query.protocols import Row, Source
+from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.pushdown import Pushdown
-from cassandra_ros.query.syntax import Select
+from cassandra_ros.query.source import Columns, RowT_co, Source
+from cassandra_ros.query.syntax import (
+    Compare,
+    Delete,
+    Expression,
+    KeyOperand,
+    Literal,
+    NodeOperand,
+    OneOf,
+    Select,
+    StatementError,
+    conjuncts,
+    given,
+    leaves,
+)
+
+_log = logging.getLogger(__name__)
 
 Cursor = Union[str, Position, None]
 _Rows = Generator[ResultRow, None, None]
 _MAX_DIGITS = 18
+_ORDERED = ("<", "<=", ">", ">=")
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Rows outside of these cannot match."""
+
+    low: int = 0
+    """Least KEY, included, ns."""
+    high: int = MAX_NS
+    """Greatest KEY, included, ns."""
+    node: Optional[str] = None
+    """The one nodeID, None = all."""
+    name: Optional[str] = None
+    """The one name, None = all; only where messages are kept under names."""
+    empty: bool = False
+    """No row can match."""
+    whole: bool = True
+    """The bounds are the whole condition: every row inside matches."""
+
+    def within(self, low: Optional[int], high: Optional[int], node: Optional[str] = None) -> Bounds:
+        """Narrow the bounds further."""
+        low = self.low if low is None else max(self.low, low)
+        high = self.high if high is None else min(self.high, high)
+        clash = None not in (node, self.node) and node != self.node
+        empty = self.empty or clash or low > high
+        node = self.node if node is None else node
+        return replace(self, low=low, high=high, node=node, empty=empty)
+
+
+def bounds_of(select: Select, node: Optional[str] = None, named: bool = False) -> Bounds:
+    """Find the bounds of a statement, for messages of a node (None = all), named or not.
+
+    Raises:
+        InvalidQuery: KEY or NODE is compared with what it cannot be.
+    """
+    bounds = Bounds(node=node)
+    try:
+        for part in conjuncts(select.condition):
+            bounds = _narrowed(bounds, part, named)
+        for leaf in leaves(select.condition) if named else ():
+            ordered = isinstance(leaf, Compare) and leaf.operator in _ORDERED
+            if ordered and isinstance(leaf.operand, KeyOperand):
+                reason = "is a name here, and names have no order; compare it with =, IN or LIKE"
+                raise StatementError(leaf.operand.position, f"KEY {reason}")
+    except StatementError as exc:
+        raise InvalidQuery(select.text, exc.position, exc.reason) from None
+    return bounds
+
+
+def meant_as_seconds(condition: Optional[Expression]) -> Iterator[Literal]:
+    """Yield what KEY is compared with and looks like seconds: integers are ns."""
+    keys = (leaf for leaf in leaves(condition) if isinstance(leaf.operand, KeyOperand))
+    for literal in chain.from_iterable(map(given, keys)):
+        if type(literal.value) is int and 0 < literal.value < SECONDS_BELOW:
+            yield literal
+
+
+def _narrowed(bounds: Bounds, part: Expression, named: bool) -> Bounds:
+    if isinstance(part, Compare) and isinstance(part.operand, NodeOperand) and part.operator == "=":
+        try:
+            return bounds.within(None, None, check_node(fit_to_text(part.value, "NODE")))
+        except InvalidName:
+            return replace(bounds, empty=True)  # no message can be of such a node
+    if isinstance(part, Compare) and isinstance(part.operand, KeyOperand):
+        if named and part.operator == "=":
+            name = fit_to_text(part.value, "KEY")
+            clash = bounds.name not in (None, name)
+            return replace(bounds, name=name, empty=bounds.empty or clash)
+        if not named and part.operator in ("=", *_ORDERED):
+            ns = fit_to_time(part.value)
+            low = {"=": ns, ">=": ns, ">": ns + 1}.get(part.operator)
+            high = {"=": ns, "<=": ns, "<": ns - 1}.get(part.operator)
+            return bounds.within(low, high)
+    if isinstance(part, OneOf) and isinstance(part.operand, KeyOperand) and not named:
+        times = list(map(fit_to_time, part.values))
+        if times:
+            bounds = bounds.within(min(times), max(times))
+    return replace(bounds, whole=False)
+
+
+def bounded_rows(
+    source: Source[RowT_co],
+    bounds: Bounds,
+    columns: Optional[Columns],
+    chooser: Pushdown,
+    after: Optional[Position] = None,
+    reverse: bool = False,
+    limit: Optional[int] = None,
+) -> Iterator[RowT_co]:
+    """Walk through the rows of a topic inside of bounds; see Source.rows."""
+    if bounds.empty:
+        return iter(())
+    if bounds.name is None:
+        return source.rows(
+            bounds.low,
+            bounds.high,
+            nodeID=bounds.node,
+            limit=limit,
+            after=after,
+            reverse=reverse,
+            columns=columns,
+            chooser=chooser,
+        )
+    try:
+        every = source.versions(bounds.name, nodeID=bounds.node, reverse=reverse)
+    except InvalidKey:
+        return iter(())  # no message can have such a name
+    inside = (row for row in every if bounds.low <= row.t <= bounds.high)
+    return islice((row for row in inside if is_behind(row.position, after, reverse)), limit)
+
+
+class Condition:
+    """What stands behind WHERE, for the messages of one source.
+
+    Args:
+        where: The condition, or the statement in which it stands: errors show the whole of it.
+        params: Values of the ``?`` or ``%s`` in a text.
+        node: Only messages of this node; None = of all.
+
+    Raises:
+        InvalidQuery: The text is no condition, or the parameters do not fit.
+    """
+
+    def __init__(
+        self, where: Union[str, Delete], params: Sequence[object] = (), node: Optional[str] = None
+    ) -> None:
+        if isinstance(where, Delete):
+            self._select = Select(where.text, (), "", 0, where.condition)
+        else:
+            self._select = Select(where, (), "", 0, parse_condition(where, params))
+        self._node = node
+
+    def bounds(self, named: bool = False) -> Bounds:
+        """Return what of it the store can check; see bounds_of."""
+        return bounds_of(self._select, self._node, named)
+
+    def test(self, tables: Sequence[Table]) -> Callable[[Row], bool]:
+        """Return a function that tells whether a row of these tables satisfies the condition.
+
+        Raises:
+            InvalidQuery: The condition names a field that no definition of the topic has, or
+                compares one with a value of another kind.
+        """
+        return Projections(self._select, tables).hit
+
+    def rows(
+        self,
+        source: Source[RowT_co],
+        key: Optional[int] = None,
+        to_key: Optional[int] = None,
+        after: Optional[Position] = None,
+        reverse: bool = False,
+        *,
+        bare: bool = False,
+    ) -> Iterator[RowT_co]:
+        """Walk through the rows that satisfy the condition; bare rows fetch their messages late."""
+        tables = source.tables
+        projections = Projections(self._select, tables)
+        bounds = self.bounds(any(t.named for t in tables)).within(key, to_key)
+        columns, chooser = projections.columns if bare else None, Pushdown(self._select.condition)
+        rows = bounded_rows(source, bounds, columns, chooser, after, reverse)
+        return filter(projections.hit, rows)
 
 
 class Place(NamedTuple):
@@ -41,16 +229,10 @@ class Place(NamedTuple):
 START = Place(0, 0, None)
 
 
-def read_place(cursor: Union[str, Position, Place, None]) -> Place:
-    """Read a cursor; a bare position means behind the message there.
-
-    Raises:
-        InvalidKey: It is none.
-    """
+def read_place(cursor: Cursor) -> Place:
+    """Read a cursor; a bare position: behind the message there. InvalidKey: it is none."""
     if cursor is None or cursor == "":
         return START
-    if isinstance(cursor, Place):
-        return cursor
     if isinstance(cursor, Position):
         return Place(0, 0, cursor)
     given, _, rest = str(cursor).partition(".")
@@ -65,7 +247,15 @@ _ENDED = Place(1, 0, Position(0, "", 0, ""))
 
 
 class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples of any values
-    """The rows of a statement, read while they are taken.
+    """The rows of a SELECT statement, read while they are taken.
+
+    Args:
+        select: The statement, its parameters bound.
+        source: The topic that it names.
+        node: Only messages of this node; None = of all.
+        limit: At most so many rows, besides the statement's LIMIT; None = no bound.
+        after: ``cursor`` of an earlier result of the same statement: go on behind its last row.
+        plan: What the server may check, one of pushdown.PLANS; the answer is always the same.
 
     Attributes:
         columns: Names of the columns.
@@ -74,33 +264,42 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         pushdown: What the server checks of it.
         read: How many rows have come from the server.
         counted: The directory knew the answer.
+
+    Raises:
+        InvalidQuery: The statement names what the topic has not.
+        InvalidKey: ``after`` is no cursor.
     """
 
     def __init__(
         self,
         select: Select,
         source: Source[Row],
-        bounds: Bounds,
-        place: Place,
-        limit: Optional[int],
+        *,
+        node: Optional[str] = None,
+        limit: Optional[int] = None,
+        after: Cursor = None,
         plan: str = "auto",
     ) -> None:
-        self.select = select
-        self._projections = Projections(select, source.tables)
+        self.select, self._source = select, source
+        tables = source.tables
+        named = any(table.named for table in tables)
+        self._bounds = bounds = bounds_of(select, node, named)
+        for found in () if named else meant_as_seconds(select.condition):
+            _log.warning(
+                "KEY is compared with %(ns)d, which means nanoseconds since 1970; did you mean "
+                "seconds, %(ns)d.0?",
+                {"ns": found.value},
+            )
+        self._place = place = read_place(after)
+        self._projections = Projections(select, tables)
         self.columns = tuple(name for names in self._projections.names for name in names)
         self.pushdown = Pushdown(None if bounds.whole else select.condition, plan)
         self.direct = bounds.whole and not any(p.unnested for p in self._projections)
-        self._place = place
         self.read = 0
         self.counted = bool(select.counts and bounds.whole and bounds.name is None)
         left = None if select.limit is None else max(0, select.limit - place.given)
-        if limit is not None:
-            left = limit if left is None else min(left, limit)
-        read = self._aggregated if select.aggregates else self._selected
-        self._rows = read(source, bounds, place, left)
-
-    def __iter__(self) -> QueryResult:
-        return self
+        self._left = min((n for n in (left, limit) if n is not None), default=None)
+        self._rows = self._aggregated() if select.aggregates else self._selected(place)
 
     def __next__(self) -> ResultRow:
         return next(self._rows)
@@ -120,14 +319,12 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     def __exit__(self, *exc_info: object) -> None:
         self.close()
 
-    def _selected(
-        self, source: Source[Row], bounds: Bounds, place: Place, left: Optional[int]
-    ) -> _Rows:
+    def _selected(self, place: Place) -> _Rows:
         given = place.given
-        last = None if left is None else given + left
+        last = None if self._left is None else given + self._left
         if last == given:
             return
-        for row in self._stored(source, bounds, place, left):
+        for row in self._stored(place):
             found = self._projections.of(row.table).rows(row)
             for number in range(place.skip if row.position == place.position else 0, len(found)):
                 given += 1
@@ -138,91 +335,47 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
                 if given == last:
                     return
 
-    def _stored(
-        self, source: Source[Row], bounds: Bounds, place: Place, left: Optional[int]
-    ) -> Iterator[Row]:
-        reverse, at = self.select.descending, place.position
+    def _stored(self, place: Place) -> Iterator[Row]:
+        reverse, at, bounds = self.select.descending, place.position, self._bounds
         if at is None or not (place.skip or reverse):
-            return self._read(source, bounds, at, reverse, left if self.direct else None)
+            return self._read(bounds, at, reverse, self._left if self.direct else None)
         # Begin with the message at the cursor: some of its rows may be still to come, and the
         # store goes on behind a position only upwards.
         narrowed = bounds.within(None, at.t) if reverse else bounds.within(at.t, None)
         return (
             row
-            for row in self._read(source, narrowed, None, reverse)
+            for row in self._read(narrowed, None, reverse)
             if is_behind(row.position, at, reverse) or (place.skip and row.position == at)
         )
 
     def _read(
         self,
-        source: Source[Row],
         bounds: Bounds,
         after: Optional[Position] = None,
         reverse: bool = False,
         limit: Optional[int] = None,
     ) -> Iterator[Row]:
-        rows = bounded_rows(
-            source,
-            bounds,
-            after,
-            reverse,
-            limit,
-            columns=lambda table: self._projections.of(table).columns,
-            chooser=self.pushdown,
-        )
+        columns = self._projections.columns
+        rows = bounded_rows(self._source, bounds, columns, self.pushdown, after, reverse, limit)
         for row in rows:
             self.read += 1
             yield row
 
-    def _aggregated(
-        self, source: Source[Row], bounds: Bounds, place: Place, left: Optional[int]
-    ) -> _Rows:
-        if place.position is not None or left == 0:
+    def _aggregated(self) -> _Rows:
+        if self._place.position is not None or self._left == 0:
             return
-        self._place = _ENDED
+        self._place, bounds = _ENDED, self._bounds
         if self.counted and not bounds.empty:
-            yield (self._counted_by_key(source, bounds),) * len(self.select.aggregates)
+            ends = (bounds.low, bounds.high)
+            # Names have no order: where all is counted no end is named.
+            low, high = (None, None) if ends == (0, MAX_NS) else map(Stamp.from_ns, ends)
+            count = self._source.countTopicData(low, high, bounds.node)
+            yield (count,) * len(self.select.aggregates)
             return
         totals = Aggregation(self.select)
-        for row in self._read(source, bounds):
+        for row in self._read(bounds):
             totals.add(self._projections.of(row.table).rows(row))
         yield totals.values()
-
-    def _counted_by_key(self, source: Source[Row], bounds: Bounds) -> int:
-        if any(table.named for table in source.tables):
-            return source.countTopicData(nodeID=bounds.node)
-        low, high = Stamp.from_ns(bounds.low), Stamp.from_ns(bounds.high)
-        return source.countTopicData(low, high, bounds.node)
-
-
-def select_rows(
-    select: Select,
-    source: Source[Row],
-    *,
-    node: Optional[str] = None,
-    limit: Optional[int] = None,
-    after: Cursor = None,
-    plan: str = "auto",
-) -> QueryResult:
-    """Run a SELECT statement on the topic that it names.
-
-    Args:
-        select: The statement, its parameters bound.
-        source: The source.
-        node: Only messages of this node; None = of all.
-        limit: At most so many rows, besides the statement's LIMIT; None = no bound.
-        after: ``cursor`` of an earlier result of the same statement: go on behind its last row.
-        plan: What the server may check, one of pushdown.PLANS; the answer is always the same.
-
-    Raises:
-        InvalidQuery: The statement names what the topic has not.
-        InvalidKey: ``after`` is no cursor.
-    """
-    named = any(table.named for table in source.tables)
-    bounds = bounds_of(select, node, named)
-    if not named:
-        warn_of_seconds(select.condition)
-    return QueryResult(select, source, bounds, read_place(after), limit, plan)
 
 
 class Rows(list):  # type: ignore[type-arg]

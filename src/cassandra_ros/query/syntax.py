@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from typing import Any, Iterator, Optional, Sequence, Tuple, Union
 
 
+@dataclass(eq=False)
 class StatementError(Exception):
     """Something in a statement is wrong at a position; becomes an InvalidQuery."""
 
-    def __init__(self, position: int, reason: str) -> None:
-        super().__init__(reason)
-        self.position = position
-        self.reason = reason
+    position: int
+    reason: str
 
 
 class DecimalText(float):
@@ -35,16 +34,8 @@ class Literal:
 
     value: Any
     position: int
-
-
-@dataclass(frozen=True)
-class Placeholder:
-    """A ``?`` or ``%s`` whose value has not been bound yet."""
-
-    position: int
-
-
-Value = Union[Literal, Placeholder]
+    bound: bool = True
+    """False: a ``?`` or ``%s`` whose value is still to come."""
 
 
 @dataclass(frozen=True)
@@ -80,9 +71,9 @@ def path_text(names: Sequence[Tuple[str, Optional[int]]]) -> str:
     A field that is called KEY or NODE stands in quotes, for without them these words are ours.
     """
     shown = [name if index is None else f"{name}[{index}]" for name, index in names]
-    first, rest = names[0][0], len(names[0][0])
+    first = names[0][0]
     if first in OWN_WORDS:
-        shown[0] = f'"{first}"{shown[0][rest:]}'
+        shown[0] = shown[0].replace(first, f'"{first}"', 1)
     return ".".join(shown)
 
 
@@ -143,7 +134,7 @@ class Compare:
 
     operand: Operand
     operator: str
-    value: Value
+    value: Literal
 
 
 @dataclass(frozen=True)
@@ -151,9 +142,9 @@ class OneOf:
     """``operand IN (…)``, or ``IN ?`` with a list as parameter."""
 
     operand: Operand
-    values: tuple[Value, ...]
+    values: tuple[Literal, ...]
     whole: bool = False
-    """The one value is the list itself."""
+    """The one value is still to come, and is the list itself."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +186,7 @@ def parts(expression: Expression) -> tuple[Expression, ...]:
     return (expression.item,) if isinstance(expression, Negation) else ()
 
 
-def given(leaf: Leaf) -> tuple[Value, ...]:
+def given(leaf: Leaf) -> tuple[Literal, ...]:
     """Return the values that a comparison compares with."""
     if isinstance(leaf, Compare):
         return (leaf.value,)
@@ -209,6 +200,22 @@ def leaves(expression: Optional[Expression]) -> Iterator[Leaf]:
     elif expression is not None:
         for part in parts(expression):
             yield from leaves(part)
+
+
+def wants_array(leaf: Leaf) -> Optional[bool]:
+    """Say whether a comparison's operand is an array as a whole; None = either."""
+    if isinstance(leaf, IsNull):
+        return None
+    return isinstance(leaf, Compare) and leaf.operator == "CONTAINS"
+
+
+def conjuncts(expression: Optional[Expression]) -> Iterator[Expression]:
+    """Yield the conditions that must all hold for one to hold."""
+    if isinstance(expression, All):
+        for item in expression.items:
+            yield from conjuncts(item)
+    elif expression is not None:
+        yield expression
 
 
 @dataclass(frozen=True)

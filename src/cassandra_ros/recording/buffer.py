@@ -45,25 +45,16 @@ class Item(NamedTuple):
 
 
 class Source:
-    """Messages of one topic with one connection header.
-
-    Attributes:
-        connection: Topic and header.
-        handle: Where the messages go; None until the table stands.
-        error: Why they cannot be stored, or ''.
-        waiting: Messages that came before the table stood.
-        submitted: Whether its table is being made.
-        conflicts: How often another one's schema change came between.
-    """
+    """Messages of one topic with one connection header."""
 
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
         self.topic = connection.topic
-        self.handle: Optional[Handle] = None
-        self.error = ""
-        self.waiting: deque[Item] = deque()
-        self.submitted = False
-        self.conflicts = 0
+        self.handle: Optional[Handle] = None  # where the messages go, when the table stands
+        self.error = ""  # why they cannot be stored
+        self.waiting: deque[Item] = deque()  # what came before the table stood
+        self.submitted = False  # whether the table is being made
+        self.conflicts = 0  # how often another one's schema change came between
         self.has_header = starts_with_header(connection.definition_text)
         self._since = 0.0
         self._seen = 0
@@ -104,16 +95,13 @@ class Buffer:
     """First in, first out; when full the oldest is dropped, as in rosbag. Thread-safe.
 
     An item counts until it is released, so that also what was taken and still waits for its table
-    is within the bound. One message is always accepted, whatever its size.
-
-    Args:
-        bound_bytes: 0 = no bound.
+    is within the bound (0 = none). One message is always accepted, whatever its size.
     """
 
     def __init__(self, bound_bytes: int) -> None:
         self._bound = bound_bytes or 2**63
         self._items: deque[Item] = deque()
-        self._held = 0
+        self.held_bytes = 0
         self._closed = False
         self._changed = threading.Condition()
 
@@ -122,22 +110,16 @@ class Buffer:
         dropped: list[Item] = []
         with self._changed:
             self._items.append(item)
-            self._held += item.nbytes
-            while self._held > self._bound and len(self._items) > 1:
+            self.held_bytes += item.nbytes
+            while self.held_bytes > self._bound and len(self._items) > 1:
                 dropped.append(self._items.popleft())
-                self._held -= dropped[-1].nbytes
+                self.held_bytes -= dropped[-1].nbytes
             if len(self._items) == 1:
                 self._changed.notify()
         return dropped
 
     def take(self, most: int, most_bytes: int, timeout_sec: float) -> list[Item]:
-        """Take the oldest items, at least one; [] after the timeout or a wake.
-
-        Args:
-            most: At most so many.
-            most_bytes: No further one when these are reached.
-            timeout_sec: How long to wait for the first.
-        """
+        """Take the oldest, at least one, until a bound is met; [] after the timeout or a wake."""
         taken: list[Item] = []
         nbytes = 0
         with self._changed:
@@ -152,7 +134,7 @@ class Buffer:
     def release(self, item: Item) -> None:
         """Note that an item that was taken is no longer held in memory."""
         with self._changed:
-            self._held -= item.nbytes
+            self.held_bytes -= item.nbytes
 
     def wake(self) -> None:
         """Let a waiting ``take`` return at once."""
@@ -170,11 +152,6 @@ class Buffer:
         """Whether it is closed and everything was taken."""
         with self._changed:
             return self._closed and not self._items
-
-    @property
-    def held_bytes(self) -> int:
-        """What the items take that were put and not released."""
-        return self._held
 
 
 def starts_with_header(definition_text: str) -> bool:

@@ -144,11 +144,9 @@ class Counts:
             return self._topics[topic].received if topic in self._topics else 0
 
     def reports(self, stored: Mapping[str, int], final: bool) -> list[TopicReport]:
-        """Describe all topics, sorted by name.
+        """Describe all topics, sorted by name, beside the messages that the store acknowledged.
 
-        Args:
-            stored: Topic → messages that the store acknowledged.
-            final: Nothing is on its way any more: what is neither stored nor lost is lost.
+        ``final``: Nothing is on its way any more: what is neither stored nor lost is lost.
         """
         with self._mutex:
             names = sorted(self._topics)

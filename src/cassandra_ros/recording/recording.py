@@ -15,9 +15,9 @@ import queue
 import threading
 import time
 import weakref
-from collections import deque
+from collections import Counter, deque
 from functools import partial
-from typing import Callable, Iterator, Mapping, Optional
+from typing import Callable, Mapping, Optional
 
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, SchemaConflict, StoreUnavailable
 from cassandra_ros.keys import COUNTER_BITS, new_writer_id
@@ -88,23 +88,25 @@ class Recording:
         self._most_waiting = buffer_bytes // 2 or 2**63
         self._waiting: list[Source] = []
         self._waiting_bytes = 0
-        self._tables = _TableMaker(self._connect, self._buffer.wake)
+        # Sources whose tables are to be made (None: no more), and those of which that is decided.
+        self._asked: queue.Queue[Optional[Source]] = queue.Queue()
+        self._decided: deque[Source] = deque()
+        self._deadline = math.inf
+        self._maker = threading.Thread(
+            target=self._make_tables, name="recorder-tables", daemon=True
+        )
         self._thread = threading.Thread(target=self._run, name="recorder-writer", daemon=True)
+        self._maker.start()
         self._thread.start()
-
-    # ---------------------------------------------------------------- messages in
 
     def expect(self, topic: str) -> None:
         """Let a topic appear in the reports even if nothing ever comes."""
         self._counts.expect(topic)
 
     def received(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
-        """Take one message that has just arrived. Never waits for the store.
+        """Take one serialised message that has just arrived. Never waits for the store.
 
-        Args:
-            topic: Resolved name of the topic.
-            header: The connection header; the same object for all messages of a connection.
-            wire: The serialised message.
+        The header is the same object for all messages of a connection.
         """
         # Stamp and counter together: rospy has a thread per publisher, and the order of the
         # stamps must be that of the counters.
@@ -137,9 +139,7 @@ class Recording:
         if feed is None:
             connection = live_connection(topic, header)
             key = (topic, connection.header)
-            source = self._sources.get(key)
-            if source is None:
-                source = self._sources[key] = Source(connection)
+            source = self._sources.setdefault(key, Source(connection))
             if len(self._feeds) >= MAX_FEEDS:
                 self._feeds.pop(next(iter(self._feeds)))
             feed = self._feeds[id(header)] = Feed(header, source)
@@ -153,27 +153,28 @@ class Recording:
         """Return how many messages of a topic arrived."""
         return self._counts.of(topic)
 
-    # ---------------------------------------------------------------- messages out
-
     def _run(self) -> None:
         while not self._step():
             pass
-        self._tables.close()
+        self._asked.put(None)
+        self._maker.join()
 
     def _step(self) -> bool:
         """Move some messages on; return whether all are gone."""
         for item in self._buffer.take(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
             self._route(item)
-        for source in self._tables.finished():
+        while self._decided:
+            source = self._decided.popleft()
             self._waiting.remove(source)
             while source.waiting:
                 self._route(self._released(source))
         ending = self._buffer.ended
         for source in self._waiting:
             if not source.submitted and (ending or source.is_ripe()):
-                self._tables.submit(source)
-        if ending:
-            self._tables.hurry()
+                source.submitted = True
+                self._asked.put(source)
+        if ending:  # a store that is gone is not waited for much longer
+            self._deadline = min(self._deadline, time.monotonic() + LAST_TRIES_SEC)
         return ending and not self._waiting
 
     def _route(self, item: Item) -> None:
@@ -183,19 +184,16 @@ class Recording:
                 self._waiting.append(source)
             source.hold(item)
             self._waiting_bytes += item.nbytes
-            self._bound_waiting(source)
+            # What waits for tables stays within half of the buffer: topics with one go on.
+            while self._waiting_bytes > self._most_waiting and len(source.waiting) > 1:
+                self._buffer.release(self._released(source))
+                self._counts.lost(source.topic, 1, "the buffer was full before its table stood")
             return
         if source.handle is None:
             self._counts.lost(source.topic, 1, source.error)
         else:
             self._write(item, source.handle)
         self._buffer.release(item)
-
-    def _bound_waiting(self, source: Source) -> None:
-        """Keep what waits for tables within half of the buffer: topics with one go on."""
-        while self._waiting_bytes > self._most_waiting and len(source.waiting) > 1:
-            self._buffer.release(self._released(source))
-            self._counts.lost(source.topic, 1, "the buffer was full before its table stood")
 
     def _released(self, source: Source) -> Item:
         item = source.waiting.popleft()
@@ -206,7 +204,9 @@ class Recording:
         generation, counter = divmod(item.counter, 1 << COUNTER_BITS)
         source = item.source
         try:
-            writer = self._writer(generation)
+            while len(self._writers) <= generation:
+                self._writers.append(self._make_writer())
+            writer = self._writers[generation]
             if generation:  # the counter ran over: another writer, with handles of its own
                 handle = writer.connect(source.connection)
             writer.write(handle, item.t, counter, item.wire)
@@ -216,13 +216,35 @@ class Recording:
             _log.exception("a message of topic %s could not be stored", source.topic)
             self._counts.lost(source.topic, 1, _mistake(exc))
 
-    def _connect(self, source: Source) -> Handle:
-        return self._writers[0].connect(source.connection, source.bucket_length())
+    def _make_tables(self) -> None:
+        """Give sources their handles, one after the other, on a thread of its own."""
+        for source in iter(self._asked.get, None):
+            if self._decide(source):
+                self._decided.append(source)
+                self._buffer.wake()
+            else:
+                time.sleep(PAUSE_SEC)
+                self._asked.put(source)
 
-    def _writer(self, generation: int) -> MessageWriter:
-        while len(self._writers) <= generation:
-            self._writers.append(self._make_writer())
-        return self._writers[generation]
+    def _decide(self, source: Source) -> bool:
+        """Return whether it is decided what becomes of a source."""
+        try:
+            connection, length = source.connection, source.bucket_length()
+            source.handle = self._writers[0].connect(connection, length)
+            return True
+        except (StoreUnavailable, SchemaConflict) as exc:
+            source.conflicts += isinstance(exc, SchemaConflict)
+            if source.conflicts < MAX_CONFLICTS and time.monotonic() <= self._deadline:
+                _log.warning("topic %s waits for its table: %s", source.topic, exc)
+                return False
+            source.error = str(exc)
+        except CassandraRosError as exc:
+            source.error = str(exc)
+        except Exception as exc:  # noqa: BLE001 - our mistake: counted, the other topics go on
+            _log.exception("the table of topic %s could not be made", source.topic)
+            source.error = _mistake(exc)
+        _log.error("topic %s cannot be recorded: %s", source.topic, source.error)
+        return True
 
     def _make_writer(self) -> MessageWriter:
         number = new_writer_id()
@@ -238,16 +260,10 @@ class Recording:
             on_loss=lambda topic, messages, error: self._counts.lost(topic, messages, str(error)),
         )
 
-    # ---------------------------------------------------------------- end
-
     def stop(self, timeout_sec: Optional[float] = None) -> bool:
-        """Take no more messages and store what is here; call again to go on waiting.
+        """Take no more messages and store what is here; say whether all is stored or lost.
 
-        Args:
-            timeout_sec: Return after so long even if not all is stored; None = never.
-
-        Returns:
-            Whether all is stored or counted as lost.
+        It returns after so long in any case (None = never); call again to go on waiting.
         """
         with self._lock:
             self._accepting = False
@@ -266,15 +282,10 @@ class Recording:
         return self.reports(final=True)
 
     def reports(self, final: bool = False) -> list[TopicReport]:
-        """Describe what became of each topic.
-
-        Args:
-            final: Count what is still on its way as lost.
-        """
-        stored: dict[str, int] = {}
+        """Describe what became of each topic; ``final`` counts what is on its way as lost."""
+        stored: Counter[str] = Counter()
         for writer in self._writers:
-            for topic, part in writer.stats().items():
-                stored[topic] = stored.get(topic, 0) + part.stored
+            stored.update({topic: part.stored for topic, part in writer.stats().items()})
         return self._counts.reports(stored, final)
 
 
@@ -288,68 +299,3 @@ def _try_to(work: Callable[[], None]) -> None:
         work()
     except CassandraRosError as exc:
         _log.error("the recording could not be closed properly: %s", exc)
-
-
-class _TableMaker:
-    """Gives sources their handles, one after the other, on a thread of its own.
-
-    Args:
-        connect: Makes a source's handle.
-        done: Called on the thread when a source got its handle or error.
-    """
-
-    def __init__(self, connect: Callable[[Source], Handle], done: Callable[[], None]) -> None:
-        self._connect = connect
-        self._done = done
-        self._asked: queue.Queue[Optional[Source]] = queue.Queue()
-        self._finished: deque[Source] = deque()
-        self._deadline = math.inf
-        self._thread = threading.Thread(target=self._run, name="recorder-tables", daemon=True)
-        self._thread.start()
-
-    def submit(self, source: Source) -> None:
-        """Ask for the handle of a source."""
-        source.submitted = True
-        self._asked.put(source)
-
-    def finished(self) -> Iterator[Source]:
-        """Yield the sources that got a handle or an error since the last call."""
-        while self._finished:
-            yield self._finished.popleft()
-
-    def hurry(self) -> None:
-        """Note that the recording ends: a store that is gone is not waited for much longer."""
-        self._deadline = min(self._deadline, time.monotonic() + LAST_TRIES_SEC)
-
-    def close(self) -> None:
-        """End the thread when it has done what was asked."""
-        self._asked.put(None)
-        self._thread.join()
-
-    def _run(self) -> None:
-        for source in iter(self._asked.get, None):
-            if self._try(source):
-                self._finished.append(source)
-                self._done()
-            else:
-                time.sleep(PAUSE_SEC)
-                self._asked.put(source)
-
-    def _try(self, source: Source) -> bool:
-        """Return whether it is decided what becomes of a source."""
-        try:
-            source.handle = self._connect(source)
-            return True
-        except (StoreUnavailable, SchemaConflict) as exc:
-            source.conflicts += isinstance(exc, SchemaConflict)
-            if source.conflicts < MAX_CONFLICTS and time.monotonic() <= self._deadline:
-                _log.warning("topic %s waits for its table: %s", source.topic, exc)
-                return False
-            source.error = str(exc)
-        except CassandraRosError as exc:
-            source.error = str(exc)
-        except Exception as exc:  # noqa: BLE001 - our mistake: counted, the other topics go on
-            _log.exception("the table of topic %s could not be made", source.topic)
-            source.error = _mistake(exc)
-        _log.error("topic %s cannot be recorded: %s", source.topic, source.error)
-        return True

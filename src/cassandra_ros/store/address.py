@@ -27,11 +27,7 @@ def host_names(host: str | Sequence[str] | None) -> list[str]:
 
 
 def port_number(port: int | str | None) -> int:
-    """Check a port; None = as usual.
-
-    Raises:
-        InvalidOption: It is no whole number from 1 to 65535.
-    """
+    """Check a port, None = as usual; raises InvalidOption for no whole number from 1 to 65535."""
     given = (from_environment("PORT") or DEFAULT_PORT) if port is None else port
     text = str(given)
     if not (text.isascii() and text.isdigit() and len(text) < 6 and 0 < int(text) < 65536):

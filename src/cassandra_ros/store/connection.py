@@ -8,8 +8,7 @@ import socket
 import ssl
 import threading
 import time
-from collections import deque
-from typing import Any, Deque, Iterable, List, Optional, Sequence, Tuple
+from typing import Any, Iterable, Sequence, Tuple
 
 from cassandra import ConsistencyLevel, UnresolvableContactPoints
 from cassandra.auth import PlainTextAuthProvider
@@ -33,13 +32,8 @@ from cassandra.query import PreparedStatement, SimpleStatement, Statement, tuple
 
 from cassandra_ros.errors import ConnectionFailed, KeyspaceNotFound, TopicNotFound
 from cassandra_ros.store.address import host_names, port_number
-from cassandra_ros.store.driver_errors import (
-    DRIVER_ERRORS,
-    START_HINT,
-    translate,
-    translated,
-)
-from cassandra_ros.store.paging import RETRY_SEC, retried
+from cassandra_ros.store.driver_errors import DRIVER_ERRORS, START_HINT, translate, translated
+from cassandra_ros.store.paging import RETRY_SEC, retried, sent_ahead
 
 CONNECT_TIMEOUT_SEC = 10.0
 REQUEST_TIMEOUT_SEC = 20.0
@@ -58,22 +52,17 @@ _Decoding = ProtocolHandler.message_types_by_opcode[ResultMessage.opcode]
 
 
 class _RawResultMessage(_Decoding):  # type: ignore[misc, valid-type]
-    column_metadata: Optional[List[CqlRow]]
+    column_metadata: list[CqlRow] | None
 
     def recv_results_metadata(self, f: object, user_type_map: object) -> None:
         super().recv_results_metadata(f, user_type_map)
         self.column_metadata = _as_bytes(self.column_metadata)
 
     def recv_results_rows(
-        self,
-        f: object,
-        version: int,
-        user_type_map: object,
-        result_metadata: Optional[List[CqlRow]],
-        policy: object,
+        self, f: object, version: int, types: object, metadata: list[CqlRow] | None, policy: object
     ) -> None:
         # The compiled parser binds self.recv_results_metadata, so ours above is called.
-        super().recv_results_rows(f, version, user_type_map, _as_bytes(result_metadata), policy)
+        super().recv_results_rows(f, version, types, _as_bytes(metadata), policy)
 
 
 def _as_bytes(metadata: list[CqlRow] | None) -> list[CqlRow] | None:
@@ -182,11 +171,7 @@ class Cassandra:
     # ---------------------------------------------------------------- statements
 
     def require_open(self) -> None:
-        """Check that nobody has closed the connection; the driver takes that for a passing failure.
-
-        Raises:
-            ConnectionFailed: Somebody has.
-        """
+        """Raise ConnectionFailed where it is closed; the driver takes that for a passing one."""
         if self._closed:
             raise ConnectionFailed(
                 f"the connection to Cassandra at {self._where} is closed; make another RosCassandra"
@@ -206,8 +191,7 @@ class Cassandra:
         pause = 0.05
         while True:
             try:
-                what = "preparing a statement"
-                statement = retried(what, lambda: self._session.prepare(cql))
+                statement = retried("preparing a statement", lambda: self._session.prepare(cql))
                 statement.is_idempotent = True
                 return statement
             except (TopicNotFound, KeyspaceNotFound):
@@ -232,14 +216,11 @@ class Cassandra:
         consistency: int | None = None,
         retry_sec: float = RETRY_SEC,
     ) -> list[CqlRow]:
-        """Run one idempotent statement, all pages, trying again what may pass.
+        """Run one idempotent statement, trying again what may pass; return all rows, decoded.
 
         Args:
             cql: Text with ``?`` for each parameter.
             what: What is being done, for an error text.
-
-        Returns:
-            The rows as tuples of decoded values.
         """
 
         def run() -> list[CqlRow]:
@@ -276,11 +257,7 @@ class Cassandra:
         return retried(what, run)
 
     def _nodes_in_reach(self) -> list[Host]:
-        """Return the nodes of our data centre that the driver can ask.
-
-        Raises:
-            NoHostAvailable: There is none; the driver's own, to be translated.
-        """
+        """Return the nodes of our data centre that the driver can ask; raises NoHostAvailable."""
         # A session is connected as soon as one node answers, and goes on with the others, which
         # are waited for.
         while True:
@@ -306,26 +283,16 @@ class Cassandra:
             return list(self._session.execute(bound))
 
     def execute_many(
-        self, cql: str, params: Iterable[Sequence[object]], *, what: str
+        self, cql: str, params: Iterable[CqlRow], *, what: str, retry_sec: float = RETRY_SEC
     ) -> list[list[CqlRow]]:
         """Run one idempotent statement with several sets of parameters, 16 at a time."""
-        results: list[list[CqlRow]] = []
-        pending: Deque[tuple[Sequence[object], ResponseFuture]] = deque()
-        prepared = self.prepare(cql)
-
-        def collect() -> None:
-            values, future = pending.popleft()
+        prepared, results = self.prepare(cql), []
+        sent = ((values, self._session.execute_async(prepared.bind(values))) for values in params)
+        for values, future in sent_ahead(sent, AT_ONCE):
             try:
                 results.append(list(future.result()))
             except DRIVER_ERRORS:
-                results.append(self.execute(cql, values, what=what))
-
-        for values in params:
-            if len(pending) >= AT_ONCE:
-                collect()
-            pending.append((values, self._session.execute_async(prepared.bind(tuple(values)))))
-        while pending:
-            collect()
+                results.append(self.execute(cql, values, what=what, retry_sec=retry_sec))
         return results
 
     def schema_change(self, cql: str, *, what: str) -> None:

@@ -10,13 +10,7 @@ from typing import Iterator
 from cassandra_ros.errors import ConnectionFailed, StoreUnavailable
 from cassandra_ros.keys import split_seq
 from cassandra_ros.store.directory import STALE_SEC, BucketRow, BucketTotals, Directory
-from cassandra_ros.store.row_table import (
-    MAX_SEQ,
-    MIN_SEQ,
-    RowTable,
-    decode_long,
-    encode_long,
-)
+from cassandra_ros.store.row_table import COUNTED, MAX_SEQ, MIN_SEQ, RowTable, decode_long
 
 _log = logging.getLogger(__name__)
 
@@ -28,8 +22,8 @@ def scan_keys(
 ) -> Iterator[tuple[int, int, int, bool, bool]]:
     """Read (t, seq, size, chunked, odd) of the rows of a bucket with t in [low, high]."""
     asked = table.stretch(
-        table.select_keys(),
-        (node.encode(), encode_long(bucket)),
+        COUNTED,
+        table.place(node, bucket),
         ((low, MIN_SEQ), (high, MAX_SEQ)),
         page_rows=COUNT_PAGE_ROWS,
         what="counting",
@@ -49,15 +43,9 @@ def recount(table: RowTable, node: str, bucket: int) -> dict[int, BucketTotals]:
 
 
 def settle(directory: Directory, table: RowTable, rows: list[BucketRow]) -> list[BucketRow]:
-    """Replace the estimates of open buckets by counts of now.
+    """Return directory rows of a table with counts of now in place of what is not closed.
 
     A recount is written back where the bucket has no living writer any more.
-
-    Args:
-        rows: Directory rows of one table.
-
-    Returns:
-        The same rows, each with values that are true now.
     """
     by_bucket: dict[tuple[str, int], list[BucketRow]] = {}
     for row in rows:

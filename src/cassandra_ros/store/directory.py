@@ -14,12 +14,10 @@ import time
 from copy import copy
 from dataclasses import dataclass
 from datetime import datetime
-from typing import FrozenSet, Iterable, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, FrozenSet, Iterable, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.store.connection import Cassandra, CqlRow
-from cassandra_ros.store.names import quote_name
-from cassandra_ros.store.paging import RETRY_SEC
 from cassandra_ros.store.row_table import RowTable
 from cassandra_ros.store.side_tables import SideTables
 
@@ -65,8 +63,8 @@ def limit_for_ttl(bucket_ns: int, ttl_sec: int) -> int:
     """Shorten a bucket so that at least 24 of them fit into a TTL (0 = none)."""
     if not ttl_sec:
         return bucket_ns
-    fitting = [n for n in BUCKET_LENGTHS if n <= min(bucket_ns, ttl_sec * SECOND_NS // 24)]
-    return fitting[-1] if fitting else BUCKET_LENGTHS[0]
+    longest = min(bucket_ns, ttl_sec * SECOND_NS // 24)
+    return max((n for n in BUCKET_LENGTHS if n <= longest), default=BUCKET_LENGTHS[0])
 
 
 def slot_of(bucket: int) -> int:
@@ -74,6 +72,7 @@ def slot_of(bucket: int) -> int:
     return bucket // SLOT_BUCKETS
 
 
+_COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, largest, t_min, t_max, odd, filled"
 Place = Tuple[str, str, int, int]
 """Table, node, bucket and writer."""
 
@@ -138,45 +137,24 @@ class Directory:
 
     def __init__(self, cassandra: Cassandra, side_tables: SideTables) -> None:
         self._cassandra = cassandra
-        self._side_tables = side_tables
-        self._retry_sec = RETRY_SEC
-        self._space = quote_name(side_tables.keyspace)
-        self._select = (
-            "SELECT bucket, writer, state, heartbeat, n, bytes, largest, t_min, t_max, odd, "
-            f"deleted, filled, toTimestamp(now()) FROM {self._space}.cr_bucket "
-            "WHERE tbl = ? AND node = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
-        )
+        self._tables = side_tables
+        self._noted: Dict[Tuple[str, int, str], float] = {}
 
     def patient(self, retry_sec: float) -> Directory:
-        """Return the same directory for a writer that tries for so many seconds."""
-        directory = copy(self)
-        directory._retry_sec = retry_sec
+        """Return the directory for one writer, which guards it and tries for so many seconds."""
+        directory, tables = copy(self), copy(self._tables)
+        tables.retry_sec = retry_sec
+        directory._tables, directory._noted = tables, {}
         return directory
-
-    def _run(self, cql: str, params: Sequence[object], what: str) -> list[CqlRow]:
-        return self._cassandra.execute(cql, params, what=what, retry_sec=self._retry_sec)
-
-    # ---------------------------------------------------------------- reading
 
     def nodes(self, table: str, first_slot: int, last_slot: int) -> list[tuple[int, str]]:
         """List the (slot, node) of a table in [first_slot, last_slot]."""
-        if not self._side_tables.has("cr_node"):
-            return []
-        rows = self._run(
-            f"SELECT slot, node FROM {self._space}.cr_node "
-            "WHERE tbl = ? AND slot >= ? AND slot <= ?",
-            (table, first_slot, last_slot),
-            what="reading the directory of nodes",
-        )
-        return [(row[0], row[1]) for row in rows]
+        where, params = "tbl = ? AND slot >= ? AND slot <= ?", (table, first_slot, last_slot)
+        what = "reading the directory of nodes"
+        return self._tables.select("cr_node", "slot, node", where, params, what=what)
 
     def buckets(
-        self,
-        table: str,
-        first: int,
-        last: int,
-        nodes: Sequence[str] | None = None,
-        ttl: int = 0,
+        self, table: str, first: int, last: int, nodes: Sequence[str] | None = None, ttl: int = 0
     ) -> list[BucketRow]:
         """List the buckets of a table in [first, last], one row for each writer.
 
@@ -184,38 +162,42 @@ class Directory:
             nodes: Only these nodeIDs; None = all.
             ttl: Of the table's rows, seconds: buckets in which all have expired are left out.
         """
-        if not self._side_tables.has("cr_bucket"):
-            return []
-        found = [
-            (slot, node)
-            for slot, node in self.nodes(table, slot_of(first), slot_of(last))
-            if nodes is None or node in nodes
-        ]
-        answers = self._cassandra.execute_many(
-            self._select,
-            [(table, node, slot, first, last) for slot, node in found],
-            what="reading the directory of buckets",
-        )
-        every = [_bucket_row(node, row) for (_, node), rows in zip(found, answers) for row in rows]
+        listed = self.nodes(table, slot_of(first), slot_of(last))
+        found = [(slot, node) for slot, node in listed if nodes is None or node in nodes]
+        every = self._buckets([(table, node, slot, first, last) for slot, node in found])
         return every if not ttl else [row for row in every if not row.expired(ttl)]
 
     def find(self, table: str, node: str, bucket: int) -> list[BucketRow]:
         """List the writers of one bucket."""
-        if not self._side_tables.has("cr_bucket"):
-            return []
-        params = (table, node, slot_of(bucket), bucket, bucket)
-        rows = self._run(self._select, params, what="reading the directory of buckets")
-        return [_bucket_row(node, row) for row in rows]
+        return self._buckets([(table, node, slot_of(bucket), bucket, bucket)])
 
-    # ---------------------------------------------------------------- writing
+    def _buckets(self, params: Sequence[tuple[str, str, int, int, int]]) -> list[BucketRow]:
+        if not self._tables.has("cr_bucket"):
+            return []
+        cql = (
+            f"SELECT {_COLUMNS}, toTimestamp(now()) FROM {self._tables.qualified('cr_bucket')} "
+            "WHERE tbl = ? AND node = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
+        )
+        what, retry_sec = "reading the directory of buckets", self._tables.retry_sec
+        every = zip(
+            params, self._cassandra.execute_many(cql, params, what=what, retry_sec=retry_sec)
+        )
+        return [_bucket_row(node, row) for (_, node, *_), rows in every for row in rows]
 
     def add_node(self, table: str, slot: int, node: str, ttl: int = 0) -> None:
         """Note, before its first, that a node has buckets in a slot; for ttl seconds, 0 = ever."""
-        self._run(
-            f"INSERT INTO {self._space}.cr_node (tbl, slot, node) VALUES (?, ?, ?) USING TTL ?",
-            (table, slot, node, _ttl(ttl)),
-            what="writing the directory of nodes",
-        )
+        columns, what = {"tbl": table, "slot": slot, "node": node}, "writing the directory of nodes"
+        self._tables.insert("cr_node", columns, what, ttl=_ttl(ttl))
+
+    def note(self, table: RowTable, node: str, bucket: int) -> None:
+        """Add the slot of a bucket, unless that was done lately; before rows are written."""
+        slot = (table.name, slot_of(bucket), node)
+        # What is found by name is found by this note alone.
+        ttl = 0 if table.named else table.metadata.ttl
+        noted, now = self._noted.get(slot), time.monotonic()
+        if noted is None or (ttl and now - noted > NOTE_SEC):
+            self.add_node(*slot, ttl and ttl + NOTE_MARGIN_SEC)
+            self._noted[slot] = now
 
     def mark(
         self,
@@ -236,53 +218,44 @@ class Directory:
             deleted: Only say that rows were deleted: no count holds until the next recount. A flag
                 of its own, for a living writer closes the bucket with what it wrote.
         """
-        columns: dict[str, object] = {"filled": set(filled)}
+        columns = {**_key(place), "state": "closed" if closed else "open"}
         if deleted:
-            columns = {"deleted": True}
-        elif totals is not None:
-            columns.update(totals.columns())
-        table, node, bucket, writer = place
-        state = "closed" if closed else "open"
-        self._run(
-            f"INSERT INTO {self._space}.cr_bucket (tbl, node, slot, bucket, writer, heartbeat, "
-            f"state, {', '.join(columns)}) VALUES (?, ?, ?, ?, ?, toTimestamp(now()), ?"
-            f"{', ?' * len(columns)}) USING TTL ?",
-            (table, node, slot_of(bucket), bucket, writer, state, *columns.values(), _ttl(ttl)),
-            what="writing the directory of buckets",
-        )
+            columns["deleted"] = True
+        else:
+            columns.update(filled=set(filled), **(totals.columns() if totals is not None else {}))
+        what = "writing the directory of buckets"
+        self._tables.insert("cr_bucket", columns, what, now=["heartbeat"], ttl=_ttl(ttl))
 
     def put_recount(self, table: str, row: BucketRow, totals: BucketTotals, ttl: int) -> bool:
-        """Close a bucket that has no living writer, unless something has changed in it meanwhile.
+        """Close a bucket that has no living writer; return whether that was done.
 
-        Args:
-            row: As it was read before the rows were.
-
-        Returns:
-            Whether it was done.
+        It is not where something changed since its row was read, which must be before the rows are.
         """
         columns = {"filled": set(row.filled), **totals.columns()}
-        place = (table, row.node, slot_of(row.bucket), row.bucket, row.writer)
+        key = _key((table, row.node, row.bucket, row.writer))
         answer = self._cassandra.execute_once(
-            f"UPDATE {self._space}.cr_bucket USING TTL ? SET state = 'closed', "
+            f"UPDATE {self._tables.qualified('cr_bucket')} USING TTL ? SET state = 'closed', "
             f"{''.join(f'{name} = ?, ' for name in columns)}deleted = false, "
             "heartbeat = toTimestamp(now()) "
-            "WHERE tbl = ? AND node = ? AND slot = ? AND bucket = ? AND writer = ? "
-            "IF heartbeat = ?",
-            (_ttl(ttl), *columns.values(), *place, row.heartbeat),
+            f"WHERE {' AND '.join(f'{name} = ?' for name in key)} IF heartbeat = ?",
+            (_ttl(ttl), *columns.values(), *key.values(), row.heartbeat),
             what="closing a bucket in the directory",
         )
         return bool(answer[0][0])
 
     def forget(self, table: str) -> None:
         """Remove all that is known of a table that was dropped."""
-        for slot, node in self.nodes(table, -(2**63), 2**63 - 1):
-            self._run(
-                f"DELETE FROM {self._space}.cr_bucket WHERE tbl = ? AND node = ? AND slot = ?",
-                (table, node, slot),
-                what="clearing the directory of buckets",
-            )
-        cql = f"DELETE FROM {self._space}.cr_node WHERE tbl = ?"
-        self._run(cql, (table,), what="clearing the directory")
+        slots = [(table, node, slot) for slot, node in self.nodes(table, -(2**63), 2**63 - 1)]
+        key = ("tbl", "node", "slot")
+        self._tables.delete("cr_bucket", key, slots, "clearing the directory of buckets")
+        self._tables.delete("cr_node", ("tbl",), [(table,)], "clearing the directory")
+
+
+def _key(place: Place) -> dict[str, object]:
+    """Return the columns of cr_bucket that find a row."""
+    table, node, bucket, writer = place
+    slot = slot_of(bucket)
+    return {"tbl": table, "node": node, "slot": slot, "bucket": bucket, "writer": writer}
 
 
 def _ttl(ttl: int) -> int:
@@ -290,38 +263,9 @@ def _ttl(ttl: int) -> int:
 
 
 def _bucket_row(node: str, row: CqlRow) -> BucketRow:
-    bucket, writer, state, heartbeat, n, size, largest, t_min, t_max, odd, *rest = row
-    deleted, filled, now = rest
-    return BucketRow(
-        node=node,
-        bucket=bucket,
-        writer=writer,
-        closed=state == "closed" and not deleted,
-        heartbeat=heartbeat,
-        rows=n or 0,
-        bytes=size or 0,
-        largest=largest or 0,
-        t_min=t_min or 0,
-        t_max=t_max if t_max is not None else -1,
-        odd=odd or 0,
-        age_sec=(now - heartbeat).total_seconds() if heartbeat is not None else STALE_SEC + 1,
-        filled=frozenset(filled or ()),
-    )
-
-
-class SlotNotes:
-    """The slots of nodes that one writer has noted in the directory; guarded by its lock."""
-
-    def __init__(self, directory: Directory) -> None:
-        self._directory = directory
-        self._noted: dict[tuple[str, int, str], float] = {}
-
-    def note(self, table: RowTable, node: str, bucket: int) -> None:
-        """Note the slot of a bucket, unless that was done lately; before rows are written."""
-        slot = (table.name, slot_of(bucket), node)
-        # What is found by name is found by this note alone.
-        ttl = 0 if table.named else table.metadata.ttl
-        noted, now = self._noted.get(slot), time.monotonic()
-        if noted is None or (ttl and now - noted > NOTE_SEC):
-            self._directory.add_node(*slot, ttl and ttl + NOTE_MARGIN_SEC)
-            self._noted[slot] = now
+    bucket, writer, state, deleted, beat, n, size, largest, t_min, t_max, odd, filled, now = row
+    closed = state == "closed" and not deleted
+    latest = -1 if t_max is None else t_max
+    counts = (n or 0, size or 0, largest or 0, t_min or 0, latest, odd or 0)
+    age_sec = STALE_SEC + 1 if beat is None else (now - beat).total_seconds()
+    return BucketRow(node, bucket, writer, closed, beat, *counts, age_sec, frozenset(filled or ()))

@@ -19,7 +19,6 @@ from cassandra import (
     Timeout,
     Unauthorized,
     Unavailable,
-    UnresolvableContactPoints,
 )
 from cassandra.cluster import NoHostAvailable
 from cassandra.connection import ConnectionBusy, ConnectionException
@@ -98,12 +97,7 @@ def is_refused(exc: BaseException) -> bool:
 
 
 def translate(exc: BaseException, what: str) -> CassandraRosError:
-    """Make one of our errors out of one of the driver's.
-
-    Args:
-        exc: What the driver raised; one of ours stays as it is.
-        what: What was being done, for the start of the sentence.
-    """
+    """Make one of our errors out of one of the driver's; what was being done begins its text."""
     if isinstance(exc, CassandraRosError):
         return exc
     if isinstance(exc, (Unauthorized, AuthenticationFailed)):
@@ -111,8 +105,6 @@ def translate(exc: BaseException, what: str) -> CassandraRosError:
     if isinstance(exc, NoHostAvailable):
         causes = "; ".join(f"{host}: {error}" for host, error in exc.errors.items())
         return StoreUnavailable(f"{what}: no Cassandra node answers ({causes or exc.args[0]})")
-    if isinstance(exc, UnresolvableContactPoints):
-        return ConnectionFailed(f"{what}: the host name cannot be resolved: {exc}")
     if isinstance(exc, Unavailable):
         return StoreUnavailable(
             f"{what}: too few replicas are up ({exc.alive_replicas} of the "

@@ -9,28 +9,26 @@ whole table, and some 300 bytes of memory a message.
 from __future__ import annotations
 
 import heapq
-from collections import deque
-from typing import Deque, Iterable, Iterator, NamedTuple, Sequence
+import zlib
+from typing import Iterable, Iterator, NamedTuple, Sequence
 
+from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.store.directory import Directory, slot_of
-from cassandra_ros.store.paging import Asked, RawRow
+from cassandra_ros.store.paging import Asked, RawRow, sent_ahead
 from cassandra_ros.store.row_table import (
-    ALL,
     FIRST,
     LAST,
-    MAX_SEQ,
-    MIN_SEQ,
-    Order,
     RowTable,
     TableRow,
     bind,
     decode_long,
-    encode_long,
+    encode_int,
 )
 
 AHEAD = 16
 KEY_PAGE_ROWS = 5000
+_PAGE_CHUNKS = 4
 VERSION_PAGE_ROWS = 16
 FEW_ROWS = 1000
 """So many keys are asked for in one query over the whole table and put in order here."""
@@ -45,31 +43,18 @@ class Wanted(NamedTuple):
 
 def fetch_rows(wanted: Iterable[Wanted], ahead: int = AHEAD) -> Iterator[TableRow]:
     """Yield the rows in the order asked for; one that was deleted meanwhile is left out."""
-    asked: Deque[tuple[Wanted, Asked]] = deque()
-    for key in wanted:
-        order = key.table.stored_order(key.position.t, key.position.seq)
-        asked.append((key, _ask(key, order, order)))
-        if len(asked) >= ahead:
-            yield from _answer(*asked.popleft())
-    while asked:
-        yield from _answer(*asked.popleft())
+    for key, asked in sent_ahead(((key, _ask(key)) for key in wanted), ahead):
+        yield from _answer(key, asked)
 
 
 def first_at(
-    directory: Directory,
-    tables: Sequence[RowTable],
-    t: int,
-    nodes: Sequence[str] | None,
+    directory: Directory, tables: Sequence[RowTable], t: int, nodes: Sequence[str] | None
 ) -> TableRow | None:
     """Read the first row with exactly this key time, ns, in the order (node, seq, table).
 
     The nodes that are known to write a table are asked first: one round trip. Only where they
     have nothing the directory is asked for others, so no row is missed; of two nodes with the
     very same time one that this process has not met yet comes behind.
-
-    Args:
-        tables: Those of a topic.
-        nodes: Only these nodeIDs; None = all.
     """
     known = [(t_, n) for t_ in tables for n in sorted(t_.known_nodes if nodes is None else nodes)]
     row = _best(known, t)
@@ -86,15 +71,17 @@ def first_at(
 
 def _best(places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
     keys = [Wanted(table, Position(t, node, 0, table.name)) for table, node in places]
-    asked = [(key, _ask(key, (t, MIN_SEQ), (t, MAX_SEQ), page_rows=1)) for key in keys]
+    asked = [(key, _ask(key, any_seq=True)) for key in keys]
     rows = [row for each in asked for row in _answer(*each)]
     return min(rows, key=lambda row: row[:4], default=None)
 
 
-def _ask(key: Wanted, low: Order, high: Order, page_rows: int | None = None) -> Asked:
-    table, (t, node, _, _, name) = key
-    place = (node.encode("utf-8"), table.partition_of(t, name))
-    return table.stretch(table.select_range(table.columns), place, (low, high), page_rows=page_rows)
+def _ask(key: Wanted, *, any_seq: bool = False) -> Asked:
+    table, (t, node, seq, _, name) = key
+    order = table.stored_order(t, seq)
+    ends = ((t, FIRST[1]), (t, LAST[1])) if any_seq else (order, order)
+    place, page_rows = table.place_of(node, t, name), 1 if any_seq else None
+    return table.stretch(table.listing(), place, ends, page_rows=page_rows)
 
 
 def _answer(key: Wanted, asked: Asked) -> Iterator[TableRow]:
@@ -104,7 +91,28 @@ def _answer(key: Wanted, asked: Asked) -> Iterator[TableRow]:
             yield table.row_from_values(position.node, values, position.name)
 
 
-# ---------------------------------------------------------------- names
+def read_chunks(table: RowTable, row: TableRow) -> bytes:
+    """Read the bytes of a large message; raises CorruptMessage where they are not its row's."""
+
+    def data_of(rows: Iterable[RawRow]) -> list[bytes]:
+        parts: list[bytes] = []
+        for number, data in rows:
+            if number != encode_int(len(parts)) or len(parts) >= row.nchunks:
+                break
+            parts.append(data or b"")
+        return parts
+
+    bound = bind(table.select_chunks(), table.key_of(row), _PAGE_CHUNKS)
+    parts = table.collect(bound, data_of, "reading a large message of")
+    wire = b"".join(parts)
+    if len(parts) != row.nchunks or len(wire) != row.size or zlib.crc32(wire) != row.crc:
+        raise CorruptMessage(
+            f"the message of topic {table.metadata.topic} at {row.t} is incomplete: "
+            f"{len(parts)} of {row.nchunks} chunks, {len(wire)} of {row.size} bytes"
+            f"{'' if len(wire) != row.size else ', wrong checksum'}; repair the cluster, or "
+            "import or record it again"
+        )
+    return wire
 
 
 class NamedKey(NamedTuple):
@@ -123,16 +131,15 @@ def list_names(table: RowTable, nodes: Sequence[str] | None) -> list[NamedKey]:
         found = (_named_key(values, table.name) for values in rows)
         return [key for key in found if nodes is None or key.position.node in nodes]
 
-    return table.collect(
-        bind(table.select_names(), (), KEY_PAGE_ROWS), keys, "listing the names of"
-    )
+    statement = bind(table.select_names(), (), KEY_PAGE_ROWS)
+    return table.collect(statement, keys, "listing the names of")
 
 
 def _named_key(values: RawRow, table: str) -> NamedKey:
     node, name, t, seq, size, nchunks, odd, *received = values
     t, seq = received or (t, seq)
-    node_name, key_name = (node or b"").decode(), (name or b"").decode()
-    position = Position(decode_long(t), node_name, decode_long(seq), table, key_name)
+    texts = (node or b"").decode(), (name or b"").decode()
+    position = Position(decode_long(t), texts[0], decode_long(seq), table, texts[1])
     return NamedKey(position, decode_long(size), nchunks is not None, odd is not None)
 
 
@@ -146,33 +153,16 @@ def versions(
 
 def _versions_of(table: RowTable, name: str, node: str, reverse: bool) -> Iterator[TableRow]:
     asked = table.stretch(
-        table.select_range(table.columns, reverse=reverse),
-        (node.encode("utf-8"), name.encode("utf-8")),
-        ALL,
-        page_rows=VERSION_PAGE_ROWS,
-        reverse=reverse,
+        table.listing(), table.place(node, name), page_rows=VERSION_PAGE_ROWS, reverse=reverse
     )
     for values in asked.rows(ahead=False):
         yield table.row_from_values(node, values, name)
 
 
-# ---------------------------------------------------------------- indexed values
-
-
 def keys_by_shadow(
-    directory: Directory,
-    table: RowTable,
-    shadow: str,
-    value: bytes,
-    nodes: Sequence[str] | None,
+    directory: Directory, table: RowTable, shadow: str, value: bytes, nodes: Sequence[str] | None
 ) -> Iterator[Wanted]:
-    """Yield the keys of the rows whose shadow column has a value, in the order of time.
-
-    Args:
-        table: One in the order of time.
-        value: In CQL's encoding.
-        nodes: Only these nodeIDs; None = all.
-    """
+    """Yield the keys of the rows whose shadow column has an encoded value, in the order of time."""
 
     def keys(rows: Iterable[RawRow]) -> list[Wanted]:
         return [_wanted(table, values) for values in rows]
@@ -181,7 +171,7 @@ def keys_by_shadow(
     found = keys(asked.page())
     if not asked.more:
         found = [key for key in found if nodes is None or key.position.node in nodes]
-        yield from sorted(found, key=_place)
+        yield from sorted(found, key=lambda key: key.position)
         return
     by_time: dict[int, set[str]] = {}
     for row in directory.buckets(table.name, FIRST[0], LAST[0], nodes):
@@ -190,16 +180,12 @@ def keys_by_shadow(
     for bucket in sorted(by_time):
         found = []
         for node in by_time[bucket]:
-            place = (node.encode("utf-8"), encode_long(bucket))
-            found += table.collect(bind(statement, (*place, value), KEY_PAGE_ROWS), keys)
-        yield from sorted(found, key=_place)
+            values = (*table.place(node, bucket), value)
+            found += table.collect(bind(statement, values, KEY_PAGE_ROWS), keys)
+        yield from sorted(found, key=lambda key: key.position)
 
 
 def _wanted(table: RowTable, values: RawRow) -> Wanted:
     node, t, seq = values
     position = Position(decode_long(t), (node or b"").decode(), decode_long(seq), table.name)
     return Wanted(table, position)
-
-
-def _place(key: Wanted) -> Position:
-    return key.position

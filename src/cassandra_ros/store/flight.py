@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import heapq
 import logging
 import threading
 import time
@@ -14,8 +13,7 @@ from typing import Callable
 from cassandra.cluster import ResponseFuture
 from cassandra.query import Statement
 
-from cassandra_ros.errors import ConnectionFailed
-from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_busy, is_passing
+from cassandra_ros.store.driver_errors import is_busy, is_passing
 from cassandra_ros.store.paging import BUSY_PAUSE_SEC, FIRST_PAUSE_SEC, LAST_PAUSE_SEC
 
 _log = logging.getLogger(__name__)
@@ -41,12 +39,8 @@ class _Request:
 class Flight:
     """Sends idempotent statements without waiting for each answer. Thread-safe.
 
-    Args:
-        send: Sends a statement and returns the driver's future.
-        give_up_after_sec: How long one statement is tried.
-
-    The outcome of each statement is told once, on the driver's event thread or on the retry
-    thread: None, or the error after which it was given up. It must not block.
+    The outcome of each statement is told once, on the driver's event thread or on the one of a
+    retry: None, or the error after which it was given up. It must not block.
     """
 
     def __init__(
@@ -57,21 +51,13 @@ class Flight:
         self._changed = threading.Condition()
         self._bytes = 0
         self._requests = 0
-        self._late: list[tuple[float, int, _Request]] = []
-        self._late_changed = threading.Condition()
-        self._retries = 0
-        self._thread: threading.Thread | None = None
-        self._closed = False
 
     def submit(self, statement: Statement, nbytes: int, outcome: Outcome) -> None:
-        """Send a statement; blocks while too much is in the air.
-
-        Args:
-            nbytes: Its size. One that is over the bound alone is sent when nothing else is.
-        """
+        """Send a statement of so many bytes; blocks while too much is in the air."""
         request = _Request(statement, nbytes, outcome, time.monotonic() + self._give_up)
         try:
             with self._changed:
+                # One that is over the bound alone is sent when nothing else is in the air.
                 while self._requests and (
                     self._requests >= MAX_REQUESTS or self._bytes + nbytes > MAX_BYTES
                 ):
@@ -92,19 +78,10 @@ class Flight:
             while self._requests:
                 self._changed.wait()
 
-    def close(self) -> None:
-        """Wait, then end the retry thread; a second call is harmless."""
-        self.wait()
-        with self._late_changed:
-            self._closed = True
-            self._late_changed.notify()
-        if self._thread is not None:
-            self._thread.join()
-
     def _launch(self, request: _Request) -> None:
         try:
             future = self._send(request.statement)
-        except (*DRIVER_ERRORS, ConnectionFailed) as exc:
+        except Exception as exc:  # noqa: BLE001 - told as its outcome
             self._failed(exc, request)
             return
         future.add_callbacks(
@@ -118,26 +95,21 @@ class Flight:
         self._settle(request, None)
 
     def _failed(self, exc: BaseException, request: _Request) -> None:
-        now = time.monotonic()
         busy = is_busy(exc)
-        if not (busy or is_passing(exc)) or now > request.deadline:
+        if not (busy or is_passing(exc)) or time.monotonic() > request.deadline:
             self._settle(request, exc)
             return
-        if busy:
-            due = now + BUSY_PAUSE_SEC
-        else:
+        pause = BUSY_PAUSE_SEC
+        if not busy:
             _log.warning("a write failed and is tried again: %s", exc)
-            due = now + request.pause
-            request.pause = min(2 * request.pause, LAST_PAUSE_SEC)
-        with self._late_changed:
-            self._retries += 1
-            heapq.heappush(self._late, (due, self._retries, request))
-            if self._thread is None:
-                self._thread = threading.Thread(
-                    target=self._retry, name="cassandra_ros-retry", daemon=True
-                )
-                self._thread.start()
-            self._late_changed.notify()
+            pause, request.pause = request.pause, min(2 * request.pause, LAST_PAUSE_SEC)
+        # Its place in the budget is still held, so the retry never blocks on itself.
+        retry = threading.Timer(pause, self._launch, (request,))
+        retry.daemon = True
+        try:
+            retry.start()
+        except RuntimeError as no_thread:  # the process has as many as it may
+            self._settle(request, no_thread)
 
     def _settle(self, request: _Request, exc: BaseException | None) -> None:
         with self._changed:
@@ -152,18 +124,3 @@ class Flight:
                     self._requests -= 1
                     self._bytes -= request.nbytes
                 self._changed.notify_all()
-
-    def _retry(self) -> None:
-        while True:
-            with self._late_changed:
-                while not self._late or self._late[0][0] > time.monotonic():
-                    if self._closed:
-                        return
-                    timeout = self._late[0][0] - time.monotonic() if self._late else None
-                    self._late_changed.wait(timeout)
-                request = heapq.heappop(self._late)[2]
-            # Its place in the budget is still held, so this never blocks on itself.
-            try:
-                self._launch(request)
-            except Exception as exc:  # noqa: BLE001 - told as its outcome; the thread goes on
-                self._settle(request, exc)

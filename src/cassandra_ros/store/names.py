@@ -5,11 +5,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
-
-from cassandra_ros.errors import InvalidName
-
-_KEYSPACE = re.compile(r"[A-Za-z0-9_]{1,48}\Z")
 
 
 def quote_name(name: str) -> str:
@@ -17,22 +12,14 @@ def quote_name(name: str) -> str:
     return '"' + name.replace('"', '""') + '"'
 
 
+def qualified(keyspace: str, table: str) -> str:
+    """Write the name of a table, or of an index, with its keyspace for CQL."""
+    return f"{quote_name(keyspace)}.{quote_name(table)}"
+
+
 def quote_text(text: str) -> str:
     """Write a text literal for CQL; only DDL needs it, all else is bound."""
     return "'" + text.replace("'", "''") + "'"
-
-
-def check_keyspace(name: str) -> str:
-    """Return the name if Cassandra accepts it for a keyspace.
-
-    Raises:
-        InvalidName: It is not 1 to 48 letters, digits and underscores.
-    """
-    if not isinstance(name, str) or not _KEYSPACE.match(name):
-        raise InvalidName(
-            f"{name!r} is not a keyspace name: use 1 to 48 letters, digits and underscores"
-        )
-    return name
 
 
 def table_name(topic: str, md5sum: str, format_name: str, generation: int) -> str:

@@ -6,12 +6,16 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Optional, Sequence, Tuple
+import zlib
+from dataclasses import dataclass, field
+from typing import Sequence
 
 from cassandra.query import BatchStatement, BatchType, BoundStatement
 
 from cassandra_ros.store.directory import BucketTotals
 from cassandra_ros.store.row_table import (
+    INLINE_COLUMN_BYTES,
+    ODD,
     UNSET,
     NewRow,
     RowTable,
@@ -25,29 +29,23 @@ BATCH_ROWS = 200
 BATCH_BYTES = 64 * 1024
 _ROW_OVERHEAD = 60
 
-Own = Tuple[Optional[int], Optional[int], bool, Optional[bytes]]
-"""nchunks, crc, odd and raw of a row that is not plain; None = unset."""
 
-
+@dataclass
 class Batch:
     """Rows of one partition on their way: one mutation, whatever their number."""
 
-    __slots__ = ("nbytes", "odd_rows", "rows", "since", "sizes", "times")
-
-    def __init__(self) -> None:
-        self.rows: list[tuple[bool, bytes, Sequence[bytes | None]]] = []
-        self.sizes: list[int] = []
-        self.times: list[int] = []
-        self.nbytes = 0
-        self.odd_rows = 0
-        self.since = time.monotonic()
+    rows: list[tuple[bool, bytes, Sequence[bytes | None]]] = field(default_factory=list)
+    sizes: list[int] = field(default_factory=list)
+    times: list[int] = field(default_factory=list)
+    nbytes: int = 0
+    odd_rows: int = 0
+    since: float = field(default_factory=time.monotonic)
 
 
 class OpenBucket:
     """State of one partition of one writer; guarded by the writer's lock.
 
     Of a table whose rows are found by name it is made for one row, and the directory knows none.
-
     ``totals`` and ``in_air`` also change on the driver's thread, under ``self.mutex``.
 
     Args:
@@ -80,46 +78,46 @@ class OpenBucket:
         self.batch = Batch()
         self.touched = self.marked = time.monotonic()
         self.changed = False
-        self._node_bytes = node.encode("utf-8")
-        self._partition = name.encode("utf-8") if table.named else encode_long(bucket)
+        self._place = table.place(node, name if table.named else bucket)
         self._shadows = shadows
         self.filled = filled
         names = shadows.names if shadows is not None else ()
-        plain, full = table.insert(names, full=False), table.insert(names)
-        self._plain_id, self._full_id = plain.query_id, full.query_id
+        self._plain, full = table.insert(names, full=False), table.insert(names)
+        self._plain_id, self._full_id = self._plain.query_id, full.query_id
         # Found from the values by the first row, then the same for all of the bucket.
-        self._plain = plain
         self._routing_key: bytes | None = None
 
     def key(self, t: int, seq: int) -> tuple[bytes, ...]:
         """Encode the primary key of a row in this bucket."""
-        return (self._node_bytes, self._partition, encode_long(t), encode_long(seq))
+        return (*self._place, encode_long(t), encode_long(seq))
 
-    def add(self, row: NewRow, columns: Sequence[bytes | None], own: Own | None) -> None:
-        """Add a row to the batch.
-
-        Args:
-            columns: Encoded values; None where a column stays unset.
-            own: None for a plain row.
-        """
+    def add(self, row: NewRow, chunks: int = 0) -> None:
+        """Add a row to the batch, with its message inside or in so many chunks."""
+        columns, odd, wire, batch = row.columns, row.odd, row.wire, self.batch
+        if chunks:
+            columns = [None if len(c or b"") > INLINE_COLUMN_BYTES else c for c in columns]
+            odd = odd or None in columns
         if self._shadows is not None:
-            columns, own = _indexed(self._shadows, row.wire, columns, own)
-        size = len(row.wire)
-        batch = self.batch
+            values, lost = self._shadows.values(wire)
+            columns = (*columns, *(UNSET if value is None else value for value in values))
+            odd = odd or lost
         if not batch.rows:
             batch.since = time.monotonic()
-        head = encode_own(row.t, row.seq, row.conn, size)
-        if own is None:
-            plain = (self._node_bytes, self._partition, *head, *columns)
-            batch.rows.append((True, self._plain_id, plain))
-            batch.nbytes += size + _ROW_OVERHEAD
+        head = encode_own(row.t, row.seq, row.conn, len(wire))
+        if not (chunks or odd or row.raw is not None):
+            batch.rows.append((True, self._plain_id, (*self._place, *head, *columns)))
+            batch.nbytes += len(wire) + _ROW_OVERHEAD
         else:
-            full = (self._node_bytes, self._partition, *head, *_own_values(*own))
-            full += tuple(UNSET if c is None else c for c in columns)
+            flag = ODD if odd else None
+            own: Sequence[bytes | None] = (None, None, flag, row.raw)
+            if chunks:
+                own = (encode_int(chunks), encode_long(zlib.crc32(wire)), flag, None)
+            rest = (UNSET if value is None else value for value in (*own, *columns))
+            full = (*self._place, *head, *rest)
             batch.rows.append((True, self._full_id, full))
             batch.nbytes += _ROW_OVERHEAD + sum(len(v) for v in full if v is not UNSET)
-            batch.odd_rows += bool(own[2])
-        batch.sizes.append(size)
+            batch.odd_rows += odd
+        batch.sizes.append(len(wire))
         batch.times.append(row.t)
 
     def is_full(self) -> bool:
@@ -163,25 +161,3 @@ class OpenBucket:
             self.in_air -= 1
             self.must_recount = True
             self.changed = True
-
-
-def _indexed(
-    shadows: Shadows, wire: bytes, columns: Sequence[bytes | None], own: Own | None
-) -> tuple[Sequence[bytes | None], Own | None]:
-    """Return what ``add`` takes, with the values of the indexes."""
-    values, odd = shadows.values(wire)
-    columns = (*columns, *(UNSET if value is None else value for value in values))
-    if odd:
-        own = (None, None, True, None) if own is None else (*own[:2], True, own[3])
-    return columns, own
-
-
-def _own_values(
-    nchunks: int | None, crc: int | None, odd: bool, raw: bytes | None
-) -> tuple[bytes, ...]:
-    return (
-        UNSET if nchunks is None else encode_int(nchunks),
-        UNSET if crc is None else encode_long(crc),
-        b"\x01" if odd else UNSET,
-        UNSET if raw is None else raw,
-    )

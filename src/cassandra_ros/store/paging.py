@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import logging
 import time
-from typing import Callable, Iterator, List, Optional, Tuple, TypeVar
+from collections import deque
+from typing import Callable, Deque, Iterable, Iterator, List, Optional, Tuple, TypeVar
 
 from cassandra.cluster import ResponseFuture
 from cassandra.query import Statement
@@ -30,18 +31,9 @@ _T = TypeVar("_T")
 
 
 def retried(
-    what: str,
-    call: Callable[[], _T],
-    *,
-    seconds: float = RETRY_SEC,
-    refused: Optional[Refused] = None,
+    what: str, call: Callable[[], _T], *, seconds: float = RETRY_SEC, refused: Refused | None = None
 ) -> _T:
-    """Make an idempotent request, again and again while it fails with what may pass.
-
-    Args:
-        what: What is being done, for log and error.
-        call: Makes the request.
-        seconds: How long it may be asked again.
+    """Make an idempotent request, for so many seconds again while it fails with what may pass.
 
     Raises:
         CassandraRosError: Another try cannot help, or the time is up.
@@ -62,14 +54,22 @@ def retried(
         time.sleep(pause)
 
 
+def sent_ahead(requests: Iterable[_T], count: int) -> Iterator[_T]:
+    """Yield requests, which are sent when they are taken, with so many on their way at once."""
+    sent: Deque[_T] = deque()
+    for request in requests:
+        sent.append(request)
+        if len(sent) >= count:
+            yield sent.popleft()
+    yield from sent
+
+
 class Asked:
     """A request that is on its way from the start, of raw rows in one page or many.
 
     Args:
-        send: Sends a statement, and returns the driver's future.
         statement_from: Makes the statement, given the last row that was read (None = none yet):
             where a later page fails the rest is asked for from there, so no row comes twice.
-        what: What is being done, for log and error.
 
     Attributes:
         last: The last row that was read.
@@ -112,19 +112,11 @@ class Asked:
             raise
 
     def page(self) -> list[RawRow]:
-        """Wait for the page that is asked for.
-
-        Raises:
-            CassandraRosError: Another try cannot help, or the time is up.
-        """
+        """Wait for the page that is asked for; raises as retried does."""
         return retried(self._what, self._result, refused=self._refused)
 
     def pages(self, *, ahead: bool = True) -> Iterator[list[RawRow]]:
-        """Yield the pages.
-
-        Args:
-            ahead: The next one is asked for before one is yielded, not behind it.
-        """
+        """Yield the pages; ahead: the next is asked for before one is yielded, not behind it."""
         while self.more:
             page = self.page()
             if self.more and ahead:

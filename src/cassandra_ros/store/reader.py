@@ -10,18 +10,7 @@ from __future__ import annotations
 import heapq
 import logging
 from collections import deque
-from typing import (
-    Callable,
-    Deque,
-    Iterable,
-    Iterator,
-    NamedTuple,
-    Optional,
-    Protocol,
-    Sequence,
-    Tuple,
-    Union,
-)
+from typing import Callable, Iterable, Iterator, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 from cassandra.query import PreparedStatement
 
@@ -31,14 +20,15 @@ from cassandra_ros.store.directory import BucketRow, Directory
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_refused
 from cassandra_ros.store.paging import Asked, RawRow
 from cassandra_ros.store.row_table import (
+    KEYS,
     MAX_SEQ,
     MIN_SEQ,
     Order,
     RowTable,
     TableRow,
+    Terms,
     bind,
     encode_int,
-    encode_long,
 )
 
 _log = logging.getLogger(__name__)
@@ -56,10 +46,8 @@ KEYS_AT_ONCE = 100
 """Rows that are fetched with one statement."""
 TURNED_PAGES = 2
 """So many pages of what an index finds are held to be turned."""
-_Order = Tuple[Union[int, str, Tuple[int, ...]], ...]
+_Order = Tuple[object, ...]
 
-Terms = Tuple[Tuple[str, str, bytes], ...]
-"""Column, operator and encoded value; all of them hold."""
 Query = Tuple[Terms, bool]
 """What the server is to check, and whether it finds the rows by an index."""
 
@@ -68,10 +56,7 @@ class Chooser(Protocol):
     """Decides, bucket by bucket, what the server is to check."""
 
     def choose(self, table: RowTable, bucket: Sequence[BucketRow]) -> Optional[Sequence[Query]]:
-        """Return the queries whose rows together are those of the bucket that may be wanted.
-
-        None = all rows of the bucket; empty = none of them.
-        """
+        """Return the queries that give the rows that may be wanted; None = all, empty = none."""
 
     def few(self, table: RowTable) -> bool:
         """Say whether the server is expected to let few rows of a bucket through."""
@@ -104,45 +89,33 @@ class Piece(NamedTuple):
     bucket: int
     rows: Sequence[BucketRow]
     """What its writers say in the directory."""
-    page_rows: int
+    page_rows: int = 0
 
 
 _ALL: Query = ((), False)
 
 
-class BucketStream:
-    """The rows of one bucket in their order; the first pages are asked for at once.
+def _open(piece: Piece, scan: Scan) -> tuple[Iterator[TableRow], bool]:
+    """Ask for the first rows of a bucket; return all in order, and whether some are left out."""
+    chosen = None if scan.chooser is None else scan.chooser.choose(piece.table, piece.rows)
+    if chosen is None:
+        return _Stream(piece, scan, _ALL).rows(), False
+    # All queries of a bucket share what one may hold.
+    share = piece._replace(page_rows=max(1, piece.page_rows // max(1, len(chosen))))
+    return _found(piece, scan, [_Stream(share, scan, query) for query in chosen]), True
 
-    Attributes:
-        filtered: The server leaves rows out.
-    """
 
-    def __init__(self, piece: Piece, scan: Scan) -> None:
-        self._piece = piece
-        self._scan = scan
-        chosen = None if scan.chooser is None else scan.chooser.choose(piece.table, piece.rows)
-        self.filtered = chosen is not None
-        queries = [_ALL] if chosen is None else chosen
-        # All queries of a bucket share what one may hold.
-        piece = piece._replace(page_rows=max(1, piece.page_rows // max(1, len(queries))))
-        self._streams = [_Stream(piece, scan, query) for query in queries]
-
-    def rows(self) -> Iterator[TableRow]:
-        """Yield the rows; one that several queries find comes once."""
-        if not self.filtered:
-            return self._streams[0].rows()
-        return self._found()
-
-    def _found(self) -> Iterator[TableRow]:
-        streams = [stream.rows() for stream in self._streams]
-        count, last = 0, None
-        for row in heapq.merge(*streams, key=_place, reverse=self._scan.reverse):
-            if _place(row) != last:
-                last = _place(row)
-                count += 1
-                yield row
-        if self._scan.chooser is not None and not any(s.refused for s in self._streams):
-            self._scan.chooser.learn(self._piece.table, self._piece.rows, count)
+def _found(piece: Piece, scan: Scan, streams: Sequence[_Stream]) -> Iterator[TableRow]:
+    """Yield the rows of several queries in one order; one that several find comes once."""
+    count, last = 0, None
+    found = [stream.rows() for stream in streams]
+    for row in heapq.merge(*found, key=_place, reverse=scan.reverse):
+        if _place(row) != last:
+            last = _place(row)
+            count += 1
+            yield row
+    if scan.chooser is not None and not any(stream.refused for stream in streams):
+        scan.chooser.learn(piece.table, piece.rows, count)
 
 
 def _place(row: TableRow) -> tuple[int, int]:
@@ -155,7 +128,9 @@ class _Stream:
     def __init__(self, piece: Piece, scan: Scan, query: Query) -> None:
         self._piece = piece
         self._scan = scan
-        self._place = (piece.node.encode(), encode_long(piece.bucket))
+        wanted = None if scan.columns is None else scan.columns(piece.table)
+        self._columns = piece.table.columns if wanted is None else wanted
+        self._place = piece.table.place(piece.node, piece.bucket)
         self._terms, indexed = query
         # To look at a row the server needs fewer columns than to answer with it: where it lets
         # few through, only their keys are asked for, and then these rows.
@@ -163,40 +138,32 @@ class _Stream:
         self._keyed = filtered and scan.chooser is not None and scan.chooser.few(piece.table)
         # The server cannot turn the order of what an index finds.
         self._turned = scan.reverse and indexed
-        self.refused = False
-        """The server did not do what it was asked for; all rows are read."""
+        self.refused = False  # the server did not do what it was asked for; all rows are read
         self._at_once = min(KEYS_AT_ONCE, piece.page_rows)
-        self._early: Tuple[Sequence[RawRow], Optional[Asked]] = ((), None)
+        self._early: tuple[Sequence[RawRow], Asked | None] = ((), None)
         self._asked = self._start(None)
 
     def _start(self, last: RawRow | None) -> Asked:
         """Ask for the rows behind the last one that was read."""
-        table, terms = self._piece.table, [term[:2] for term in self._terms]
-        reverse = self._scan.reverse and not self._turned
-        columns = None if self._keyed else self._columns()
+        table = self._piece.table
+        if self._keyed:
+            self._these()  # prepared here: the driver's thread must not wait for the server
         try:
-            statement = table.select_range(columns, reverse=reverse, terms=terms)
+            return table.stretch(
+                KEYS if self._keyed else table.listing(self._columns),
+                self._place,
+                _ends(self._piece, self._scan),
+                terms=self._terms,
+                page_rows=self._piece.page_rows,
+                reverse=self._scan.reverse and not self._turned,
+                last=last,
+                refused=is_refused if self._terms else None,
+                on_page=self._fetch_early if self._keyed else None,
+            )
         except SchemaConflict as exc:
             if not self._terms:
                 raise
             return self._all(exc, last)
-        if self._keyed:
-            self._these()  # prepared here: the driver's thread must not wait for the server
-        return table.stretch(
-            statement,
-            self._place,
-            (_lowest(self._piece, self._scan), _highest(self._piece, self._scan)),
-            values=[value for _, _, value in self._terms],
-            page_rows=self._piece.page_rows,
-            reverse=reverse,
-            last=last,
-            refused=is_refused if self._terms else None,
-            on_page=self._fetch_early if self._keyed else None,
-        )
-
-    def _columns(self) -> Sequence[str]:
-        wanted = None if self._scan.columns is None else self._scan.columns(self._piece.table)
-        return self._piece.table.columns if wanted is None else wanted
 
     def _all(self, exc: object, last: RawRow | None) -> Asked:
         """Go on with all rows from here: a server may forbid to filter, or be too slow at it."""
@@ -254,7 +221,7 @@ class _Stream:
             self._early = part, self._ask_these(part)
 
     def _these(self) -> PreparedStatement:
-        return self._piece.table.select_these(self._columns(), reverse=self._scan.reverse)
+        return self._piece.table.select_these(self._columns, reverse=self._scan.reverse)
 
     def _ask_these(self, part: Sequence[RawRow]) -> Asked:
         values = (*self._place, _pairs(part))
@@ -268,24 +235,23 @@ def _pairs(keys: Sequence[RawRow]) -> bytes:
     return encode_int(len(keys)) + b"".join(pairs)
 
 
-def _lowest(piece: Piece, scan: Scan) -> Order:
-    after = scan.after
-    if after is None or scan.reverse or after.t < scan.low:
-        return (scan.low, MIN_SEQ)
-    if piece.node != after.node:
-        return (after.t + (piece.node < after.node), MIN_SEQ)
-    if piece.table.name > after.table:
-        return (after.t, after.seq)
-    return (after.t, after.seq + 1) if after.seq < MAX_SEQ else (after.t + 1, MIN_SEQ)
-
-
-def _highest(piece: Piece, scan: Scan) -> Order:
-    after = scan.after
-    if after is None or not scan.reverse or after.t > scan.high:
-        return (scan.high, MAX_SEQ)
-    if piece.node != after.node:
-        return (after.t - (piece.node > after.node), MAX_SEQ)
-    return (after.t, after.seq - (piece.table.name >= after.table))
+def _ends(piece: Piece, scan: Scan) -> tuple[Order, Order]:
+    """Return the first and the last place in a bucket whose rows are read."""
+    low, high = (scan.low, MIN_SEQ), (scan.high, MAX_SEQ)
+    if scan.after is None:
+        return low, high
+    t, node, seq, table, _ = scan.after
+    if scan.reverse and t <= scan.high:
+        high = (t - (piece.node > node), MAX_SEQ)
+        if piece.node == node:
+            high = (t, seq - (piece.table.name >= table))
+    elif not scan.reverse and t >= scan.low:
+        low = (t + (piece.node < node), MIN_SEQ)
+        if piece.node == node and piece.table.name > table:
+            low = (t, seq)
+        elif piece.node == node:
+            low = (t, seq + 1) if seq < MAX_SEQ else (t + 1, MIN_SEQ)
+    return low, high
 
 
 def read_rows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> Iterator[TableRow]:
@@ -293,35 +259,29 @@ def read_rows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> I
 
     Memory is bounded: one or two pages for each table and node that has rows at the time.
     """
-    pieces = _pieces(directory, tables, scan)
     sign = -1 if scan.reverse else 1
     heap: list[tuple[_Order, int, TableRow, Iterator[TableRow]]] = []
-    waiting = _Prefetched(pieces, scan)
+    waiting = _Prefetched(_pieces(directory, tables, scan), scan)
     count = 0
     while heap or waiting.left:
         while waiting.left and (not heap or waiting.opens_before(heap[0][2].t, sign)):
             stream = waiting.take()
-            row = next(stream, None)
-            if row is not None:
+            first = next(stream, None)
+            if first is not None:
                 count += 1
-                heapq.heappush(heap, (_order(row, sign), count, row, stream))
+                heapq.heappush(heap, (_order(first, sign), count, first, stream))
         if not heap:
             return
         _, number, row, stream = heapq.heappop(heap)
         # While one stream is ahead of all others it needs no heap.
         limit = heap[0][0] if heap else None
-        while True:
+        yield row
+        for row in stream:
+            late = limit is not None and _order(row, sign) > limit
+            if late or (waiting.left and waiting.opens_before(row.t, sign)):
+                heapq.heappush(heap, (_order(row, sign), number, row, stream))
+                break
             yield row
-            following = next(stream, None)
-            if following is None:
-                break
-            row = following
-            if waiting.left and waiting.opens_before(row.t, sign):
-                heapq.heappush(heap, (_order(row, sign), number, row, stream))
-                break
-            if limit is not None and _order(row, sign) > limit:
-                heapq.heappush(heap, (_order(row, sign), number, row, stream))
-                break
 
 
 def _order(row: TableRow, sign: int) -> _Order:
@@ -342,29 +302,20 @@ def _pieces(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> lis
         high = min(high, scan.after.t)
     elif scan.after is not None:
         low = max(low, scan.after.t)
-    groups: list[tuple[RowTable, list[BucketRow]]] = []
-    streams: set[tuple[str, str]] = set()
     for table in tables:
-        ends = (table.bucket_of(low), table.bucket_of(high))
-        rows = directory.buckets(table.name, *ends, scan.nodes, table.metadata.ttl)
-        groups.append((table, rows))
-        streams.update((table.name, row.node) for row in rows)
-    pages = len(streams) + (1 if scan.chooser is None else AHEAD)
-    page_bytes = min(PAGE_BYTES, max(64 * 1024, ALL_PAGES_BYTES // (2 * pages)))
-    for table, rows in groups:
-        by_bucket: dict[tuple[str, int], list[BucketRow]] = {}
-        for row in rows:
-            by_bucket.setdefault((row.node, row.bucket), []).append(row)
         length = table.metadata.bucket_ns
+        ends = (table.bucket_of(low), table.bucket_of(high))
+        by_bucket: dict[tuple[str, int], list[BucketRow]] = {}
+        for row in directory.buckets(table.name, *ends, scan.nodes, table.metadata.ttl):
+            by_bucket.setdefault((row.node, row.bucket), []).append(row)
         for (node, bucket), group in by_bucket.items():
             start = min((bucket + 1) * length, high + 1) if scan.reverse else bucket * length
-            rows_a_page = _page_rows(group, page_bytes)
-            found.append(Piece(start, table, node, bucket, group, rows_a_page))
+            found.append(Piece(start, table, node, bucket, group))
     found.sort(key=lambda p: (p.start, p.node, p.table.name), reverse=scan.reverse)
     return found
 
 
-def _page_rows(group: list[BucketRow], page_bytes: int) -> int:
+def _page_rows(group: Sequence[BucketRow], page_bytes: int) -> int:
     count = sum(row.rows for row in group)
     if not count:
         return max(1, page_bytes // UNKNOWN_ROW_BYTES)
@@ -387,8 +338,11 @@ class _Prefetched:
         self._scan = scan
         self._pieces = pieces
         self._next = 0
-        self._asked: Deque[BucketStream] = deque()
+        self._asked: deque[tuple[Iterator[TableRow], bool]] = deque()
         self._ahead = 1
+        streams = len({(piece.table.name, piece.node) for piece in pieces})
+        pages = streams + (1 if scan.chooser is None else AHEAD)
+        self._page_bytes = min(PAGE_BYTES, max(64 * 1024, ALL_PAGES_BYTES // (2 * pages)))
 
     @property
     def left(self) -> bool:
@@ -401,8 +355,9 @@ class _Prefetched:
     def take(self) -> Iterator[TableRow]:
         end = self._next + 1 + self._ahead
         for piece in self._pieces[self._next + len(self._asked) : end]:
-            self._asked.append(BucketStream(piece, self._scan))
+            piece = piece._replace(page_rows=_page_rows(piece.rows, self._page_bytes))
+            self._asked.append(_open(piece, self._scan))
         self._next += 1
-        stream = self._asked.popleft()
-        self._ahead = min(2 * self._ahead, AHEAD) if stream.filtered else 1
-        return stream.rows()
+        rows, filtered = self._asked.popleft()
+        self._ahead = min(2 * self._ahead, AHEAD) if filtered else 1
+        return rows

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field, fields
 from datetime import datetime
 from typing import Mapping, NamedTuple
 
-from cassandra_ros.store.connection import Cassandra, CqlRow
-from cassandra_ros.store.names import quote_name
+from cassandra_ros.store.connection import CqlRow
 from cassandra_ros.store.side_tables import SideTables
 
 
@@ -53,84 +52,50 @@ _RUN = tuple(each.name for each in fields(Run))
 class Registry:
     """Reads and writes connections, definitions and runs of one keyspace."""
 
-    def __init__(self, cassandra: Cassandra, side_tables: SideTables) -> None:
-        self._cassandra = cassandra
-        self._side_tables = side_tables
-        self._space = quote_name(side_tables.keyspace)
+    def __init__(self, side_tables: SideTables) -> None:
+        self._tables = side_tables
 
     def put_header(self, table: str, conn: int, row: StoredHeader) -> None:
         """Store a connection header and its definition; the same values at each repeat."""
         def_hash = hashlib.sha256(row.definition).digest()
         definition = {"md5sum": row.md5sum, "hash": def_hash, "text": row.definition}
-        header = {
-            "tbl": table,
-            "conn": conn,
-            "topic": row.topic,
-            "number": _signed(row.number),
-            "header": row.header,
-            "def_offset": row.def_offset,
-            "md5sum": row.md5sum,
-            "def_hash": def_hash,
-        }
-        self._insert("cr_definition", definition, f"storing the definition of topic {row.topic}")
-        self._insert("cr_connection", header, f"storing the connection header of topic {row.topic}")
-
-    def _insert(self, table: str, columns: Mapping[str, object], what: str) -> None:
-        marks = ", ".join("?" * len(columns))
-        cql = f"INSERT INTO {self._space}.{table} ({', '.join(columns)}) VALUES ({marks})"
-        self._cassandra.execute(cql, list(columns.values()), what=what)
+        of = f"of topic {row.topic}"
+        self._tables.insert("cr_definition", definition, f"storing the definition {of}")
+        header = {"tbl": table, "conn": conn, "def_hash": def_hash, **row._asdict()}
+        header["number"] = _signed(row.number)
+        del header["definition"]
+        self._tables.insert("cr_connection", header, f"storing the connection header {of}")
 
     def get_header(self, table: str, conn: int) -> StoredHeader | None:
         """Read a connection header back; None when there is none with this number."""
-        if not self._side_tables.has("cr_connection", "cr_definition"):
-            return None
-        rows = self._cassandra.execute(
-            f"SELECT topic, number, header, def_offset, md5sum, def_hash "
-            f"FROM {self._space}.cr_connection WHERE tbl = ? AND conn = ?",
-            (table, conn),
-            what="reading a connection header",
-        )
+        names, where = "topic, number, header, def_offset, md5sum, def_hash", "tbl = ? AND conn = ?"
+        what = "reading a connection header"
+        rows = self._tables.select("cr_connection", names, where, (table, conn), what=what)
         if not rows:
             return None
-        topic, number, header, offset, md5sum, def_hash = rows[0]
-        texts = self._cassandra.execute(
-            f"SELECT text FROM {self._space}.cr_definition WHERE md5sum = ? AND hash = ?",
-            (md5sum, def_hash),
-            what="reading a message definition",
-        )
+        topic, number, header, offset, *key = rows[0]
+        what, where = "reading a message definition", "md5sum = ? AND hash = ?"
+        texts = self._tables.select("cr_definition", "text", where, key, what=what)
         if not texts:
             return None
-        return StoredHeader(topic, _unsigned(number), header, offset, md5sum, texts[0][0])
+        return StoredHeader(topic, _unsigned(number), header, offset, key[0], texts[0][0])
 
     def forget(self, table: str) -> None:
         """Remove the connections of a table that was dropped (a scan: connections are few)."""
-        rows = self._cassandra.execute(
-            f"SELECT tbl, conn FROM {self._space}.cr_connection", what="listing the connections"
-        )
-        self._cassandra.execute_many(
-            f"DELETE FROM {self._space}.cr_connection WHERE tbl = ? AND conn = ?",
-            [(tbl, conn) for tbl, conn in rows if tbl == table],
-            what="removing connection headers",
-        )
+        rows = self._tables.select("cr_connection", "tbl, conn", what="listing the connections")
+        mine = [row for row in rows if row[0] == table]
+        self._tables.delete("cr_connection", ("tbl", "conn"), mine, "removing connection headers")
 
     def put_run(self, run: Run, *, started: bool = False, ended: bool = False) -> None:
         """Store a run; the server notes the time when it starts and ends."""
         columns = {name: getattr(run, name) for name in _RUN if name not in ("started", "ended")}
-        self._insert("cr_run", columns, "storing the run")
-        for column in ["started"] * started + ["ended"] * ended:
-            self._cassandra.execute(
-                f"INSERT INTO {self._space}.cr_run (node, writer, {column}) "
-                "VALUES (?, ?, toTimestamp(now()))",
-                (run.node, run.writer),
-                what="storing the run",
-            )
+        now = ["started"] * started + ["ended"] * ended
+        self._tables.insert("cr_run", columns, "storing the run", now=now)
 
     def runs(self) -> list[Run]:
         """List all runs of the keyspace (a scan: runs are few)."""
-        if not self._side_tables.has("cr_run"):
-            return []
-        cql = f"SELECT {', '.join(_RUN)} FROM {self._space}.cr_run"
-        return [_run(row) for row in self._cassandra.execute(cql, what="listing the runs")]
+        rows = self._tables.select("cr_run", ", ".join(_RUN), what="listing the runs")
+        return [_run(row) for row in rows]
 
 
 # The column is an int of CQL, the numbers of bags go to 2**32 - 1: those from 2**31 on are kept as

@@ -13,7 +13,7 @@ from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.names import chunk_table_name, quote_name
+from cassandra_ros.store.names import chunk_table_name, qualified, quote_name
 from cassandra_ros.store.paging import Asked, OnPage, RawRow, Refused, retried
 
 UNSET = UNSET_VALUE
@@ -21,13 +21,16 @@ CHUNK_BYTES = 512 * 1024
 """Messages above this go to the chunk table in pieces of this size (schema version 1)."""
 INLINE_COLUMN_BYTES = 64 * 1024
 """Columns above this are left unset in the row of a chunked message."""
+ODD = b"\x01"
+"""Encoded value of ``_odd``."""
 MIN_SEQ, MAX_SEQ = -(2**63), 2**63 - 1
 _PACK = struct.Struct(">qqqi")
 _SPLIT = struct.Struct("8s8s8s4s")
 _LONG = struct.Struct(">q")
 _INT = struct.Struct(">i")
 _OWN = ("_t", "_seq", "_conn", "_size", "_nchunks", "_crc", "_odd", "_raw")
-_COUNTED = ("_t", "_seq", "_size", "_nchunks", "_odd")
+KEYS = '"_t", "_seq"'
+COUNTED = '"_t", "_seq", "_size", "_nchunks", "_odd"'
 _RANGE = 'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
 _ROW = 'AND "_t" = ? AND "_seq" = ?'
 _NEWEST = ' ORDER BY "_t" DESC, "_seq" DESC'
@@ -35,6 +38,8 @@ _T = TypeVar("_T")
 
 Indexed = Tuple[Sequence[Optional[bytes]], bool]
 """Encoded values of the shadow columns (None = unset), and whether the row must be marked odd."""
+Terms = Tuple[Tuple[str, str, bytes], ...]
+"""Column, operator and encoded value; all of them hold."""
 Order = Tuple[int, int]
 """``_t`` and ``_seq``: where a row lies in its partition."""
 FIRST: Order = (-(2**63), MIN_SEQ)
@@ -118,8 +123,8 @@ class RowTable:
     ) -> None:
         self._cassandra = cassandra
         self.name = name
-        self.qualified = f"{quote_name(keyspace)}.{quote_name(name)}"
-        self._chunks = f"{quote_name(keyspace)}.{quote_name(chunk_table_name(name))}"
+        self.qualified = qualified(keyspace, name)
+        self._chunks = qualified(keyspace, chunk_table_name(name))
         self.metadata = metadata
         self.columns = tuple(columns)
         self.named = metadata.named
@@ -127,6 +132,7 @@ class RowTable:
         self._where = f'WHERE "_node" = ? AND "{self.partition}" = ?'
         self._once = metadata.key_format == "hash"
         self._received = tuple(metadata.received_columns)
+        self._plain = not (self._received or self.named)
         self.known_nodes: set[str] = set()
         """nodeIDs that have been seen to write the table; more may."""
         self.has_chunks = False
@@ -136,9 +142,14 @@ class RowTable:
         """Return the bucket of a key time."""
         return t_ns // self.metadata.bucket_ns
 
-    def partition_of(self, t_ns: int, name: str) -> bytes:
-        """Encode the second part of a row's partition key."""
-        return name.encode("utf-8") if self.named else encode_long(self.bucket_of(t_ns))
+    def place(self, node: str, where: int | str) -> tuple[bytes, bytes]:
+        """Encode the partition key of a bucket, or of the rows of a name."""
+        part = encode_long(where) if isinstance(where, int) else where.encode("utf-8")
+        return node.encode("utf-8"), part
+
+    def place_of(self, node: str, t_ns: int, name: str) -> tuple[bytes, bytes]:
+        """Encode the partition key of a row."""
+        return self.place(node, name if self.named else self.bucket_of(t_ns))
 
     def stored_order(self, t: int, seq: int) -> Order:
         """Return ``_t`` and ``_seq`` of a row; where equal messages are kept once they are 0."""
@@ -146,7 +157,7 @@ class RowTable:
 
     def key_of(self, row: TableRow) -> tuple[bytes, ...]:
         """Encode the primary key of a stored row."""
-        place = (row.node.encode("utf-8"), self.partition_of(row.t, row.name))
+        place = self.place_of(row.node, row.t, row.name)
         return (*place, *map(encode_long, self.stored_order(row.t, row.seq)))
 
     def shadows(self) -> Shadows | None:
@@ -174,39 +185,14 @@ class RowTable:
     def _select(self, names: str, rest: str) -> PreparedStatement:
         return self._prepare(f"SELECT {names} FROM {self.qualified} {self._where} {rest}")
 
-    def select_range(
-        self,
-        columns: Sequence[str] | None,
-        *,
-        reverse: bool = False,
-        terms: Sequence[tuple[str, str]] = (),
-    ) -> PreparedStatement:
-        """SELECT of one partition from (t, seq) to (t, seq), both included.
-
-        The values of ``terms``, columns and operators of a filter, come behind. Columns None: keys.
-        """
-        names = '"_t", "_seq"' if columns is None else self._listing(columns)
-        checks = "".join(f" AND {quote_name(name)} {operator} ?" for name, operator in terms)
-        allow = " ALLOW FILTERING" if terms else ""
-        return self._select(names, f"{_RANGE}{checks}{_NEWEST if reverse else ''}{allow}")
-
     def select_these(self, columns: Sequence[str], *, reverse: bool) -> PreparedStatement:
         """SELECT of rows of one partition by a list of (t, seq)."""
         rest = f'AND ("_t", "_seq") IN ?{_NEWEST if reverse else ""}'
-        return self._select(self._listing(columns), rest)
-
-    def select_keys(self) -> PreparedStatement:
-        """SELECT of what counting needs, as select_range."""
-        return self._select(_listed(_COUNTED), _RANGE)
-
-    def select_ages(self) -> PreparedStatement:
-        """SELECT as select_range, and when each row was written and how long it stays."""
-        names = f'{self._listing(self.columns)}, WRITETIME("_conn"), TTL("_conn")'
-        return self._select(names, _RANGE)
+        return self._select(self.listing(columns), rest)
 
     def select_names(self) -> PreparedStatement:
         """SELECT of the keys of all rows of a table that is read by name; in no order."""
-        names = _listed(["_node", "_key", *_COUNTED, *self._received])
+        names = ", ".join(['"_node", "_key"', COUNTED, *map(quote_name, self._received)])
         return self._prepare(f"SELECT {names} FROM {self.qualified}")
 
     def select_shadow(self, shadow: str, *, bucket: bool) -> PreparedStatement:
@@ -236,19 +222,19 @@ class RowTable:
     def _prepare(self, cql: str) -> PreparedStatement:
         return self._cassandra.prepare(cql)
 
-    def _listing(self, columns: Sequence[str]) -> str:
-        """List what row_from_values reads, with these of the format's columns."""
-        return _listed([*_OWN, *self._received, *columns])
+    def listing(self, columns: Sequence[str] | None = None) -> str:
+        """List what row_from_values reads, with these of the format's columns, None = all."""
+        return _listed([*_OWN, *self._received, *(self.columns if columns is None else columns)])
 
     # ---------------------------------------------------------------- requests
 
     def stretch(
         self,
-        statement: PreparedStatement,
+        names: str,
         place: tuple[bytes, bytes],
-        ends: tuple[Order, Order],
+        ends: tuple[Order, Order] = ALL,
         *,
-        values: Sequence[bytes] = (),
+        terms: Terms = (),
         page_rows: int | None = None,
         reverse: bool = False,
         last: RawRow | None = None,
@@ -256,17 +242,16 @@ class RowTable:
         refused: Refused | None = None,
         on_page: OnPage | None = None,
     ) -> Asked:
-        """Ask for the rows of a stretch of one partition.
+        """Ask for the rows from end to end of one partition, or for those behind the last one.
 
         Args:
-            statement: A SELECT with the range of select_range, whose columns begin with ``_t`` and
-                ``_seq`` where it has many pages.
-            place: Encoded partition key.
-            ends: First and last row, both included.
-            values: What the statement takes behind its range.
-            last: Only the rows behind this one are wanted.
-            refused, on_page: As Asked has them.
+            names: What to read, as CQL; begins with KEYS where there are many pages.
+            terms: What the server is to check.
         """
+        checks = "".join(f" AND {quote_name(name)} {operator} ?" for name, operator, _ in terms)
+        order, allow = _NEWEST if reverse else "", " ALLOW FILTERING" if terms else ""
+        statement = self._select(names, f"{_RANGE}{checks}{order}{allow}")
+        values = [value for *_, value in terms]
 
         def rest(read: RawRow | None) -> BoundStatement:
             left = _encode_ends(ends, read or last, reverse)
@@ -294,15 +279,11 @@ class RowTable:
     # ---------------------------------------------------------------- values
 
     def is_rest(self, values: RawRow) -> bool:
-        """Say whether a row of select_range or select_keys has expired but for an index value."""
+        """Say whether a row has expired but for the value of an index."""
         return values[2] is None and bool(self.metadata.ttl)
 
     def row_from_values(self, node: str, values: RawRow, name: str = "") -> TableRow:
-        """Read the undecoded values of a select_range row.
-
-        Raises:
-            CorruptMessage: A column that every row has is null.
-        """
+        """Read the values of a listing; raises CorruptMessage where one that all have is null."""
         try:
             t, seq, conn, size = _PACK.unpack(b"".join(values[:4]))  # type: ignore[arg-type]
         except TypeError as exc:
@@ -311,28 +292,14 @@ class RowTable:
                 "size: something else than this package wrote or updated it"
             ) from exc
         nchunks, crc, odd, raw = values[4:8]
-        if self._received or self.named:
-            return self._other_row(node, values, name, (t, seq, conn, size))
-        if nchunks is None and odd is None:
+        if nchunks is None and odd is None and self._plain:
             return TableRow(t, node, seq, self.name, conn, size, 0, 0, False, raw, values[8:])
-        flags = _flags(nchunks, crc, odd, raw)
-        return TableRow(t, node, seq, self.name, conn, size, *flags, values[8:])
-
-    def _other_row(
-        self, node: str, values: RawRow, name: str, own: tuple[int, int, int, int]
-    ) -> TableRow:
-        t, seq, conn, size = own
         received = decode_long(values[8]) if self._received else -1
         if self._once:
             t, seq = received, decode_long(values[9])
-        columns, flags = values[8 + len(self._received) :], _flags(*values[4:8])
+        columns = values[8 + len(self._received) :]
+        flags = decode_long(nchunks), decode_long(crc), odd == ODD, raw
         return TableRow(t, node, seq, self.name, conn, size, *flags, columns, name, received)
-
-
-def _flags(
-    nchunks: bytes | None, crc: bytes | None, odd: bytes | None, raw: bytes | None
-) -> tuple[int, int, bool, bytes | None]:
-    return decode_long(nchunks), decode_long(crc), odd == b"\x01", raw
 
 
 def encode_own(t: int, seq: int, conn: int, size: int) -> tuple[bytes, ...]:

@@ -7,13 +7,19 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Callable, Collection, Mapping, Sequence, Tuple
+from typing import Callable, Mapping, Sequence, Tuple
 
 from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
 from cassandra_ros.metadata import SHADOW, TopicMetadata, from_comment
 from cassandra_ros.store.connection import Cassandra, CqlRow
 from cassandra_ros.store.index.table_files import TableFiles
-from cassandra_ros.store.names import chunk_table_name, quote_name, quote_text, table_name
+from cassandra_ros.store.names import (
+    chunk_table_name,
+    qualified,
+    quote_name,
+    quote_text,
+    table_name,
+)
 from cassandra_ros.store.side_tables import SchemaLock, SideTables
 
 _log = logging.getLogger(__name__)
@@ -66,7 +72,7 @@ class Schema:
 
     def qualified(self, table: str) -> str:
         """Return the quoted name of a table with its keyspace."""
-        return f"{quote_name(self.keyspace)}.{quote_name(table)}"
+        return qualified(self.keyspace, table)
 
     def tables(self, *, fresh: bool = False) -> Mapping[str, TopicMetadata]:
         """List the topic tables: name → metadata, from comments up to 2 s old, or fresh ones."""
@@ -108,11 +114,7 @@ class Schema:
         return None
 
     def tables_of(self, topic: str) -> dict[str, TopicMetadata]:
-        """Read the tables of a topic anew; under the lock.
-
-        Raises:
-            TopicNotFound: The topic is gone.
-        """
+        """Read the tables of a topic anew, under the lock; TopicNotFound where it is gone."""
         tables = self.tables(fresh=True).items()
         mine = {name: metadata for name, metadata in tables if metadata.topic == topic}
         if not mine:
@@ -120,18 +122,12 @@ class Schema:
         return mine
 
     def ensure_table(self, key: tuple[str, str, str], plan: Planner) -> str:
-        """Make the table of a topic, or find the one that somebody made before.
+        """Make the table of a topic, or find the one that somebody made before; return its name.
 
         Args:
             key: Topic, md5sum and format.
             plan: Called where the table is to be made, under the lock, with what the comments of
                 the topic's other tables say.
-
-        Returns:
-            The table's name.
-
-        Raises:
-            SchemaConflict: The table that came out is not the one that was asked for.
         """
         name = self.find(*key)
         if name is not None:
@@ -142,22 +138,18 @@ class Schema:
             if name is not None:
                 return name
             others = [m for _, m in sorted(self.tables().items()) if m.topic == key[0]]
-            wanted, columns, shadows = plan(others)
-            wanted = wanted.with_(generation=time.time_ns())
-            name = table_name(*key, wanted.generation)
-            every = {**_own_columns(wanted), **columns, **shadows}
-            self._create_all(name, wanted, every, shadows, lock)
-            self._check(name, wanted, every)
+            metadata, columns, shadows = plan(others)
+            columns = {**_own_columns(metadata), **columns, **shadows}
+            name, wanted = self._create(metadata, columns, lock)
+            self._check(name, wanted, columns)
         return name
 
-    def _create_all(
-        self,
-        name: str,
-        wanted: TopicMetadata,
-        columns: Mapping[str, str],
-        shadows: Collection[str],
-        lock: SchemaLock,
-    ) -> None:
+    def _create(
+        self, metadata: TopicMetadata, columns: Mapping[str, str], lock: SchemaLock
+    ) -> tuple[str, TopicMetadata]:
+        """Make a table with its indexes; return its name, and its metadata with the generation."""
+        wanted, shadows = metadata.with_(generation=time.time_ns()), metadata.indexes.values()
+        name = table_name(wanted.topic, wanted.md5sum, wanted.format, wanted.generation)
         listing = ", ".join(f"{quote_name(c)} {cql}" for c, cql in columns.items())
         # Without indexes nothing is to be done before it is found and its files are merged.
         comment = _UNFINISHED if shadows else wanted.to_comment()
@@ -172,15 +164,14 @@ class Schema:
             lock.renew()
             self.create_sai_index(name, shadow)
         if shadows:
-            self._finish(name, wanted, shadows, lock)
+            self._finish(name, wanted, lock)
+        return name, wanted
 
-    def _finish(
-        self, name: str, wanted: TopicMetadata, shadows: Collection[str], lock: SchemaLock
-    ) -> None:
+    def _finish(self, name: str, wanted: TopicMetadata, lock: SchemaLock) -> None:
         """Let a table be found, by its comment, and its files be merged, with its indexes built."""
         merged, files = True, self.files(name, lock)
         try:
-            files.await_builds({name + shadow for shadow in shadows}, BUILD_SEC)
+            files.await_builds({name + shadow for shadow in wanted.indexes.values()}, BUILD_SEC)
         except CassandraRosError as exc:
             # No reason to lose the messages that are waiting for it.
             merged = False
@@ -217,39 +208,33 @@ class Schema:
 
     def columns(self, table: str) -> dict[str, str]:
         """Read the columns of a table: name → CQL type."""
-        return dict(
-            self._cassandra.system_schema("columns", "column_name, type", self.keyspace, table)
-        )
+        names = "column_name, type"
+        return dict(self._cassandra.system_schema("columns", names, self.keyspace, table))
 
-    def ensure_chunk_table(self, table: str, metadata: TopicMetadata) -> str:
-        """Make the table for a topic's large messages where it is missing; return its name."""
+    def ensure_chunk_table(self, table: str, metadata: TopicMetadata) -> None:
+        """Make the table for a topic's large messages where it is missing."""
         name = chunk_table_name(table)
         if self._comments(name):
-            return name
+            return
+        partition = metadata.partition
         with self.lock() as lock:
             if not self._comments(table):
                 raise TopicNotFound(
                     f"table {table} was removed by another client; messages of its topic need "
                     "a new one: connect again"
                 )
-            if not self._comments(name):
-                self._create_chunk_table(name, table, metadata, lock)
-        return name
-
-    def _create_chunk_table(
-        self, name: str, table: str, metadata: TopicMetadata, lock: SchemaLock
-    ) -> None:
-        partition = metadata.partition
-        lock.change(
-            f'CREATE TABLE {self.qualified(name)} ("_node" text, "{partition}" '
-            f'{KEY_TYPES[partition]}, "_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
-            f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
-            f"WITH comment = {quote_text(f'cassandra_ros chunks of {table}')} "
-            f"AND {_storage(metadata.ttl, _CHUNK_TTL_MARGIN_SEC)} "
-            "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
-            "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'",
-            what=f"making the table for large messages {name}",
-        )
+            if self._comments(name):
+                return
+            lock.change(
+                f'CREATE TABLE {self.qualified(name)} ("_node" text, "{partition}" '
+                f'{KEY_TYPES[partition]}, "_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
+                f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
+                f"WITH comment = {quote_text(f'cassandra_ros chunks of {table}')} "
+                f"AND {_storage(metadata.ttl, _CHUNK_TTL_MARGIN_SEC)} "
+                "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
+                "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'",
+                what=f"making the table for large messages {name}",
+            )
 
     def change_topic(
         self,
@@ -257,15 +242,7 @@ class Schema:
         change: Callable[[TopicMetadata], TopicMetadata],
         check: Callable[[Mapping[str, TopicMetadata]], None] = lambda tables: None,
     ) -> None:
-        """Change what the comments of a topic's tables say, under the lock.
-
-        Args:
-            change: Makes the new metadata of a table from those it has now.
-            check: Looks at all tables first, under the lock, and may raise.
-
-        Raises:
-            TopicNotFound: The topic is gone.
-        """
+        """Change what the comments of a topic's tables say; check sees all first, and may raise."""
         with self.lock() as lock:
             mine = self.tables_of(topic)
             check(self.tables())
@@ -289,7 +266,10 @@ class Schema:
                 # Made anew under other names: a writer that has not heard of it must not go on.
                 one_each = {(m.md5sum, m.format): (name, m) for name, m in tables.items()}
                 for name, metadata in one_each.values():
-                    self._create_empty(name, metadata, lock)
+                    columns, kept = self.columns(name), metadata.indexes.values()
+                    for left in [c for c in columns if c.startswith(SHADOW) and c not in kept]:
+                        del columns[left]
+                    self._create(metadata, columns, lock)
             for table in tables:
                 for name in (table, chunk_table_name(table)):
                     lock.change(
@@ -299,15 +279,6 @@ class Schema:
                 self._cassandra.forget(table)
         self.tables(fresh=True)
         return list(tables)
-
-    def _create_empty(self, table: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
-        metadata = metadata.with_(generation=time.time_ns())
-        key = (metadata.topic, metadata.md5sum, metadata.format)
-        name = table_name(*key, metadata.generation)
-        shadows = metadata.indexes.values()
-        columns = self.columns(table).items()
-        kept = {c: cql for c, cql in columns if c in shadows or not c.startswith(SHADOW)}
-        self._create_all(name, metadata, kept, shadows, lock)
 
 
 def _storage(ttl: int, margin: int = 0, *, merged: bool = True) -> str:

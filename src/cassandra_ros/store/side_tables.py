@@ -11,19 +11,22 @@ from __future__ import annotations
 
 import difflib
 import logging
+import re
 import threading
 import time
 import uuid
-from typing import Mapping
+from typing import Mapping, Sequence
 
 from cassandra_ros.errors import (
     CassandraRosError,
+    InvalidName,
     KeyspaceNotFound,
     SchemaConflict,
     StoreUnavailable,
 )
-from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.names import check_keyspace, quote_name, quote_text
+from cassandra_ros.store.connection import Cassandra, CqlRow
+from cassandra_ros.store.names import qualified, quote_name, quote_text
+from cassandra_ros.store.paging import RETRY_SEC
 
 _log = logging.getLogger(__name__)
 
@@ -62,15 +65,11 @@ _COMMENT = "cassandra_ros side table, schema version 1"
 
 
 class SchemaLock:
-    """Context manager that holds the schema lock of a keyspace.
-
-    Raises:
-        SchemaConflict: Somebody else holds the lock for longer than 150 s.
-    """
+    """Context manager that holds the schema lock; raises SchemaConflict after waiting for 150 s."""
 
     def __init__(self, cassandra: Cassandra, keyspace: str) -> None:
         self._cassandra = cassandra
-        self._table = f"{quote_name(keyspace)}.cr_lock"
+        self._table = qualified(keyspace, _LOCK)
         self._owner = uuid.uuid4()
 
     def __enter__(self) -> SchemaLock:
@@ -107,11 +106,10 @@ class SchemaLock:
         return applied or owner == self._owner
 
     def change(self, cql: str, *, what: str) -> None:
-        """Run one DDL statement while the lock is ours, and wait until all nodes agree.
+        """Run one DDL statement, as schema_change does, while the lock is ours.
 
         Raises:
             SchemaConflict: The lock ran out and somebody else may be changing the schema.
-            StoreUnavailable: The nodes do not agree within 30 s.
         """
         self.renew()
         self._cassandra.schema_change(cql, what=what)
@@ -134,14 +132,13 @@ class SchemaLock:
         for left in reversed(range(_TRIES)):
             try:
                 row = self._cassandra.execute_once(cql, params, what="taking the schema lock")[0]
+                # [applied] and, where refused, the columns of the row that stands in the way.
+                return bool(row[0]), row[-1] if len(row) > 1 else None
             except StoreUnavailable as exc:
                 if not left:
                     raise
                 _log.debug("%s; asking again", exc)
                 time.sleep(0.2)
-                continue
-            # [applied] and, where refused, the columns of the row that stands in the way.
-            return bool(row[0]), row[-1] if len(row) > 1 else None
         raise AssertionError("the loop above returns or raises")
 
 
@@ -155,19 +152,60 @@ class SideTables:
     """
 
     def __init__(self, cassandra: Cassandra, keyspace: str) -> None:
+        if not isinstance(keyspace, str) or not re.match(r"[A-Za-z0-9_]{1,48}\Z", keyspace):
+            raise InvalidName(
+                f"{keyspace!r} is not a keyspace name: use 1 to 48 letters, digits and underscores"
+            )
         self._cassandra = cassandra
-        self.keyspace = check_keyspace(keyspace)
+        self.keyspace = keyspace
+        self.retry_sec = RETRY_SEC
+        """How long one request is tried."""
         self._there: frozenset[str] = frozenset()
         self._keyspace_made = self._made = False
         self._mutex = threading.Lock()
 
-    # ---------------------------------------------------------------- for readers
-
-    def has(self, *names: str) -> bool:
-        """Say whether these tables exist; the server is asked until they do."""
-        if not self._there.issuperset(names):
+    def has(self, name: str) -> bool:
+        """Say whether a table exists; the server is asked until it does."""
+        if name not in self._there:
             self._there = self._list()
-        return self._there.issuperset(names)
+        return name in self._there
+
+    def select(
+        self, table: str, names: str, where: str = "", params: Sequence[object] = (), *, what: str
+    ) -> list[CqlRow]:
+        """Read columns of the rows of a table for which a condition holds; '' = of all."""
+        if not self.has(table):
+            return []
+        condition = f" WHERE {where}" if where else ""
+        return self._run(f"SELECT {names} FROM {self.qualified(table)}{condition}", params, what)
+
+    def insert(
+        self,
+        table: str,
+        columns: Mapping[str, object],
+        what: str,
+        *,
+        now: Sequence[str] = (),
+        ttl: int = 0,
+    ) -> None:
+        """Write a row, for ttl seconds, 0 = ever; of some columns the server fills in the time."""
+        names = ", ".join([*columns, *now])
+        marks = ", ".join(["?"] * len(columns) + ["toTimestamp(now())"] * len(now))
+        cql = f"INSERT INTO {self.qualified(table)} ({names}) VALUES ({marks}) USING TTL ?"
+        self._run(cql, (*columns.values(), ttl), what)
+
+    def delete(self, table: str, key: Sequence[str], values: Sequence[CqlRow], what: str) -> None:
+        """Delete the rows in which the columns of a key have one of some values."""
+        where = " AND ".join(f"{name} = ?" for name in key)
+        cql = f"DELETE FROM {self.qualified(table)} WHERE {where}"
+        self._cassandra.execute_many(cql, values, what=what, retry_sec=self.retry_sec)
+
+    def qualified(self, table: str) -> str:
+        """Return the quoted name of a table with its keyspace."""
+        return qualified(self.keyspace, table)
+
+    def _run(self, cql: str, params: Sequence[object], what: str) -> list[CqlRow]:
+        return self._cassandra.execute(cql, params, what=what, retry_sec=self.retry_sec)
 
     def absence(self) -> str:
         """Return a sentence where the keyspace is missing, with the nearest names; else ''."""
@@ -186,22 +224,13 @@ class SideTables:
         )
 
     def require_keyspace(self) -> None:
-        """Check that the keyspace exists.
-
-        Raises:
-            KeyspaceNotFound: It does not; the text gives the nearest names.
-        """
+        """Check that the keyspace exists; else KeyspaceNotFound gives the nearest names."""
         absence = self.absence()
         if absence:
             raise KeyspaceNotFound(absence)
 
-    # ---------------------------------------------------------------- for writers
-
     def make_keyspace(self) -> None:
-        """Make the keyspace where it is missing, with a replication factor of min(3, nodes).
-
-        Warns where an existing one has a lower factor.
-        """
+        """Make the keyspace with min(3, nodes) copies; warn where an existing one has fewer."""
         if self._keyspace_made:
             return
         wanted = min(3, self._cassandra.live_nodes())
@@ -230,7 +259,7 @@ class SideTables:
                 with SchemaLock(self._cassandra, self.keyspace) as lock:
                     for name in sorted(set(SIDE_TABLES) - self._list()):
                         lock.change(
-                            f"CREATE TABLE IF NOT EXISTS {quote_name(self.keyspace)}.{name} "
+                            f"CREATE TABLE IF NOT EXISTS {self.qualified(name)} "
                             f"({SIDE_TABLES[name]}) WITH comment = {quote_text(_COMMENT)}",
                             what=f"making table {name}",
                         )
@@ -241,7 +270,7 @@ class SideTables:
         # and its columns never change; it is never dropped while the keyspace stands.
         table_id = uuid.uuid5(uuid.NAMESPACE_URL, f"cassandra_ros/{self.keyspace}/{_LOCK}")
         self._cassandra.schema_change(
-            f"CREATE TABLE IF NOT EXISTS {quote_name(self.keyspace)}.{_LOCK} ({_LOCK_COLUMNS}) "
+            f"CREATE TABLE IF NOT EXISTS {self.qualified(_LOCK)} ({_LOCK_COLUMNS}) "
             f"WITH id = {table_id} AND gc_grace_seconds = 3600",
             what=f"making table {_LOCK}",
         )

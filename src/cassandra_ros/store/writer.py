@@ -7,18 +7,18 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass
 from typing import Callable
 
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound, WriteFailed
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.counting import recount
-from cassandra_ros.store.directory import HEARTBEAT_SEC, BucketTotals, Directory, SlotNotes
+from cassandra_ros.store.directory import HEARTBEAT_SEC, BucketTotals, Directory
 from cassandra_ros.store.driver_errors import is_table_gone, translate
-from cassandra_ros.store.flight import Flight
-from cassandra_ros.store.large import LargeMessages, is_large
+from cassandra_ros.store.flight import Flight, Outcome
 from cassandra_ros.store.open_bucket import Batch, OpenBucket
-from cassandra_ros.store.row_table import NewRow, RowTable
+from cassandra_ros.store.row_table import CHUNK_BYTES, NewRow, RowTable, bind, encode_int
 from cassandra_ros.store.schema import Schema
 
 _log = logging.getLogger(__name__)
@@ -74,9 +74,9 @@ class RowWriter:
         self._on_loss = on_loss
         self._flight = Flight(cassandra.send_raw, give_up_after_sec)
         self._buckets: dict[tuple[str, str, int], OpenBucket] = {}
-        self._slots = SlotNotes(self._directory)
         self._lock = threading.RLock()
-        self._large = LargeMessages(schema, self._flight, self._send, self._lost)
+        self._ready: deque[Callable[[], None]] = deque()
+        """They send the rows of large messages whose chunks are all stored."""
         self.stats: dict[str, WriteStats] = {}
         """Table name → what became of its rows."""
         self.gone: set[str] = set()
@@ -90,11 +90,7 @@ class RowWriter:
     # ---------------------------------------------------------------- rows in
 
     def add(self, table: RowTable, node: str, row: NewRow) -> None:
-        """Take one row; blocks while too much is in the air.
-
-        Raises:
-            WriteFailed: Earlier rows were given up (only without on_loss).
-        """
+        """Take one row; blocks while too much is in the air."""
         with self._lock:
             self._raise_error()
             try:
@@ -102,23 +98,21 @@ class RowWriter:
                     bucket = self._name_bucket(table, node, row.name)
                 else:
                     bucket = self._bucket(table, node, table.bucket_of(row.t))
-                if not is_large(len(row.wire)):
-                    odd, raw = row.odd, row.raw
-                    own = (None, None, odd, raw) if odd or raw is not None else None
-                    bucket.add(row, row.columns, own)
-                    if table.named or bucket.is_full():
+                if len(row.wire) > CHUNK_BYTES:
+                    if bucket.batch.rows:
                         self._send(bucket)
+                    self._send_large(bucket, row)
                     return
-                if bucket.batch.rows:
+                bucket.add(row)
+                if table.named or bucket.is_full():
                     self._send(bucket)
-                self._large.send(bucket, row)
             except TopicNotFound:
                 self.gone.add(table.name)
                 raise
 
     def _name_bucket(self, table: RowTable, node: str, name: str) -> OpenBucket:
         # The directory only tells which nodes there are: the table itself lists its names.
-        self._slots.note(table, node, 0)
+        self._directory.note(table, node, 0)
         self.stats.setdefault(table.name, WriteStats())
         return OpenBucket(table, node, 0, True, name)
 
@@ -127,8 +121,7 @@ class RowWriter:
         bucket = self._buckets.get(key)
         now = time.monotonic()
         if bucket is None:
-            bucket = self._open(table, node, number)
-            self._buckets[key] = bucket
+            bucket = self._buckets[key] = self._open(table, node, number)
         elif now - bucket.marked > REOPEN_SEC:
             self._reopen(bucket, late=True)
         bucket.touched = now
@@ -149,11 +142,7 @@ class RowWriter:
     def _reopen(self, bucket: OpenBucket, late: bool = False) -> None:
         # Others took the writer for dead: they may have deleted, and closed the bucket since.
         bucket.must_recount = bucket.must_recount or late
-        table, node, number = bucket.table, bucket.node, bucket.bucket
-        self._slots.note(table, node, number)
-        place = (table.name, node, number, self._writer_id)
-        self._directory.mark(place, table.metadata.ttl, bucket.filled)
-        bucket.marked = time.monotonic()
+        self._put(bucket, None)
 
     def _send(self, bucket: OpenBucket, large: bool = False) -> None:
         batch, statement = bucket.take()
@@ -167,6 +156,62 @@ class RowWriter:
                 self._lost(bucket.table, len(batch.rows), exc)
 
         self._flight.submit(statement, batch.nbytes, outcome)
+
+    def _send_large(self, bucket: OpenBucket, new: NewRow) -> None:
+        """Send the chunks of a message; its row follows when all of them are acknowledged."""
+        table = bucket.table
+        if not table.has_chunks:
+            self._schema.ensure_chunk_table(table.name, table.metadata)
+            table.has_chunks = True
+        statement = table.insert_chunk()  # before anything is counted: it may fail
+        chunks, told = -(-len(new.wire) // CHUNK_BYTES), 0
+        outcome = self._chunk_outcome(bucket, new, chunks)
+        with bucket.mutex:
+            bucket.in_air += 1
+        try:
+            for number in range(chunks):
+                data = new.wire[number * CHUNK_BYTES : (number + 1) * CHUNK_BYTES]
+                bound = bind(statement, (*bucket.key(new.t, new.seq), encode_int(number), data))
+                told += 1  # whatever happens in submit, it tells the outcome
+                self._flight.submit(bound, len(data), outcome)
+        except BaseException as exc:
+            for _ in range(chunks - told):
+                outcome(exc)
+            raise
+        self._commit()
+
+    def _chunk_outcome(self, bucket: OpenBucket, new: NewRow, chunks: int) -> Outcome:
+        left, failures, mutex = [chunks], [], threading.Lock()
+
+        def outcome(exc: BaseException | None) -> None:
+            with mutex:
+                left[0] -= 1
+                if exc is not None:
+                    failures.append(exc)
+                if left[0]:
+                    return
+            if failures:
+                bucket.failed()
+                self._lost(bucket.table, 1, failures[0])
+            else:
+                # Not sent from here: this is the driver's thread, and sending may block.
+                self._ready.append(lambda: self._send_row(bucket, new, chunks))
+
+        return outcome
+
+    def _send_row(self, bucket: OpenBucket, new: NewRow, chunks: int) -> None:
+        """Send the row of a large message."""
+        # Alone in its batch: its size is not one of a row with the message inside.
+        if bucket.batch.rows:
+            self._send(bucket)
+        with bucket.mutex:
+            bucket.in_air -= 1
+        bucket.add(new, chunks)
+        self._send(bucket, large=True)
+
+    def _commit(self) -> None:
+        while self._ready:
+            self._ready.popleft()()
 
     # ---------------------------------------------------------------- outcomes
 
@@ -207,7 +252,7 @@ class RowWriter:
             try:
                 now = time.monotonic()
                 with self._lock:
-                    self._large.commit()
+                    self._commit()
                     self._send_old(now)
                 if now - beat > HEARTBEAT_SEC:
                     beat = now
@@ -238,33 +283,23 @@ class RowWriter:
 
     def _mark(self, bucket: OpenBucket) -> None:
         bucket.changed = False
-        self._slots.note(bucket.table, bucket.node, bucket.bucket)
-        self._put(bucket, bucket.totals, closed=False)
-        bucket.marked = time.monotonic()
+        self._put(bucket, bucket.totals)
 
-    def _close(self, bucket: OpenBucket) -> None:
-        totals = bucket.totals
-        if bucket.must_recount:
-            counted = recount(bucket.table, bucket.node, bucket.bucket)
-            totals = counted.get(self._writer_id, BucketTotals())
-        self._put(bucket, totals, closed=True)
-
-    def _put(self, bucket: OpenBucket, totals: BucketTotals, closed: bool) -> None:
-        table = bucket.table
-        place = (table.name, bucket.node, bucket.bucket, self._writer_id)
+    def _put(self, bucket: OpenBucket, totals: BucketTotals | None, closed: bool = False) -> None:
+        table, node, number = bucket.table, bucket.node, bucket.bucket
+        if not closed:
+            self._directory.note(table, node, number)
+        place = (table.name, node, number, self._writer_id)
         self._directory.mark(place, table.metadata.ttl, bucket.filled, totals, closed=closed)
+        bucket.marked = time.monotonic()
 
     # ---------------------------------------------------------------- end
 
     def flush(self) -> None:
-        """Return when every row that was taken is acknowledged or counted as lost.
-
-        Raises:
-            WriteFailed: Rows were given up (only without on_loss).
-        """
-        self._large.wait()
+        """Return when every row that was taken is acknowledged or counted as lost."""
         with self._lock:
-            self._large.commit()
+            self._flight.wait()  # for chunks, whose rows are sent next
+            self._commit()
             for bucket in self._buckets.values():
                 if bucket.batch.rows:
                     self._send(bucket)
@@ -272,11 +307,7 @@ class RowWriter:
             self._raise_error()
 
     def close(self) -> None:
-        """Flush, close the buckets in the directory, end the threads. Twice is harmless.
-
-        Raises:
-            WriteFailed: Rows were given up (only without on_loss).
-        """
+        """Flush, close the buckets in the directory, end the thread. Twice is harmless."""
         if self._closing.is_set():
             return
         try:
@@ -284,20 +315,7 @@ class RowWriter:
         finally:
             self._closing.set()
             self._ticker.join()
-            self._flight.close()
-        self._close_all()
-
-    def _close_or_leave(self, bucket: OpenBucket) -> None:
-        if bucket.table.name in self.gone:
-            return  # its directory went with it, and each try would wait for the table
-        try:
-            self._close(bucket)
-        except StoreUnavailable:
-            raise
-        except CassandraRosError as exc:
-            _log.warning("a bucket of topic %s stays open: %s", bucket.table.metadata.topic, exc)
-
-    def _close_all(self) -> None:
+            self._flight.wait()
         try:
             for bucket in self._buckets.values():
                 self._close_or_leave(bucket)
@@ -305,3 +323,17 @@ class RowWriter:
             # Nothing is lost: buckets that stay open are counted live by the next reader.
             _log.warning("buckets stay open in the directory: %s", exc)
         self._buckets.clear()
+
+    def _close_or_leave(self, bucket: OpenBucket) -> None:
+        if bucket.table.name in self.gone:
+            return  # its directory went with it, and each try would wait for the table
+        totals = bucket.totals
+        try:
+            if bucket.must_recount:
+                counted = recount(bucket.table, bucket.node, bucket.bucket)
+                totals = counted.get(self._writer_id, BucketTotals())
+            self._put(bucket, totals, closed=True)
+        except StoreUnavailable:
+            raise
+        except CassandraRosError as exc:
+            _log.warning("a bucket of topic %s stays open: %s", bucket.table.metadata.topic, exc)

@@ -22,17 +22,17 @@ from cassandra_ros.arrays.gather import read_arrays
 from cassandra_ros.errors import InvalidKey, MessageNotFound, TopicNotFound, TypeMismatch
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.keys import Position
-from cassandra_ros.messages.stamps import to_ns
 from cassandra_ros.metadata import MetaView
-from cassandra_ros.query.protocols import TopicChooser
+from cassandra_ros.query.pushdown import Pushdown
 from cassandra_ros.topics.finding import Filter, Finder, Where
-from cassandra_ros.topics.indexes import Progress, TopicIndexes
+from cassandra_ros.topics.indexes import Progress, create_index, has_index, remove_index
 from cassandra_ros.topics.keyspace import Keyspace, Wish
 from cassandra_ros.topics.message_writer import Adder
 from cassandra_ros.topics.reading import Columns
-from cassandra_ros.topics.selection import AnyKey, Time, TopicKeys, stretch_of
+from cassandra_ros.topics.selection import AnyKey, Stretch, Time
 from cassandra_ros.topics.stored_row import Key, StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.totals import count_buckets
 
 Fields = Union[None, str, Sequence[str]]
 """Names of fields; None = all."""
@@ -63,12 +63,11 @@ class CassandraTopic:
         name: The topic's name as it is stored.
     """
 
-    def __init__(self, keyspace: Keyspace, adder: Adder, name: str, wish: Wish) -> None:
-        self.name = name
+    def __init__(self, keyspace: Keyspace, adder: Adder, wish: Wish) -> None:
+        self.name = wish.metadata.topic
         self._keyspace = keyspace
         self._adder = adder
         self._wish = wish
-        self._indexes = TopicIndexes(keyspace, adder, name)
 
     @property
     def tables(self) -> list[TopicTable]:
@@ -79,15 +78,15 @@ class CassandraTopic:
     def getMeta(self) -> MetaView:
         """The metadata: ``getMeta['msg_type']`` or ``getMeta('msg_type')``."""
         tables = self.tables
-        metadata = tables[0].metadata if tables else self._wish.metadata(self.name, None)
-        indexes = {field: "" for t in tables for field in t.metadata.indexes}
-        return MetaView(
-            metadata.with_(indexes=indexes or metadata.indexes), self._keyspace.nodes(tables)
-        )
+        metadata = tables[0].metadata if tables else self._wish.metadata
+        indexes = {field: "" for t in tables for field in t.metadata.indexes} or metadata.indexes
+        key_format = metadata.key_format or "time"
+        metadata = metadata.with_(indexes=indexes, key_format=key_format)
+        return MetaView(metadata, self._keyspace.nodes(tables))
 
     def countBuckets(self) -> int:
         """Count the partitions: stretches of time of a node in a table; 0 for named messages."""
-        return self._keyspace.totals.count_buckets(self.tables)
+        return count_buckets(self._keyspace.directory, self.tables)
 
     def setMeta(self, **keys: Any) -> None:
         """Set keys of your own in the topic's metadata: ``setMeta(site='lab')``.
@@ -111,11 +110,7 @@ class CassandraTopic:
 
     @property
     def format(self) -> CassandraTopic_:
-        """The format object of the topic's first table.
-
-        Raises:
-            TopicNotFound: The type is not known before the first message.
-        """
+        """The format object of the first table; TopicNotFound before the first message."""
         return self._typed()[0].format
 
     def _typed(self, remedy: str = "") -> list[TopicTable]:
@@ -134,10 +129,10 @@ class CassandraTopic:
         return self.format.encode(msg)
 
     def decode(self, data: EncodedMessage) -> Any:
-        """Translate columns back into a message (paper 3.1).
+        """Translate columns, as encode returns them, back into a message (paper 3.1).
 
         Raises:
-            TypeMismatch: data is not what encode returns.
+            TypeMismatch: ``data`` is none.
         """
         if not isinstance(data, EncodedMessage):
             raise TypeMismatch(f"{data!r:.80} is no encoded message: give what encode returned")
@@ -160,18 +155,17 @@ class CassandraTopic:
             TypeMismatch: The message is of another type; nothing is stored.
             InvalidKey, InvalidName, ClockNotSet, WriteFailed.
         """
-        node = self._wish.node if nodeID is None else check_node(nodeID)
-        table = self._keyspace.table_for(self.name, self._wish, msg)
+        node = self._wish.metadata.nodeID if nodeID is None else check_node(nodeID)
+        table = self._keyspace.table_for(self._wish, msg)
         kind = table.metadata.key_format
         if kind == "manual":
-            name = check_message_name(self.name, key)
-            return self._adder.add(table, msg, self._adder.now(), node, name)
+            return self._adder.add(table, msg, None, node, check_message_name(self.name, key))
         if key is not None and kind != "time":
             raise InvalidKey(
                 f"the key of a message of topic {self.name} comes from the message itself "
                 f"(key_format {kind}): leave key out"
             )
-        return self._adder.add(table, msg, self._adder.now() if key is None else to_ns(key), node)
+        return self._adder.add(table, msg, key, node)
 
     def getData(
         self,
@@ -245,10 +239,10 @@ class CassandraTopic:
                 all messages of this one.
             to_key: Upper end, included; None = the last message.
             reverse: Newest first.
-            nodeID, limit, where: As getData takes them.
+            nodeID, limit, where: As getData takes them, and raises for them.
 
         Raises:
-            InvalidKey, InvalidQuery.
+            InvalidKey: ``key`` or ``to_key`` is no key of this topic.
         """
         rows = self._finder(nodeID, where).many(key, to_key, limit=limit, reverse=reverse)
         return ((row.key, row.message()) for row in rows)
@@ -264,15 +258,11 @@ class CassandraTopic:
         """Find one stored row as getData does; None where there is none."""
         return self._finder(nodeID, where).find(key, nearest)
 
-    def _finder(self, nodeID: Optional[str], where: Optional[Where] = None) -> Finder:
-        check_nodes(nodeID)
-        tables = self._stored()
+    def _finder(self, nodeID: Optional[str] = None, where: Optional[Where] = None) -> Finder:
+        nodes, tables = check_nodes(nodeID), self._stored()
+        key_format = (tables[0] if tables else self._wish).metadata.key_format or "time"
         passing = None if where is None else Filter(self, where, nodeID)
-        return Finder(self._keyspace, self.name, self._keys(tables), tables, nodeID, passing)
-
-    def _keys(self, tables: list[TopicTable]) -> TopicKeys:
-        stored = tables[0].metadata.key_format if tables else self._wish.key_format
-        return TopicKeys(self.name, stored or "time", tables)
+        return Finder(self._keyspace, self.name, key_format, tables, nodes, passing)
 
     def versions(
         self, name: str, *, nodeID: Optional[str] = None, reverse: bool = False
@@ -291,7 +281,7 @@ class CassandraTopic:
         after: Optional[Position] = None,
         reverse: bool = False,
         columns: Optional[Columns] = None,
-        chooser: Optional[TopicChooser] = None,
+        chooser: Optional[Pushdown] = None,
     ) -> Iterator[StoredRow]:
         """Walk through messages by their time, as items does, without making objects.
 
@@ -307,7 +297,7 @@ class CassandraTopic:
             raise InvalidKey(f"after={after!r:.80} is no place: give the position of a row")
         rows = self._keyspace.rows.read(
             self._stored(),
-            stretch_of(key, to_key),
+            Stretch.between(key, to_key),
             nodes=check_nodes(nodeID),
             after=after,
             reverse=reverse,
@@ -318,7 +308,7 @@ class CassandraTopic:
 
     def _stored(self) -> list[TopicTable]:
         tables, wish = self.tables, self._wish
-        known = (self.name, wish.format) in self._keyspace.schema.seen
+        known = (self.name, wish.metadata.format) in self._keyspace.schema.seen
         if not tables and (known or not wish.pending):
             raise TopicNotFound(
                 f"topic {self.name} is not stored in keyspace {self._keyspace.name} any more"
@@ -343,7 +333,7 @@ class CassandraTopic:
             InvalidKey: The text is no key of the topic.
         """
         check_text("text", text, error=InvalidKey)
-        return self._keys(self._stored()).of_text(text)
+        return self._finder().of_text(text)
 
     def countTopicData(
         self,
@@ -431,11 +421,11 @@ class CassandraTopic:
 
         Args:
             fields: Names of fields; None = all of them.
-            key, to_key, where, nodeID: As getArrays takes them.
+            key, to_key, where, nodeID: As getArrays takes them, and raises for them.
 
         Raises:
+            InvalidQuery: The topic has no such field.
             MissingDependency: pandas is not installed; the text says how.
-            InvalidQuery, InvalidKey: As of getArrays.
         """
         read = partial(self._finder(nodeID, where).columns, key, to_key)
         return read_frame(self, fields, where, read)
@@ -464,11 +454,12 @@ class CassandraTopic:
                 meanwhile could miss rows), or is busy with other indexes; ask again later.
             TopicNotFound: The topic is gone, or has no type yet.
         """
-        return self._indexes.create(check_field(field), progress)
+        check_field(field)
+        return create_index(self._keyspace, self._adder, self.name, field, progress)
 
     def hasIndex(self, field: str) -> bool:
         """Say whether every table whose type has the field has an index on it."""
-        return self._indexes.has(check_field(field))
+        return has_index(self.tables, check_field(field))
 
     def removeIndex(self, field: str) -> None:
         """Remove an index. The messages stay as they are.
@@ -480,7 +471,7 @@ class CassandraTopic:
             InvalidOption: The key of the messages needs it.
             TopicNotFound: The topic is gone.
         """
-        self._indexes.remove(check_field(field))
+        remove_index(self._keyspace, self.name, check_field(field))
 
     def __repr__(self) -> str:
         return f"CassandraTopic({self.name!r})"

@@ -1,21 +1,24 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The topics of a keyspace by name: added, found, listed, removed."""
+"""The topics of a keyspace: added, found, listed, removed by name, and read several at once."""
 
 from __future__ import annotations
 
 import difflib
+import heapq
 import logging
 import re
 import threading
 from dataclasses import replace
-from typing import Mapping, Optional
+from operator import attrgetter
+from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
-from cassandra_ros.arguments import check_topic
+from cassandra_ros.arguments import check_nodes, check_topic
 from cassandra_ros.errors import (
     CassandraRosError,
     DefinitionError,
     InvalidName,
+    InvalidOption,
     TopicExists,
     TopicNotFound,
 )
@@ -24,12 +27,19 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.graph import topic_type
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.finding import Filter, Where
 from cassandra_ros.topics.indexes import check_unnamed
 from cassandra_ros.topics.keyspace import Keyspace, Wish
-from cassandra_ros.topics.message_writer import Adder
+from cassandra_ros.topics.message_writer import Adder, Clock
+from cassandra_ros.topics.selection import Stretch
+from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 _log = logging.getLogger(__name__)
+
+Conditions = Optional[Mapping[str, Where]]
+"""Topic -> condition."""
+Pair = Tuple[StoredRow, Optional[StoredRow]]
 
 
 class Catalog:
@@ -38,36 +48,37 @@ class Catalog:
     Topics that were added before their type is known live here until their first message.
     """
 
-    def __init__(self, keyspace: Keyspace, adder: Adder) -> None:
-        self._keyspace = keyspace
-        self._adder = adder
+    def __init__(self, keyspace: Keyspace, clock: Optional[Clock]) -> None:
+        self.keyspace = keyspace
+        self.adder = Adder(keyspace, clock)
         self._pending: dict[str, Wish] = {}
         self._mutex = threading.Lock()
 
-    def add(self, topic: str, wish: Wish, msg_type: Optional[str]) -> CassandraTopic:
-        """Make a topic, or find it; see RosCassandra.addTopic."""
-        if wish.index:
-            check_unnamed(topic, wish.key_format)
-        self._keyspace.schema.tables(fresh=True)
-        format_name = self._keyspace.format_for(topic, asked=wish.format)
-        wish = replace(wish, format=format_name, asked=wish.format != "")
-        stored = self._keyspace.tables.of_topic(topic)
+    def add(self, wanted: TopicMetadata, msg_type: Optional[str]) -> CassandraTopic:
+        """Make a topic, or find it; see RosCassandra.addTopic. Format '' = as it is stored."""
+        topic = wanted.topic
+        if wanted.indexes:
+            check_unnamed(topic, wanted.key_format)
+        self.keyspace.schema.tables(fresh=True)
+        format_name = self.keyspace.format_for(topic, asked=wanted.format)
+        wish = Wish(wanted.with_(format=format_name), asked=wanted.format != "", pending=True)
+        stored = self.keyspace.tables.of_topic(topic)
         definition = self._definition_for(topic, msg_type, known=bool(stored))
         for table in stored:
             wish.check(table.metadata, definition)
-        found = CassandraTopic(self._keyspace, self._adder, topic, wish)
-        if not any(table.metadata.format == wish.format for table in stored):
-            self._keyspace.schema.seen.discard((topic, wish.format))
+        found = CassandraTopic(self.keyspace, self.adder, wish)
+        if not any(table.metadata.format == format_name for table in stored):
+            self.keyspace.schema.seen.discard((topic, format_name))
             with self._mutex:
                 self._pending[topic] = wish
         if definition is not None:
             try:
-                self._keyspace.wished_table(topic, wish, definition)
+                self.keyspace.wished_table(wish, definition)
             except CassandraRosError:
                 with self._mutex:
                     self._pending.pop(topic, None)
                 raise
-        for field in wish.index:
+        for field in wanted.indexes:
             if found.tables and not found.hasIndex(field):
                 found.createIndex(field)
         return found
@@ -85,11 +96,7 @@ class Catalog:
             return None
 
     def get(self, topic: str) -> CassandraTopic:
-        """Find a topic.
-
-        Raises:
-            TopicNotFound: There is none; the text gives the nearest names.
-        """
+        """Find a topic, or raise TopicNotFound, whose text gives the nearest names."""
         name = self._find(topic, fresh=False) or self._find(topic, fresh=True)
         if name is not None:
             return self._topic(name)
@@ -97,9 +104,9 @@ class Catalog:
         near = difflib.get_close_matches(topic, names, n=3, cutoff=0.5)
         hint = f"did you mean {', '.join(near)}?" if near else f"it holds {len(names)} topics"
         if not names:
-            hint = self._keyspace.side_tables.absence() or hint
+            hint = self.keyspace.side_tables.absence() or hint
         raise TopicNotFound(
-            f"topic {topic!r} is not stored in keyspace {self._keyspace.name}; {hint}"
+            f"topic {topic!r} is not stored in keyspace {self.keyspace.name}; {hint}"
         )
 
     def exists(self, topic: str) -> bool:
@@ -116,40 +123,23 @@ class Catalog:
 
     def names(self, *, fresh: bool = True) -> set[str]:
         """List the names of all topics."""
-        tables = self._keyspace.schema.tables(fresh=fresh)
+        tables = self.keyspace.schema.tables(fresh=fresh)
         with self._mutex:
             for name, wish in list(self._pending.items()):
-                if (name, wish.format) in self._keyspace.schema.seen:
+                if (name, wish.metadata.format) in self.keyspace.schema.seen:
                     del self._pending[name]  # its first message has come
             return {metadata.topic for metadata in tables.values()} | set(self._pending)
 
-    def readable_tables(self) -> list[TopicTable]:
-        """List the tables of all topics; one whose definition is unusable is left out, and said."""
-        found: list[TopicTable] = []
-        for topic in self.all(None):
-            try:
-                found.extend(topic.tables)
-            except DefinitionError as exc:
-                _log.error("topic %s is left out, it cannot be read here: %s", topic.name, exc)
-        return found
-
-    def remove(self, topic: str) -> None:
-        """Drop a topic with all its messages."""
-        name = self.get(topic).name
-        self._drop(name, renew=False)
-        with self._mutex:
-            self._pending.pop(name, None)
-
-    def truncate(self, topic: str) -> None:
-        """Remove all messages of a topic, but not the topic."""
-        self._drop(self.get(topic).name, renew=True)
-
-    def _drop(self, name: str, renew: bool) -> None:
-        self._adder.close()
-        space = self._keyspace
+    def remove(self, topic: str, *, renew: bool = False) -> None:
+        """Drop a topic with all its messages; renew: the topic itself stays."""
+        name, space = self.get(topic).name, self.keyspace
+        self.adder.close()
         for table in space.schema.drop_topic(name, renew=renew):
             space.directory.forget(table)
             space.registry.forget(table)
+        if not renew:
+            with self._mutex:
+                self._pending.pop(name, None)
 
     def rename(self, topic: str, new_name: str) -> None:
         """Give a topic another name."""
@@ -169,14 +159,15 @@ class Catalog:
 
         with self._mutex:
             wish = self._pending.get(name)
-        if wish is None or self._keyspace.tables.of_topic(name):
-            self._keyspace.schema.change_topic(name, lambda m: m.with_(topic=new_name), check)
+        if wish is None or self.keyspace.tables.of_topic(name):
+            self.keyspace.schema.change_topic(name, lambda m: m.with_(topic=new_name), check)
         else:
-            check(self._keyspace.schema.tables(fresh=True))
-        self._adder.close()
+            check(self.keyspace.schema.tables(fresh=True))
+        self.adder.close()
         with self._mutex:
             if self._pending.pop(name, None) is not None and wish is not None:
-                self._pending[new_name] = wish
+                metadata = wish.metadata.with_(topic=new_name)
+                self._pending[new_name] = replace(wish, metadata=metadata)
 
     def _find(self, topic: str, fresh: bool) -> Optional[str]:
         check_topic(topic)
@@ -187,15 +178,119 @@ class Catalog:
         with self._mutex:
             wish = self._pending.get(name)
         # By the comments alone: one table that cannot be read must not hide the other topics.
-        tables = [m for _, m in sorted(self._keyspace.schema.tables().items()) if m.topic == name]
+        tables = [m for _, m in sorted(self.keyspace.schema.tables().items()) if m.topic == name]
         if wish is None and not tables:
-            raise TopicNotFound(f"topic {name} was removed from keyspace {self._keyspace.name}")
+            raise TopicNotFound(f"topic {name} was removed from keyspace {self.keyspace.name}")
         if wish is None:
-            wish = Wish.stored(tables[0], self._keyspace.format_for(name))
+            # What another table would begin with: these facts are of one alone.
+            blank = tables[0].with_(msg_type="", md5sum="", definition="", date="", bucket_ns=0)
+            fmt = self.keyspace.format_for(name)
+            blank = blank.with_(format=fmt, indexes={}, index_names={})
+            wish = Wish(blank, asked=False, pending=False)
         wish = replace(wish, pending=not tables)
-        return CassandraTopic(self._keyspace, self._adder, name, wish)
+        return CassandraTopic(self.keyspace, self.adder, wish)
+
+    def tables(self, topics: Optional[Iterable[str]]) -> List[TopicTable]:
+        """List the tables of some topics, None = of all topics that can be read."""
+        if topics is not None:
+            # A topic may be named twice: with and without its leading slash.
+            named = {topic.name: topic for topic in map(self.get, topics)}
+            return [table for topic in named.values() for table in topic.tables]
+        found: List[TopicTable] = []
+        for topic in self.all(None):
+            try:
+                found.extend(topic.tables)
+            except DefinitionError as exc:
+                _log.error("topic %s is left out, it cannot be read here: %s", topic.name, exc)
+        return found
+
+    def filters(
+        self, where: Conditions, topics: Optional[Iterable[str]], node: Optional[str]
+    ) -> Dict[str, Filter]:
+        """Return a filter for each topic that a condition is for; it must be one that is read."""
+        if where is None:
+            return {}
+        if not isinstance(where, Mapping):
+            raise InvalidOption(f"where= is a mapping of topics to conditions, not {where!r:.80}")
+        read = None if topics is None else {self.get(name).name for name in topics}
+        found: Dict[str, Filter] = {}
+        for name, condition in where.items():
+            topic = self.get(name)
+            if read is not None and topic.name not in read:
+                listing = ", ".join(sorted(read)) or "none"
+                raise InvalidOption(
+                    f"there is a condition for topic {topic.name}, which is not among those that "
+                    f"are read: {listing}"
+                )
+            if topic.name in found:
+                raise InvalidOption(f"there are two conditions for topic {topic.name}; join them")
+            found[topic.name] = Filter(topic, condition, node)
+        return found
+
+    def merged(
+        self,
+        tables: Sequence[TopicTable],
+        filters: Mapping[str, Filter],
+        stretch: Stretch,
+        node: Optional[str],
+        received: bool = False,
+    ) -> Iterator[StoredRow]:
+        """Walk lazily through the rows of some tables that pass their filters, merged by time."""
+        nodes = check_nodes(node)
+        read = self.keyspace.rows.received if received else self.keyspace.rows.read
+        by_topic: Dict[str, List[TopicTable]] = {name: [] for name in filters}
+        free: List[TopicTable] = []
+        for table in tables:
+            by_topic.get(table.metadata.topic, free).append(table)
+        if not any(by_topic.values()):
+            return read(free, stretch, nodes=nodes)
+        streams = [read(free, stretch, nodes=nodes)] if free else []
+        for name, own in by_topic.items():
+            if received and any(t.metadata.own_time and not t.named for t in own):
+                # Read by a time that its key is not: the store cannot look for both.
+                streams.append(filter(filters[name].test, read(own, stretch, nodes=nodes)))
+            elif own:
+                streams.append(filters[name].rows(stretch))
+        return heapq.merge(*streams, key=attrgetter("arrival" if received else "position"))
 
 
 def _spellings(topic: str) -> tuple[str, str]:
     """Return the names that a topic is looked for by: the given one first."""
     return topic, topic[1:] if topic.startswith("/") else "/" + topic
+
+
+def nearest_pairs(
+    first: Iterator[StoredRow],
+    second: Iterator[StoredRow],
+    tolerance_ns: int,
+    unpaired: bool = False,
+) -> Iterator[Pair]:
+    """Pair each row of one stream with the nearest one of another; two of that are held.
+
+    Of two rows that are equally near the earlier one is taken, of equal times the first.
+
+    Args:
+        first, second: In the order of time.
+        tolerance_ns: The largest distance of a partner, ns.
+        unpaired: Give rows of the first that have no partner with None, else leave them out.
+    """
+    before: Optional[StoredRow] = None
+    ahead = next(second, None)
+    for row in first:
+        while ahead is not None and ahead.t <= row.t:
+            if before is None or before.t < ahead.t:
+                before = ahead
+            ahead = next(second, None)
+        partner = _nearer(row.t, before, ahead)
+        if partner is not None and abs(partner.t - row.t) <= tolerance_ns:
+            yield row, partner
+        elif unpaired:
+            yield row, None
+        elif ahead is None:
+            return  # the rows that follow are further away still
+
+
+def _nearer(t: int, before: Optional[StoredRow], ahead: Optional[StoredRow]) -> Optional[StoredRow]:
+    if before is None or ahead is None:
+        return before or ahead
+    return before if t - before.t <= ahead.t - t else ahead

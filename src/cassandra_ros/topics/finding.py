@@ -5,22 +5,33 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import islice
-from typing import Any, Callable, Iterator, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple, Union
 
-from cassandra_ros.arguments import check_limit, check_nodes
+from cassandra_ros.arguments import check_limit, check_message_name
 from cassandra_ros.errors import InvalidKey, InvalidQuery, MessageNotFound
-from cassandra_ros.keys import SECOND_NS, RowName
-from cassandra_ros.messages.stamps import Stamp, iso_time
-from cassandra_ros.query.conditions import Condition
-from cassandra_ros.query.protocols import Source, Table
+from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS, RowName
+from cassandra_ros.messages.key_part import KeyPart
+from cassandra_ros.messages.stamps import (
+    SECONDS_BELOW,
+    Stamp,
+    is_iso_text,
+    is_time,
+    iso_time,
+    to_ns,
+)
+from cassandra_ros.query.protocols import Table
+from cassandra_ros.query.run import Condition
+from cassandra_ros.query.source import Source
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.selection import LAST_NS, AnyKey, Named, Selection, Stretch, TopicKeys
+from cassandra_ros.topics.removal import delete_rows, delete_stretch
+from cassandra_ros.topics.selection import LAST_NS, AnyKey, Named, Selection, Stretch, Valued
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.totals import count_rows
 
 NEAREST = ("before", "after", "either")
-_SECONDS_BELOW = 10**12
 _NEAR_NS = 256
 """Nanoseconds that a time of today may lose on its way through a float."""
 
@@ -32,84 +43,66 @@ class Finder:
     keyspace: Keyspace
     topic: str
     """Its name."""
-    keys: TopicKeys
+    key_format: str
     tables: Sequence[TopicTable]
-    node: Optional[str]
+    nodes: Optional[Tuple[str, ...]] = None
     """Only messages of this node; None = of all."""
     where: Optional[Filter] = None
     """Only messages that pass it; None = all."""
-
-    @property
-    def _nodes(self) -> Optional[Sequence[str]]:
-        return check_nodes(self.node)
 
     def many(
         self, key: AnyKey, to_key: AnyKey, *, limit: Optional[int] = None, reverse: bool = False
     ) -> Iterator[StoredRow]:
         """Walk through the rows that key and to_key mean, as the ends of a stretch or alone."""
-        return self._select(self.keys.several(key, to_key), limit=limit, reverse=reverse)
+        limit = check_limit(limit)
+        return islice(self._select(self.several(key, to_key), reverse=reverse), limit)
 
     def _select(
-        self,
-        wanted: Selection,
-        *,
-        reverse: bool = False,
-        limit: Optional[int] = None,
-        bare: bool = False,
+        self, wanted: Selection, *, reverse: bool = False, bare: bool = False
     ) -> Iterator[StoredRow]:
-        check_limit(limit)
         if self.where is not None and isinstance(wanted, Stretch):
-            return islice(self.where.rows(wanted, reverse=reverse, bare=bare), limit)
-        rows = self.keyspace.rows.select(self.tables, wanted, nodes=self._nodes, reverse=reverse)
-        return islice(rows if self.where is None else filter(self.where.test, rows), limit)
+            return self.where.rows(wanted, reverse=reverse, bare=bare)
+        rows = self.keyspace.rows.select(self.tables, wanted, self.nodes, reverse)
+        return rows if self.where is None else filter(self.where.test, rows)
 
     def columns(
         self, key: AnyKey, to_key: AnyKey, columns: Callable[[Table], Sequence[str]]
     ) -> Iterator[StoredRow]:
         """Walk through the rows of ``many``; of a stretch of time only these columns are read."""
-        wanted = self.keys.several(key, to_key)
+        wanted = self.several(key, to_key)
         if self.where is not None or not isinstance(wanted, Stretch):
             return self._select(wanted)
-        return self.keyspace.rows.read(self.tables, wanted, nodes=self._nodes, columns=columns)
+        return self.keyspace.rows.read(self.tables, wanted, nodes=self.nodes, columns=columns)
 
     def count(self, key: AnyKey, to_key: AnyKey) -> int:
         """Count the rows of ``many``, of a whole stretch of time without reading them."""
-        wanted = self.keys.several(key, to_key)
+        wanted = self.several(key, to_key)
         if isinstance(wanted, Stretch) and self.where is None:
-            return self.keyspace.totals.count(self.tables, *wanted, self._nodes)
+            return count_rows(self.keyspace.directory, self.tables, *wanted, self.nodes)
         return sum(1 for _ in self._select(wanted, bare=True))
 
     def remove(self, key: AnyKey, to_key: AnyKey) -> int:
-        """Delete the rows at key, or those of ``many`` without key or with to_key.
-
-        Returns:
-            How many.
-
-        Raises:
-            MessageNotFound: There is none at key (without to_key).
-            InvalidKey: Nothing says which.
-        """
+        """Delete the rows at key, or those of ``many``; see CassandraTopic.removeData."""
         if key is None and to_key is None and self.where is None:
             raise InvalidKey(
                 "removeData needs a key (and to_key for a stretch of time), or where=; "
                 f"truncateTopic removes all messages of topic {self.topic}"
             )
         if key is None or to_key is not None:
-            return self._remove(self.keys.several(key, to_key))
+            return self._remove(self.several(key, to_key))
         if self._is_exact(key):
             row = self._exact(key)  # and no other of the same time
-            count = 0 if row is None else self.keyspace.removal.delete_rows([row])
+            count = 0 if row is None else delete_rows(self.keyspace, [row])
         else:
-            count = self._remove(self.keys.one(key))
+            count = self._remove(self.one(key))
         if not count:
             raise MessageNotFound(self.absent(key, None))
         return count
 
     def _remove(self, wanted: Selection) -> int:
-        removal = self.keyspace.removal
         if isinstance(wanted, Stretch) and self.where is None:
-            return removal.delete(self.tables, *wanted, self._nodes)
-        return removal.delete_rows(self._select(wanted, bare=True))
+            return delete_stretch(self.keyspace, self.tables, *wanted, self.nodes)
+        return delete_rows(self.keyspace, self._select(wanted, bare=True))
 
     def find(self, key: AnyKey, nearest: Optional[str]) -> Optional[StoredRow]:
         """Find the one row that getData means by a key; None where there is none."""
@@ -117,17 +110,17 @@ class Finder:
             return self._near(key, nearest)
         if self._is_exact(key) and self._table_of(key) is not None:
             return self._exact(key)
-        wanted = self.keys.one(key)
+        wanted = self.one(key)
         if isinstance(wanted, Stretch):
             return self._at(wanted.low)
         newest = isinstance(wanted, Named)  # of several versions; of equal values the first
-        return next(self._select(wanted, reverse=newest, limit=1), None)
+        return next(self._select(wanted, reverse=newest), None)
 
     def _at(self, t: int) -> Optional[StoredRow]:
         """Find the row at a time, ns: of several the first in the order of all reads."""
         if self.where is None:
-            return self.keyspace.rows.at(self.tables, t, self._nodes)
-        return next(self._select(Stretch(t, t), limit=1), None)
+            return self.keyspace.rows.at(self.tables, t, self.nodes)
+        return next(self._select(Stretch(t, t)), None)
 
     def _table_of(self, key: AnyKey) -> Optional[TopicTable]:
         """Return the table in which a key of ours lies; None where it is gone."""
@@ -143,12 +136,12 @@ class Finder:
     def _is_exact(self, key: AnyKey) -> bool:
         """Say whether a key is one that the store gave: it knows its row."""
         known = isinstance(key, (RowName, Stamp)) and bool(key.table)
-        return known and self.node in (None, key.node)
+        return known and (self.nodes is None or key.node in self.nodes)
 
     def _near(self, key: AnyKey, nearest: str) -> Optional[StoredRow]:
         if nearest not in NEAREST:
             raise InvalidKey(f"nearest={nearest!r} is none of {', '.join(NEAREST)}")
-        wanted = self.keys.one(key)
+        wanted = self.one(key)
         if not isinstance(wanted, Stretch):
             kind = "names" if isinstance(wanted, Named) else "values of a field"
             raise InvalidKey(
@@ -161,23 +154,20 @@ class Finder:
         before = after = None
         low = 0
         if nearest != "before":
-            after = next(self._select(Stretch(t, LAST_NS), limit=1), None)
+            after = next(self._select(Stretch(t, LAST_NS)), None)
             if after is not None and nearest == "either":
                 low = max(0, t - (after.t - t))  # what lies before that is further away
         if nearest != "after":
-            before = next(self._select(Stretch(low, t), limit=1, reverse=True), None)
+            before = next(self._select(Stretch(low, t), reverse=True), None)
         # Backwards the last of equal stamps comes first.
         return after if before is None else self._at(before.t) or before
 
     def absent(self, key: AnyKey, nearest: Optional[str]) -> str:
-        """Say that there is no message at a key, in the direction that was asked for if any.
-
-        Tells what lies near, and what was probably meant.
-        """
-        wanted = self.keys.one(key)
+        """Say that there is no message at a key, what lies near, and what was probably meant."""
+        wanted = self.one(key)
         none = f"topic {self.topic} has no message"
-        if self.node is not None:
-            none += f" of node {self.node}"
+        if self.nodes is not None:
+            none += f" of node {self.nodes[0]}"
         if self.where is not None:
             none += f" that satisfies {self.where.text!r:.200}"
         if isinstance(wanted, Named):
@@ -187,7 +177,7 @@ class Finder:
             return f"{none} whose key field is {key!r:.80}"
         t = wanted.low
         none += f" {nearest or 'at'} {iso_time(t)} ({t} ns)"
-        if isinstance(key, int) and 0 < t < _SECONDS_BELOW:
+        if isinstance(key, int) and 0 < t < SECONDS_BELOW:
             return none + "; integers are nanoseconds; did you mean seconds (a float)?"
         # The nearest that satisfies a condition may be far, and long to look for.
         look = nearest is None and self.where is None
@@ -202,6 +192,65 @@ class Finder:
             f"{{secs: {secs}, nsecs: {nsecs}}}, for a number goes through a float"
         )
 
+    @property
+    def _named(self) -> bool:
+        return self.key_format in NAMED_FORMATS
+
+    @cached_property
+    def _parts(self) -> List[KeyPart]:
+        return [t.value_part for t in self.tables if t.value_part is not None]
+
+    def several(self, key: AnyKey, to_key: AnyKey) -> Selection:
+        """Say what key and to_key mean as the ends of a stretch, or what key alone means."""
+        if key is None and to_key is None:
+            return Stretch()
+        if self._named and to_key is not None:
+            raise InvalidKey(
+                f"messages of topic {self.topic} are kept under names (key_format "
+                f"{self.key_format}), and names have no order: there is no stretch between two of "
+                "them; give one key, or none for all"
+            )
+        if to_key is None and (self._named or self._is_value(key)):
+            return self.one(key)
+        if self._is_value(key) or self._is_value(to_key):
+            raise InvalidKey(
+                f"the key of topic {self.topic} is its field {self._parts[0].field}, and its "
+                "messages lie in the order of time: a stretch goes from one genpy.Time to "
+                "another; ask for a range of values with executeCQL"
+            )
+        return Stretch.between(key, to_key)
+
+    def one(self, key: AnyKey) -> Selection:
+        """Say what a single key means: one time, one name, or one value."""
+        if self._named:
+            return Named(check_message_name(self.topic, key))
+        if self._is_value(key):
+            return Valued(key)
+        t = to_ns(key)
+        return Stretch(t, t)
+
+    def _is_value(self, key: AnyKey) -> bool:
+        return bool(self._parts) and key is not None and not is_time(key)
+
+    def of_text(self, text: str) -> AnyKey:
+        """Read a key that a person typed; see CassandraTopic.keyOfText."""
+        if self._named or any(table.named for table in self.tables):
+            return text
+        if self._parts:
+            return Stamp.from_ns(to_ns(text)) if is_iso_text(text) else self._value(text)
+        text = text.strip()
+        return int(text) if text.isascii() and text.isdigit() and len(text) < 40 else text
+
+    def _value(self, text: str) -> AnyKey:
+        """Read a value as the first table that can takes it: texts last, they take anything."""
+        problem: Optional[InvalidKey] = None
+        for part in sorted(self._parts, key=lambda part: part.is_text):
+            try:
+                return part.from_text(text)
+            except InvalidKey as exc:
+                problem = problem or exc
+        raise problem or InvalidKey(f"{text!r:.80} is no key")
+
 
 Where = Union[str, Tuple[str, Sequence[Any]]]
 """A condition: what stands behind WHERE in CQL, or that and the values of its ``?``."""
@@ -210,19 +259,9 @@ Where = Union[str, Tuple[str, Sequence[Any]]]
 class Filter:
     """The rows of one topic that satisfy a condition.
 
-    A message satisfies a condition on the elements of an array of messages when one element does.
-
-    Args:
-        topic: Whose rows.
-        where: The condition.
-        node: Only messages of this node; None = of all.
-
     Attributes:
         text: The condition as it was given.
         test: Tells whether a row of the topic satisfies it, whatever its node.
-
-    Raises:
-        InvalidQuery: It is no condition, or none on the topic's fields.
     """
 
     def __init__(self, topic: Source[StoredRow], where: Where, node: Optional[str] = None) -> None:
@@ -239,11 +278,5 @@ class Filter:
     def rows(
         self, stretch: Stretch, *, reverse: bool = False, bare: bool = False
     ) -> Iterator[StoredRow]:
-        """Walk through the rows with a time in a stretch that satisfy it, in order of time.
-
-        Args:
-            stretch: Both ends included.
-            reverse: Newest first.
-            bare: Only keys are wanted, no messages.
-        """
+        """Walk through those in a stretch, in order of time; bare: no messages are wanted."""
         return self._condition.rows(self._topic, *stretch, reverse=reverse, bare=bare)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import logging
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import (
@@ -37,54 +36,38 @@ UNKNOWN_ROW_BYTES = 32 * 1024
 """Assumed of the rows of writers that have a bucket open."""
 
 
-@dataclass(frozen=True)
-class TopicIndexes:
-    """Makes and removes the indexes of one topic; see CassandraTopic.createIndex."""
+def create_index(
+    space: Keyspace, adder: Adder, topic: str, field: str, progress: Optional[Progress]
+) -> int:
+    """Make an index, or complete it; see CassandraTopic.createIndex."""
+    space.schema.tables(fresh=True)
+    check_indexable(topic, space.tables.of_topic(topic), field)
+    space.indexes.add(topic, field, lambda metadata: _type_of(metadata, field))
+    adder.close()  # what it holds open could not be filled
+    return IndexFilling(space.directory, field, progress).fill(space.tables.of_topic(topic))
 
-    keyspace: Keyspace
-    adder: Adder
-    """Writes what addData is given."""
-    topic: str
-    """The topic's name."""
 
-    @property
-    def _tables(self) -> list[TopicTable]:
-        return self.keyspace.tables.of_topic(self.topic)
+def has_index(tables: Sequence[TopicTable], field: str) -> bool:
+    """Say whether every table whose type has the field has an index on it."""
+    able = [table.metadata for table in tables if _type_of(table.metadata, field)]
+    return bool(able) and all(field in metadata.indexes for metadata in able)
 
-    def create(self, field: str, progress: Optional[Progress] = None) -> int:
-        """Make an index, or complete it; return how many stored messages were indexed."""
-        space = self.keyspace
-        space.schema.tables(fresh=True)
-        check_indexable(self.topic, self._tables, field)
-        space.indexes.add(self.topic, field, lambda metadata: _type_of(metadata, field))
-        self.adder.close()  # what it holds open could not be filled
-        filling = IndexFilling(space.directory, field, progress)
-        return filling.fill(self._tables)
 
-    def has(self, field: str) -> bool:
-        """Say whether every table whose type has the field has an index on it."""
-        able = [table for table in self._tables if _type_of(table.metadata, field) is not None]
-        return bool(able) and all(field in table.metadata.indexes for table in able)
-
-    def remove(self, field: str) -> None:
-        """Remove an index."""
-        space = self.keyspace
-        space.schema.tables(fresh=True)
-        tables = self._tables
-        if any(
-            table.value_part is not None and table.value_part.field == field for table in tables
-        ):
-            raise InvalidOption(
-                f"the index on {field} cannot be removed: it is the key_part of topic "
-                f"{self.topic}, and getData finds messages by it"
-            )
-        listed = any(field in table.metadata.indexes for table in tables)
-        if not listed and tables:
-            check_indexable(self.topic, tables, field)
-        if not space.indexes.drop(self.topic, field):
-            known = sorted({name for table in tables for name in table.metadata.indexes})
-            hint = nearest_fields(field, known) if known else "it has none"
-            raise InvalidName(f"topic {self.topic} has no index on {field!r}; {hint}")
+def remove_index(space: Keyspace, topic: str, field: str) -> None:
+    """Remove an index; see CassandraTopic.removeIndex."""
+    space.schema.tables(fresh=True)
+    tables = space.tables.of_topic(topic)
+    if any(table.value_part is not None and table.value_part.field == field for table in tables):
+        raise InvalidOption(
+            f"the index on {field} cannot be removed: it is the key_part of topic {topic}, and "
+            "getData finds messages by it"
+        )
+    known = sorted({name for table in tables for name in table.metadata.indexes})
+    if tables and field not in known:
+        check_indexable(topic, tables, field)
+    if not space.indexes.drop(topic, field):
+        hint = nearest_fields(field, known) if known else "it has none"
+        raise InvalidName(f"topic {topic} has no index on {field!r}; {hint}")
 
 
 def check_indexable(topic: str, tables: list[TopicTable], field: str) -> None:
@@ -111,11 +94,7 @@ def check_indexable(topic: str, tables: list[TopicTable], field: str) -> None:
 
 
 def check_unnamed(topic: str, key_format: str) -> None:
-    """Check that messages are not kept under names.
-
-    Raises:
-        InvalidOption: They are.
-    """
+    """Raise InvalidOption where messages are kept under names."""
     if key_format in NAMED_FORMATS:
         raise InvalidOption(
             f"topic {topic} cannot have an index: its messages are kept under names (key_format "
@@ -126,7 +105,7 @@ def check_unnamed(topic: str, key_format: str) -> None:
 def _type_of(metadata: TopicMetadata, field: str) -> Optional[str]:
     definition = definition_in(metadata)
     with suppress(InvalidName):
-        return None if definition is None else IndexField(definition, field, "").cql_type
+        return IndexField(definition, field, "").cql_type if definition else None
     return None
 
 
@@ -181,12 +160,8 @@ class IndexFilling:
         for page in backfill.pages(*place, largest):
             backfill.write(list(self._updates(table, index, page, totals)))
             self._progress(self._done, max(self._done, self._total))
-        rows = done = 0
-        for row in writers:
-            if self._mark(table, row, index.shadow, totals[row.writer]):
-                rows += totals[row.writer].rows
-                done += 1
-        return rows, done
+        done = [r.writer for r in writers if self._mark(table, r, index.shadow, totals[r.writer])]
+        return sum(totals[writer].rows for writer in done), len(done)
 
     def _updates(
         self,

@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime, timezone
-from typing import Any, Mapping, Optional, Sequence
+from typing import Any, Optional, Sequence
 
 from cassandra_ros.errors import InvalidKey, InvalidName, TopicExists, TypeMismatch, WriteFailed
 from cassandra_ros.formats.table import DEFAULT_FORMAT, FALLBACK_FORMAT, format_class
@@ -24,9 +24,7 @@ from cassandra_ros.store.schema import Planned, Schema
 from cassandra_ros.store.side_tables import SideTables
 from cassandra_ros.topics.connections import ConnectionCache
 from cassandra_ros.topics.reading import RowReader
-from cassandra_ros.topics.removal import Removal
 from cassandra_ros.topics.topic_table import TopicTable, TopicTables, definition_in
-from cassandra_ros.topics.totals import TopicTotals
 
 _log = logging.getLogger(__name__)
 
@@ -35,9 +33,6 @@ class Keyspace:
     """One keyspace of a cluster; it and its side tables are made by what first writes.
 
     Each of its parts, which are its attributes, does one thing in it; their classes say which.
-
-    Raises:
-        InvalidName: The name is not 1 to 48 letters, digits and underscores.
     """
 
     def __init__(self, cassandra: Cassandra, name: str) -> None:
@@ -45,29 +40,18 @@ class Keyspace:
         self.name = name
         self.side_tables = SideTables(cassandra, name)
         self.schema = Schema(cassandra, self.side_tables)
-        self.indexes = IndexChanges(cassandra, self.schema)
+        self.indexes = IndexChanges(self.schema)
         self.directory = Directory(cassandra, self.side_tables)
-        self.registry = Registry(cassandra, self.side_tables)
+        self.registry = Registry(self.side_tables)
         self.connections = ConnectionCache(self.registry)
-        self.tables = TopicTables(cassandra, self.schema)
-        self.rows = RowReader(cassandra, self.directory, self.connections)
-        self.totals = TopicTotals(self.directory)
-        self.removal = Removal(cassandra, self.directory)
+        self.tables = TopicTables(cassandra, self.schema, self.connections)
+        self.rows = RowReader(cassandra, self.directory)
 
     def format_for(self, topic: str, md5sum: str = "", asked: Optional[str] = None) -> str:
         """Decide in which format new messages of a topic are kept.
 
-        Args:
-            topic: Its name.
-            md5sum: Of the messages, where that is known.
-            asked: The format that somebody named; it goes before all others.
-
-        Returns:
-            Unasked the format of the table that was made last, of this md5 where there is one: a
-            stored topic stays in its format. Of a topic that is not stored yet DEFAULT_FORMAT.
-
-        Raises:
-            UnknownFormat: There is no format of the name that was asked for.
+        That is the one that was asked for, or raises UnknownFormat; else that of the table that was
+        made last, of this md5 where there is one: a stored topic stays in its format.
         """
         if asked is not None and asked != "":
             format_class(asked)
@@ -82,32 +66,30 @@ class Keyspace:
         """Find the table for a topic, md5 and format, or make it.
 
         Args:
-            metadata: What its comment is to say; columns, date and bucket are completed here, and
-                what the topic's other tables say holds for this one. Of its indexes the fields
-                count; one that the type has not is left out.
+            metadata: What its comment is to say; columns, date and what is '' or 0 are completed
+                here, and what the topic's other tables say holds for this one. Of its indexes the
+                fields count; one that the type has not is left out.
             definition: The checked definition, or None.
 
         Raises:
             InvalidKey: The type has no such field as key_part, and the topic is new.
         """
-        for table in self.tables.of_topic(metadata.topic):
-            if (table.metadata.md5sum, table.metadata.format) == (metadata.md5sum, metadata.format):
-                return table
         fmt = format_class(metadata.format)(metadata.msg_type, metadata.md5sum, definition)
 
         def plan(others: Sequence[TopicMetadata]) -> Planned:
             wanted = _beside(metadata, others)
             wanted, shadows = _indexed(wanted, definition, new=not others)
+            bucket_ns = wanted.bucket_ns or _default_bucket(definition)
             wanted = wanted.with_(
-                bucket_ns=limit_for_ttl(wanted.bucket_ns, wanted.ttl),
+                key_format=wanted.key_format or "time",
+                bucket_ns=limit_for_ttl(bucket_ns, wanted.ttl),
                 columns=tuple(fmt.describe()),
                 date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
             )
             return wanted, fmt.getColValidationClasses(), shadows
 
         key = (metadata.topic, metadata.md5sum, metadata.format)
-        name = self.schema.ensure_table(key, plan)
-        found = self.tables.by_name(name)
+        found = self.tables.by_name(self.schema.ensure_table(key, plan))
         if found is None:
             raise WriteFailed(
                 f"the table of topic {metadata.topic} was dropped as soon as it was made: another "
@@ -115,20 +97,19 @@ class Keyspace:
             )
         return found
 
-    def wished_table(self, topic: str, wish: Wish, definition: Definition) -> TopicTable:
+    def wished_table(self, wish: Wish, definition: Definition) -> TopicTable:
         """Find or make the table for messages of this definition, in the format asked for."""
-        for path in wish.index:
+        for path in wish.metadata.indexes:
             IndexField(definition, path, "")  # raises InvalidName where there is none
-        table = self.make_table(wish.metadata(topic, definition), definition)
+        kind, md5sum, text = definition.type, definition.md5sum, definition.text
+        metadata = wish.metadata.with_(msg_type=kind, md5sum=md5sum, definition=text)
+        table = self.make_table(metadata, definition)
         wish.check(table.metadata, None)  # another client may have been quicker
         return table
 
-    def table_for(self, topic: str, wish: Wish, msg: Any) -> TopicTable:
-        """Find or make the table for a message.
-
-        Raises:
-            TypeMismatch: It is none, or of another type than the topic.
-        """
+    def table_for(self, wish: Wish, msg: Any) -> TopicTable:
+        """Find or make the table for a message; TypeMismatch where it is none of the topic's."""
+        topic = wish.metadata.topic
         if not hasattr(type(msg), "_md5sum"):  # nor has a class, in place of its object
             raise TypeMismatch(
                 f"{msg!r:.80} is no message: give topic {topic} a message object, as "
@@ -137,7 +118,7 @@ class Keyspace:
         definition = definition_of(type(msg))
         tables = self.tables.of_topic(topic)
         fitting = [t for t in tables if t.metadata.md5sum == definition.md5sum]
-        wished = [t for t in fitting if t.metadata.format == wish.format]
+        wished = [t for t in fitting if t.metadata.format == wish.metadata.format]
         if wished or (fitting and not wish.asked):
             return (wished or fitting)[0]
         if tables and not fitting:
@@ -146,7 +127,7 @@ class Keyspace:
                 f"topic {topic} holds {stored.msg_type} [{stored.md5sum}], the message is "
                 f"{definition.type} [{definition.md5sum}]; nothing was stored"
             )
-        return self.wished_table(topic, wish, definition)
+        return self.wished_table(wish, definition)
 
     def nodes(self, tables: Sequence[TopicTable]) -> list[str]:
         """List the nodeIDs that have stored messages in some tables."""
@@ -182,14 +163,23 @@ def _indexed(
     metadata: TopicMetadata, definition: Optional[Definition], new: bool
 ) -> tuple[TopicMetadata, dict[str, str]]:
     """Return the metadata with the indexes of the table, and the columns that carry them."""
-    wished = list(metadata.indexes)
-    part = _key_part(metadata, definition, new)
-    own_time = metadata.key_format == "hash" or (part is not None and part.is_time)
-    metadata = metadata.with_(own_time=own_time, indexes={}, index_count=0)
-    shadows = {}
-    if part is not None and not part.is_time:
-        metadata = metadata.with_index(part.field, 0)
-        shadows[shadow_column(0)] = part.cql_type
+    wished, shadows, by_hash = list(metadata.indexes), {}, metadata.key_format == "hash"
+    metadata = metadata.with_(own_time=by_hash, indexes={}, index_count=0)
+    if metadata.key_format == "msg_part":
+        try:
+            if definition is None:
+                none = "has no usable definition to find a key field in"
+                raise InvalidKey(f"{metadata.msg_type} {none}")
+            part = KeyPart(definition, metadata.key_part)
+        except InvalidKey as exc:
+            if new:
+                raise
+            _log.warning("messages of topic %s: %s; these are found by time", metadata.topic, exc)
+        else:
+            metadata = metadata.with_(own_time=part.is_time)
+            if not part.is_time:
+                metadata = metadata.with_index(part.field, 0)
+                shadows[shadow_column(0)] = part.cql_type
     for path in wished:
         if definition is None or metadata.named or path in metadata.indexes:
             continue
@@ -203,24 +193,7 @@ def _indexed(
     return metadata, shadows
 
 
-def _key_part(
-    metadata: TopicMetadata, definition: Optional[Definition], new: bool
-) -> Optional[KeyPart]:
-    """Return the key field of a table that is made, None where its type has none."""
-    if metadata.key_format != "msg_part":
-        return None
-    try:
-        if definition is None:
-            raise InvalidKey(f"{metadata.msg_type} has no usable definition to find a key field in")
-        return KeyPart(definition, metadata.key_part)
-    except InvalidKey as exc:
-        if new:
-            raise
-        _log.warning("messages of topic %s: %s; these are found by time", metadata.topic, exc)
-        return None
-
-
-def default_bucket(definition: Optional[Definition]) -> int:
+def _default_bucket(definition: Optional[Definition]) -> int:
     """Return the bucket length where the rate is unknown: 1 min for types with arrays."""
     arrays = definition is None or any(
         field.is_array for spec in definition.specs.values() for field in spec.fields
@@ -232,70 +205,25 @@ def default_bucket(definition: Optional[Definition]) -> int:
 class Wish:
     """What addTopic asked for; kept until the first message tells the type."""
 
-    format: str
-    """'' = as it is stored; the catalog fills it in."""
-    node: str = ""
-    ttl: int = 0
-    comment: str = ""
-    key_format: str = ""
-    """'' = as it is stored, else 'time'."""
-    key_part: str = ""
-    user: Mapping[str, Any] = field(default_factory=dict)
-    index: tuple[str, ...] = ()
-    """Fields that are to have an index."""
-    asked: bool = True
+    metadata: TopicMetadata
+    """Without a type; key_format '' = as it is stored, else 'time'; indexes are to be made."""
+    asked: bool
     """addTopic named the format; else it is the one that is stored."""
-    pending: bool = True
+    pending: bool
     """Added in this process, perhaps without a table yet."""
 
-    @classmethod
-    def stored(cls, metadata: TopicMetadata, format: str) -> Wish:
-        """Return the wish for a topic as it is stored, and goes on in a format."""
-        return cls(
-            format=format,
-            node=metadata.nodeID,
-            ttl=metadata.ttl,
-            comment=metadata.comment,
-            key_format=metadata.key_format,
-            key_part=metadata.key_part,
-            user=metadata.user,
-            asked=False,
-        )
-
-    def check(self, metadata: TopicMetadata, definition: Optional[Definition]) -> None:
-        """Compare with what is stored.
-
-        Raises:
-            TopicExists: The topic is stored in another way than asked for.
-        """
-        wrong = []
-        if definition is not None and definition.md5sum != metadata.md5sum:
-            wrong.append(f"type {metadata.msg_type} [{metadata.md5sum}]")
-        key = (self.key_format, self.key_part)
-        if self.key_format and key != (metadata.key_format, metadata.key_part):
-            wrong.append(f"key_format {metadata.key_format} {metadata.key_part}".rstrip())
-        if self.ttl and self.ttl != metadata.ttl:
-            wrong.append(f"ttl {metadata.ttl} s")
+    def check(self, stored: TopicMetadata, definition: Optional[Definition]) -> None:
+        """Raise TopicExists where the topic is stored in another way than asked for."""
+        wrong, wanted = [], self.metadata
+        if definition is not None and definition.md5sum != stored.md5sum:
+            wrong.append(f"type {stored.msg_type} [{stored.md5sum}]")
+        key = (wanted.key_format, wanted.key_part)
+        if wanted.key_format and key != (stored.key_format, stored.key_part):
+            wrong.append(f"key_format {stored.key_format} {stored.key_part}".rstrip())
+        if wanted.ttl and wanted.ttl != stored.ttl:
+            wrong.append(f"ttl {stored.ttl} s")
         if wrong:
             raise TopicExists(
-                f"topic {metadata.topic} is stored already with {', '.join(wrong)}; give the "
+                f"topic {stored.topic} is stored already with {', '.join(wrong)}; give the "
                 "same, or remove the topic first"
             )
-
-    def metadata(self, topic: str, definition: Optional[Definition]) -> TopicMetadata:
-        """Return what the comment of the topic's table is to say."""
-        return TopicMetadata(
-            topic=topic,
-            msg_type=definition.type if definition else "",
-            md5sum=definition.md5sum if definition else "",
-            definition=definition.text if definition else "",
-            format=self.format,
-            bucket_ns=default_bucket(definition),
-            ttl=self.ttl,
-            nodeID=self.node,
-            comment=self.comment,
-            key_format=self.key_format or "time",
-            key_part=self.key_part,
-            user=self.user,
-            indexes=dict.fromkeys(self.index, ""),
-        )

@@ -25,7 +25,7 @@ from cassandra_ros.errors import (
     WriteFailed,
 )
 from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
-from cassandra_ros.keys import COUNTER_BITS, MAX_NS, Position, RowName, join_seq, new_writer_id
+from cassandra_ros.keys import COUNTER_BITS, MAX_NS, Position, RowName, new_writer_id
 from cassandra_ros.messages.classes import installed_definition, serialize
 from cassandra_ros.messages.connection import Connection, api_connection
 from cassandra_ros.messages.definition import Definition, definition_of, parse_definition
@@ -34,7 +34,7 @@ from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.row_table import NewRow
 from cassandra_ros.store.writer import LossCallback, RowWriter, WriteStats
-from cassandra_ros.topics.keyspace import Keyspace, default_bucket
+from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.selection import Time
 from cassandra_ros.topics.stored_row import Key
 from cassandra_ros.topics.topic_table import TopicTable
@@ -74,13 +74,8 @@ class Handle:
 class MessageWriter:
     """Writes messages of any topic under one writer id. Thread-safe.
 
-    Args:
-        keyspace: The connected keyspace.
-        writer_id: 31 bits, never 0.
-        node: The entity that produces the messages; '' = nobody says.
-        ttl: Seconds until a row expires; 0 = never; None = as the topic was made.
-        run: The recording or import that this is; stored at once and with counts at close.
-        linger_sec, give_up_after_sec, format, on_loss: See RosCassandra.messageWriter.
+    The arguments are those of RosCassandra.messageWriter, but with a ttl of None the rows expire
+    as the topic was made. The run is stored at once, and with counts at close.
     """
 
     def __init__(
@@ -109,7 +104,7 @@ class MessageWriter:
         self._topics: dict[str, str] = {}
         self._refused: dict[str, WriteStats] = {}
         self._mutex = threading.Lock()
-        self._high = join_seq(writer_id, 0)
+        self._high = writer_id << COUNTER_BITS
         self._closed = False
         self._run = run
         if run is not None:
@@ -123,8 +118,6 @@ class MessageWriter:
             give_up_after_sec=give_up_after_sec,
             on_loss=on_loss,
         )
-
-    # ---------------------------------------------------------------- connections
 
     def connect(
         self,
@@ -170,22 +163,22 @@ class MessageWriter:
             msg_type=connection.type,
             md5sum=connection.md5sum,
             format=wanted if definition is not None else FALLBACK_FORMAT,
-            bucket_ns=bucket_ns or default_bucket(definition),
+            bucket_ns=bucket_ns or 0,
             definition=definition.text if definition else connection.definition_text,
         )
         table = self._keyspace.make_table(metadata, definition)
-        warning = warning or self._other_ttl(table)
+        warning = warning or self._other_ttl(table.metadata)
         conn = self._keyspace.connections.put(table.name, connection)
         if warning:
             _log.warning("%s", warning)
         return self._keep(key, Handle(connection, table, conn, node, key[1], warning))
 
-    def _other_ttl(self, table: TopicTable) -> Optional[str]:
-        if self._ttl is None or table.metadata.ttl == self._ttl:
+    def _other_ttl(self, stored: TopicMetadata) -> Optional[str]:
+        if self._ttl in (None, stored.ttl):
             return None
         return (
-            f"topic {table.metadata.topic} was made with a ttl of {table.metadata.ttl} s, and that "
-            f"holds for what is stored now, not {self._ttl} s (0 = never)"
+            f"topic {stored.topic} was made with a ttl of {stored.ttl} s, and that holds for what "
+            f"is stored now, not {self._ttl} s (0 = never)"
         )
 
     def _keep(self, key: tuple[Connection, Optional[str], str], handle: Handle) -> Handle:
@@ -202,19 +195,12 @@ class MessageWriter:
             key = (handle.connection, handle.asked, handle.node)
             with self._mutex:
                 found = self._handles.get(key)
-                if found is None or found.table.name in self._rows.gone:
-                    self._handles.pop(key, None)
-                    found = None
-            if found is None:
+            if found is None or found.table.name in self._rows.gone:
                 self._keyspace.schema.tables(fresh=True)
-                old, like = handle, handle.table.metadata
-                found = self.connect(
-                    old.connection, like.bucket_ns, format=old.asked, node=old.node, like=like
-                )
+                like, (connection, asked, node) = handle.table.metadata, key
+                found = self.connect(connection, like.bucket_ns, format=asked, node=node, like=like)
             handle = found
         return handle
-
-    # ---------------------------------------------------------------- messages
 
     def write(
         self, handle: Handle, t_ns: int, counter: int, wire: bytes, name: str = ""
@@ -242,8 +228,7 @@ class MessageWriter:
         try:
             try:
                 return self._put(self.current(handle), t_ns, seq, wire, name)
-            except TopicNotFound:
-                # Another client removed the topic; it goes on in a new table.
+            except TopicNotFound:  # another client removed it; it goes on in a new table
                 return self._put(self.current(handle), t_ns, seq, wire, name)
         except CassandraRosError as exc:
             if self._on_loss is None:
@@ -275,11 +260,7 @@ class MessageWriter:
         return found
 
     def flush(self) -> None:
-        """Return when every message that was taken is acknowledged or counted as lost.
-
-        Raises:
-            WriteFailed: Messages were given up (only without on_loss).
-        """
+        """Return when every message is acknowledged or counted as lost; raises as close does."""
         self._rows.flush()
 
     def close(self, lost: Optional[Mapping[str, int]] = None) -> None:
@@ -339,12 +320,7 @@ def _definition(connection: Connection) -> Definition:
 
 
 class Adder:
-    """Stores single messages under one writer id. Thread-safe.
-
-    Args:
-        keyspace: Where to.
-        clock: Tells the time for messages without a key; None = rospy's or the wall's.
-    """
+    """Stores single messages under one writer id. Thread-safe."""
 
     def __init__(self, keyspace: Keyspace, clock: Optional[Clock]) -> None:
         self._keyspace = keyspace
@@ -353,12 +329,11 @@ class Adder:
         self._writer: Optional[MessageWriter] = None
         self._mutex = threading.Lock()
 
-    def now(self) -> int:
-        """Tell the time, ns; see now_ns."""
-        return now_ns(self._clock)
-
-    def add(self, table: TopicTable, msg: object, t: int, node: str, name: str = "") -> Key:
-        """Store a message of the table's type; return its key when it is acknowledged."""
+    def add(
+        self, table: TopicTable, msg: object, t: Optional[Time], node: str, name: str = ""
+    ) -> Key:
+        """Store a message of the table's type, t None = now; return its key when acknowledged."""
+        t = now_ns(self._clock) if t is None else to_ns(t)
         wire = serialize(msg)
         connection = api_connection(table.metadata.topic, definition_of(type(msg)), _caller_id())
         # One at a time: a failure is raised to whoever flushes, and must be that message's.
@@ -369,7 +344,6 @@ class Adder:
                 self._writer, self._counter = writer, itertools.count()
             handle = writer.connect(connection, format=table.metadata.format, node=node)
             counter = next(self._counter)
-            seq = join_seq(writer.writer_id, counter)
             row = writer.write(handle, t, counter, wire, name)
             try:
                 writer.flush()
@@ -383,6 +357,7 @@ class Adder:
         if row is None:
             raise AssertionError("a writer without on_loss raises what it refuses")
         if stored.named:
+            seq = writer.writer_id << COUNTER_BITS | counter  # the row's is 0 of equal messages
             return RowName.of(Position(t, node, seq, stored.name, row.name))
         return Stamp.from_ns(row.t, node=node, seq=row.seq, table=stored.name)
 
@@ -407,13 +382,7 @@ def _caller_id() -> str:
 
 
 def now_ns(clock: Optional[Clock]) -> int:
-    """Tell the time: the given clock's, else rospy's where a node runs here, else wall time.
-
-    Args:
-        clock: Returns a time of any kind that to_ns takes, or None.
-
-    Returns:
-        Nanoseconds since 1970.
+    """Tell the time, ns: the given clock's, else rospy's where a node runs here, else wall time.
 
     Raises:
         ClockNotSet: The node uses simulated time and no /clock message has come.

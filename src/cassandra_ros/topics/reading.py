@@ -11,7 +11,7 @@ from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import Position, RowName, is_behind
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.query import protocols
+from cassandra_ros.query.pushdown import Pushdown
 from cassandra_ros.store import reader
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import Directory
@@ -25,34 +25,22 @@ from cassandra_ros.store.fetch import (
 )
 from cassandra_ros.store.reader import Scan, read_rows
 from cassandra_ros.store.row_table import RowTable, TableRow
-from cassandra_ros.topics.connections import ConnectionCache
-from cassandra_ros.topics.selection import LAST_NS, AnyKey, Named, Selection, Stretch, Valued
+from cassandra_ros.topics.selection import LAST_NS, Named, Nodes, Selection, Stretch, Valued
 from cassandra_ros.topics.stored_row import StoredRow, fetch_row
 from cassandra_ros.topics.topic_table import TopicTable
 
-Nodes = Optional[Sequence[str]]
 Columns = Callable[[TopicTable], Optional[Sequence[str]]]
 
 
 class RowReader:
     """Reads the rows of one keyspace."""
 
-    def __init__(
-        self, cassandra: Cassandra, directory: Directory, connections: ConnectionCache
-    ) -> None:
+    def __init__(self, cassandra: Cassandra, directory: Directory) -> None:
         self._cassandra = cassandra
         self._directory = directory
-        self._connections = connections
-
-    # ---------------------------------------------------------------- many
 
     def select(
-        self,
-        tables: Sequence[TopicTable],
-        wanted: Selection,
-        *,
-        nodes: Nodes = None,
-        reverse: bool = False,
+        self, tables: Sequence[TopicTable], wanted: Selection, nodes: Nodes, reverse: bool
     ) -> Iterator[StoredRow]:
         """Yield the rows that a selection means, in the order of time or newest first."""
         if isinstance(wanted, Stretch):
@@ -72,16 +60,12 @@ class RowReader:
         after: Optional[Position] = None,
         reverse: bool = False,
         columns: Optional[Columns] = None,
-        chooser: Optional[protocols.TopicChooser] = None,
+        chooser: Optional[Pushdown] = None,
     ) -> Iterator[StoredRow]:
         """Yield rows with a time in a stretch in the order (t, node, seq, table), lazily.
 
         Of topics whose messages lie under names all keys are listed first, and all rows are read.
-
-        Args:
-            columns: Which of the format's columns to read, in their order; a row fetches the
-                others when its bytes are asked for.
-            chooser: What the server may leave out; it may leave out less.
+        For columns and chooser see CassandraTopic.rows; the server may leave out less.
         """
         scan = Scan(
             *stretch,
@@ -105,7 +89,7 @@ class RowReader:
         by_name = {table.name: table for table in tables}
         for row in rows:
             self._cassandra.require_open()  # also an iterator says at once that it cannot go on
-            yield StoredRow(row, by_name[row.table], self._connections)
+            yield StoredRow(row, by_name[row.table])
 
     def _named(self, tables: Sequence[TopicTable], scan: Scan) -> Iterator[TableRow]:
         keys = [
@@ -124,16 +108,27 @@ class RowReader:
         streams = []
         for table in tables:
             if table.named:
-                known = [node for _, node in self._directory.nodes(table.name, 0, 0)]
-                asked = sorted(known if nodes is None else set(known) & set(nodes))
+                known = {node for _, node in self._directory.nodes(table.name, 0, 0)}
+                asked = sorted(known if nodes is None else known.intersection(nodes))
                 streams.append(versions(table, name, asked, reverse=reverse))
         return heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
 
     def _valued(
         self, tables: Sequence[TopicTable], wanted: Valued, nodes: Nodes, reverse: bool
     ) -> Iterator[TableRow]:
-        every = encoded(tables, wanted.value)
-        keys = [self._keys_of(table, part, value, nodes) for table, part, value in every]
+        keys: list[Iterator[Wanted]] = []
+        problems: list[InvalidKey] = []
+        parts = [(table, table.value_part) for table in tables if table.value_part is not None]
+        for table, part in parts:
+            try:
+                value = part.encode(wanted.value)
+            except InvalidKey as exc:
+                problems.append(exc)
+                continue
+            if value is not None:
+                keys.append(self._keys_of(table, part, value, nodes))
+        if problems and len(problems) == len(parts):
+            raise problems[0]  # in none of the tables the field is of the value's kind
         merged: Iterable[Wanted] = heapq.merge(*keys, key=lambda key: key.position)
         yield from fetch_rows(reversed(list(merged)) if reverse else merged)
 
@@ -169,12 +164,9 @@ class RowReader:
         late = self._stored(fetch_rows(wanted), tables)
         return heapq.merge(own, late, key=lambda row: row.arrival)
 
-    # ---------------------------------------------------------------- one
-
     def exact(self, table: TopicTable, key: Union[Stamp, RowName]) -> Optional[StoredRow]:
         """Read one row by the key that the store gave: one SELECT."""
-        name = str(key) if isinstance(key, RowName) else ""
-        t = key.t if isinstance(key, RowName) else key.ns
+        t, name = (key.t, str(key)) if isinstance(key, RowName) else (key.ns, "")
         position = Position(t, key.node or "", key.seq or 0, table.name, name)
         return self._single(fetch_row(table, position), [table])
 
@@ -185,29 +177,3 @@ class RowReader:
 
     def _single(self, row: Optional[TableRow], tables: Sequence[TopicTable]) -> Optional[StoredRow]:
         return next(self._stored([] if row is None else [row], tables), None)
-
-
-def encoded(tables: Sequence[TopicTable], value: AnyKey) -> list[tuple[TopicTable, KeyPart, bytes]]:
-    """Return the tables whose key field can have a value, each with the value for its index.
-
-    Raises:
-        InvalidKey: In none of them the field is of the value's kind.
-    """
-    found: list[tuple[TopicTable, KeyPart, bytes]] = []
-    problem: Optional[InvalidKey] = None
-    fitting = False
-    for table in tables:
-        part = table.value_part
-        if part is None:
-            continue
-        try:
-            wanted = part.encode(value)
-        except InvalidKey as exc:
-            problem = problem or exc
-            continue
-        fitting = True
-        if wanted is not None:
-            found.append((table, part, wanted))
-    if problem is not None and not fitting:
-        raise problem
-    return found

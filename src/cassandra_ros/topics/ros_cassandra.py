@@ -18,39 +18,27 @@ from cassandra_ros.arguments import (
     check_topics,
     check_ttl,
     check_user_keys,
-    check_writer_id,
 )
 from cassandra_ros.errors import InvalidKey, InvalidName, InvalidOption, KeyspaceNotFound
-from cassandra_ros.keys import Position, new_writer_id
+from cassandra_ros.keys import MAX_WRITER, Position, new_writer_id
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import duration_ns
+from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.query.explain import Explanation
 from cassandra_ros.query.run import QueryResult, Rows
 from cassandra_ros.store.address import from_environment
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.writer import LossCallback
-from cassandra_ros.topics.across import AcrossTopics, Conditions, Pair
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
-from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.keyspace import Keyspace, Wish
-from cassandra_ros.topics.message_writer import Adder, Clock, MessageWriter
-from cassandra_ros.topics.selection import Time, stretch_of
+from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.message_writer import Clock, MessageWriter
+from cassandra_ros.topics.selection import LAST_NS, Stretch, Time
 from cassandra_ros.topics.statements import Statements
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.totals import TopicInfo
-from cassandra_ros.transforms.lookup import TransformFinder
-
-
-class _Open:
-    """What a RosCassandra works with in one keyspace."""
-
-    def __init__(self, parts: Keyspace, clock: Optional[Clock]) -> None:
-        self.parts = parts
-        self.adder = Adder(parts, clock)
-        self.catalog = Catalog(parts, self.adder)
-        self.statements = Statements(parts, self.catalog)
-        self.across = AcrossTopics(parts.rows, self.catalog)
+from cassandra_ros.topics.totals import TopicInfo, describe
+from cassandra_ros.transforms.lookup import lookup_transform
 
 
 class RosCassandra:
@@ -92,7 +80,7 @@ class RosCassandra:
             ssl_context=ssl_context,
         )
         self._clock = clock
-        self._opened: Optional[_Open] = None
+        self._opened: Optional[Catalog] = None
         keyspace = from_environment("KEYSPACE") or None if keyspace is None else keyspace
         if keyspace is not None:
             try:
@@ -102,10 +90,9 @@ class RosCassandra:
                 raise
 
     def connectToKeyspace(self, keyspace: str, make: bool = True) -> None:
-        """Work in this keyspace from now on.
+        """Work in this keyspace from now on; tables are made in it by what first writes.
 
-        Tables are made in it by what first writes, never by reading. Topics that were got before
-        stay in theirs until the next call or close.
+        Topics that were got before stay in theirs until the next call or close.
 
         Args:
             keyspace: 1 to 48 letters, digits and underscores; case matters.
@@ -125,20 +112,20 @@ class RosCassandra:
     def _work_in(self, parts: Keyspace) -> None:
         if self._opened is not None:
             self._opened.adder.close()
-        self._opened = _Open(parts, self._clock)
+        self._opened = Catalog(parts, self._clock)
 
     @property
     def keyspace(self) -> Optional[str]:
         """The connected keyspace's name, or None."""
-        return None if self._opened is None else self._opened.parts.name
+        return None if self._opened is None else self._opened.keyspace.name
 
     @property
     def parts(self) -> Keyspace:
         """The connected keyspace: schema, directory, registry, rows."""
-        return self._open.parts
+        return self._open.keyspace
 
     @property
-    def _open(self) -> _Open:
+    def _open(self) -> Catalog:
         self.cassandra.require_open()
         if self._opened is None:
             raise KeyspaceNotFound("no keyspace is connected: call connectToKeyspace('ros') first")
@@ -203,17 +190,21 @@ class RosCassandra:
         """
         if msg_type is not None:
             check_text("msg_type", msg_type, error=InvalidName, wanted="one like 'std_msgs/String'")
-        wish = Wish(
+        wanted = TopicMetadata(
+            topic=check_new_topic(topic),
+            msg_type="",
+            md5sum="",
             format="" if format is None else format,
-            node=check_node(nodeID),
+            bucket_ns=0,
+            nodeID=check_node(nodeID),
             ttl=check_ttl(ttl),
             comment=check_text("comment", comment),
             key_format=check_key_format(key_format, key_part),
             key_part=key_part,
             user=check_user_keys({} if metadata is None else metadata),
-            index=check_fields("index", index),
+            indexes=dict.fromkeys(check_fields("index", index), ""),
         )
-        return self._open.catalog.add(check_new_topic(topic), wish, msg_type)
+        return self._open.add(wanted, msg_type)
 
     def getTopic(self, topic: str) -> CassandraTopic:
         """Return a topic by its name, with or without the leading slash.
@@ -222,11 +213,11 @@ class RosCassandra:
             TopicNotFound: There is none; the text gives the nearest names.
             InvalidName: It is no text.
         """
-        return self._open.catalog.get(topic)
+        return self._open.get(topic)
 
     def existTopic(self, topic: str) -> bool:
         """Say whether getTopic would find the topic."""
-        return self._open.catalog.exists(topic)
+        return self._open.exists(topic)
 
     def getAllTopics(self, pattern: Optional[str] = None) -> list[CassandraTopic]:
         """Return all topics, sorted by name.
@@ -239,23 +230,15 @@ class RosCassandra:
         """
         if pattern is not None:
             check_text("pattern", pattern, error=InvalidName, wanted="a regular expression")
-        return self._open.catalog.all(pattern)
+        return self._open.all(pattern)
 
     def removeTopic(self, topic: str) -> None:
-        """Drop a topic with all its messages.
-
-        Raises:
-            TopicNotFound: There is none.
-        """
-        self._open.catalog.remove(topic)
+        """Drop a topic with all its messages; raises as getTopic does."""
+        self._open.remove(topic)
 
     def truncateTopic(self, topic: str) -> None:
-        """Remove all messages of a topic; the topic and its metadata stay.
-
-        Raises:
-            TopicNotFound: There is none.
-        """
-        self._open.catalog.truncate(topic)
+        """Remove all messages of a topic; it and its metadata stay. Raises as getTopic does."""
+        self._open.remove(topic, renew=True)
 
     def renameTopic(self, topic: str, new_name: str) -> None:
         """Give a topic another name. Its messages stay where they are: this takes no time.
@@ -269,7 +252,7 @@ class RosCassandra:
                 the leading slash.
             InvalidName: The new name is not one.
         """
-        self._open.catalog.rename(topic, check_new_topic(new_name))
+        self._open.rename(topic, check_new_topic(new_name))
 
     def messageWriter(
         self,
@@ -286,7 +269,7 @@ class RosCassandra:
         """Make a writer of serialised messages; close it.
 
         Args:
-            writer_id: Repeats of the same import give the same; None = a random one.
+            writer_id: 1 to 2**31 - 1; repeats of the same import give the same; None = any.
             format: As addTopic takes it, for all topics.
             nodeID: The entity that produces the messages.
             ttl: Seconds until a message expires; 0 = never.
@@ -301,9 +284,11 @@ class RosCassandra:
         """
         if run is not None and not isinstance(run, Run):
             raise InvalidOption(f"run={run!r:.80} describes no run: give a store.registry.Run")
+        if writer_id is None:
+            writer_id = new_writer_id()
         return MessageWriter(
             self.parts,
-            new_writer_id() if writer_id is None else check_writer_id(writer_id),
+            check_integer("writer_id", writer_id, 1, MAX_WRITER, InvalidKey),
             format=format,
             node=check_node(nodeID),
             ttl=check_ttl(ttl),
@@ -321,7 +306,7 @@ class RosCassandra:
 
     def info(self, topics: Optional[Iterable[str]] = None) -> list[TopicInfo]:
         """Describe what is stored: counts, sizes and times by topic, table and node."""
-        return self.parts.totals.info(self._open.across.tables(check_topics(topics)))
+        return describe(self.parts.directory, self._open.tables(check_topics(topics)))
 
     def runs(self) -> list[Run]:
         """List the recordings and imports of the keyspace."""
@@ -356,8 +341,9 @@ class RosCassandra:
             InvalidOption: A condition is for a topic that is not read.
             InvalidQuery: A condition is none; shows it with a caret under the spot.
         """
-        names, stretch = check_topics(topics), stretch_of(key, to_key)
-        return self._open.across.read(names, stretch, nodeID, received, where)
+        names, stretch, space = check_topics(topics), Stretch.between(key, to_key), self._open
+        filters = space.filters(where, names, nodeID)
+        return space.merged(space.tables(names), filters, stretch, nodeID, received)
 
     def nearestMessages(
         self,
@@ -395,13 +381,18 @@ class RosCassandra:
             InvalidKey: tolerance is no length of time, or negative.
             InvalidQuery: A condition is none.
         """
-        reach, stretch = duration_ns(tolerance), stretch_of(key, to_key)
-        return self._open.across.nearest(topic_a, topic_b, reach, stretch, nodeID, where, unpaired)
+        reach, stretch, space = duration_ns(tolerance), Stretch.between(key, to_key), self._open
+        first, second = space.get(topic_a), space.get(topic_b)
+        filters = space.filters(where, (topic_a, topic_b), nodeID)
+        rows = space.merged(first.tables, filters, stretch, nodeID)
+        low, high = max(0, stretch.low - reach), min(LAST_NS, stretch.high + reach)
+        partners = space.merged(second.tables, filters, Stretch(low, high), nodeID)
+        return nearest_pairs(rows, partners, reach, unpaired)
 
     @property
     def statements(self) -> Statements:
         """Runs statements, also parsed ones and by a chosen plan."""
-        return self._open.statements
+        return Statements(self._open)
 
     def executeCQL(
         self,
@@ -444,13 +435,9 @@ class RosCassandra:
     ) -> Explanation:
         """Run a SELECT statement and say how it was answered; ``print`` what comes back.
 
-        Returns:
-            An Explanation: how many buckets were read of how many and in which way (by an index,
-            filtered by the server, whole), what the server checked, what was left to this side,
-            rows read and returned.
-
-        Raises:
-            InvalidQuery: As executeCQL.
+        That is how many buckets were read of how many and in which way (by an index, filtered by
+        the server, whole), what the server checked, what was left to this side, rows read and
+        returned. Raises InvalidQuery as executeCQL does.
         """
         return self.statements.explain(statement, params, nodeID)
 
@@ -493,6 +480,4 @@ class RosCassandra:
             MissingDependency: tf2_py is not installed.
             InvalidKey, InvalidName.
         """
-        return TransformFinder(self._open.catalog.get, nodeID).lookup(
-            target, source, time, tf, tf_static
-        )
+        return lookup_transform(self._open.get, nodeID, target, source, time, tf, tf_static)

@@ -15,13 +15,18 @@ from typing import Any, Iterator, Mapping, Optional, Sequence, Union
 
 from cassandra_ros.arguments import check_limit, check_nodes
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, TopicNotFound
-from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.messages.stamps import SECONDS_BELOW, Stamp
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.query.conditions import SECONDS_BELOW, Condition, meant_as_seconds
 from cassandra_ros.query.explain import Explanation, explain
 from cassandra_ros.query.names import nearest
 from cassandra_ros.query.parse import parse_select, parse_statement
-from cassandra_ros.query.run import Cursor, QueryResult, Rows, select_rows
+from cassandra_ros.query.run import (
+    Condition,
+    Cursor,
+    QueryResult,
+    Rows,
+    meant_as_seconds,
+)
 from cassandra_ros.query.syntax import (
     Change,
     CreateIndex,
@@ -36,14 +41,14 @@ from cassandra_ros.store.schema import Schema
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.indexes import check_indexable
-from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.removal import delete_rows
 
 
 class Statements:
     """Runs the statements of the query language on the topics of one keyspace."""
 
-    def __init__(self, keyspace: Keyspace, catalog: Catalog) -> None:
-        self._keyspace = keyspace
+    def __init__(self, catalog: Catalog) -> None:
+        self._keyspace = catalog.keyspace
         self._catalog = catalog
 
     def run(
@@ -62,18 +67,19 @@ class Statements:
         if isinstance(parsed, Select):
             result = self.select(parsed, node=node, limit=limit)
             return Rows(result, result.columns)
+        text = parsed.text
+        start = len(text) - len(text.lstrip())
         if limit is not None:
-            raise _refused(parsed, "limit= bounds the rows of a SELECT, it does nothing here")
+            reason = "limit= bounds the rows of a SELECT, it does nothing here"
+            raise InvalidQuery(text, start, reason)
         if isinstance(parsed, Delete):
             return Rows([(self._delete(parsed, node),)], ["deleted"])
         if node is not None:
-            raise _refused(
-                parsed,
-                "this is done for the messages of all nodes, not of one; DELETE with NODE = '…' "
-                "removes those of one",
-            )
+            reason = "this is done for the messages of all nodes, not of one; "
+            reason += "DELETE with NODE = '…' removes those of one"
+            raise InvalidQuery(text, start, reason)
         if isinstance(parsed, Truncate):
-            self._catalog.truncate(self._topic(parsed).name)
+            self._catalog.remove(self._topic(parsed).name, renew=True)
         elif isinstance(parsed, CreateIndex):
             self._create_index(parsed)
         else:
@@ -90,18 +96,12 @@ class Statements:
         after: Cursor = None,
         plan: str = "auto",
     ) -> QueryResult:
-        """Run a SELECT statement, or its parsed tree, lazily; see select_rows.
-
-        Raises:
-            InvalidQuery: The statement cannot be understood, or names something unknown.
-            InvalidKey: ``after`` is no cursor.
-            InvalidOption: ``limit`` is negative.
-        """
+        """Run a SELECT statement, or its parsed tree, lazily; see QueryResult."""
         check_limit(limit)
         check_nodes(node)
         select = statement if isinstance(statement, Select) else parse_select(statement, params)
         topic = self._topic(select)
-        return select_rows(select, topic, node=node, limit=limit, after=after, plan=plan)
+        return QueryResult(select, topic, node=node, limit=limit, after=after, plan=plan)
 
     def explain(
         self, statement: str, params: Sequence[Any] = (), node: Optional[str] = None
@@ -121,12 +121,12 @@ class Statements:
     def _delete(self, statement: Delete, node: Optional[str]) -> int:
         topic = self._topic(statement)
         named = any(table.named for table in topic.tables)
-        condition = Condition.of_statement(statement, node)
+        condition = Condition(statement, node=node)
         bounds = condition.bounds(named)
         if not named:
             _refuse_seconds(topic, statement)
         if named or not bounds.whole:
-            return self._keyspace.removal.delete_rows(condition.rows(topic))
+            return delete_rows(self._keyspace, condition.rows(topic))
         if bounds.empty or not topic.tables:
             return 0
         low, high = Stamp.from_ns(bounds.low), Stamp.from_ns(bounds.high)
@@ -158,14 +158,13 @@ class Statements:
         else:
             found, spot = self._index_on(statement, index), index.field.position
         if found is not None:
-            topic, field = found
             with _at(statement.text, spot):  # somebody was quicker; or the key needs it
-                topic.removeIndex(field)
+                found[0].removeIndex(found[1])
 
     def _index_named(
         self, statement: DropIndex, name: IndexName
     ) -> Optional[tuple[CassandraTopic, str]]:
-        known = names_of_indexes(self._keyspace.schema)
+        known = names_of_indexes(self._keyspace.schema.tables(fresh=True))
         found = known.get(name.text, [])
         if len(found) == 1:
             return self._catalog.get(found[0][0]), found[0][1]
@@ -209,11 +208,6 @@ def _at(text: str, position: int) -> Iterator[None]:
         raise InvalidQuery(text, position, str(exc)) from exc
 
 
-def _refused(statement: Change, reason: str) -> InvalidQuery:
-    text = statement.text
-    return InvalidQuery(text, len(text) - len(text.lstrip()), reason)
-
-
 def _refuse_seconds(topic: CassandraTopic, statement: Delete) -> None:
     """Refuse integers that were meant as seconds: a lower end in 1970 removes every message."""
     for literal in meant_as_seconds(statement.condition):
@@ -227,12 +221,8 @@ def _refuse_seconds(topic: CassandraTopic, statement: Delete) -> None:
             )
 
 
-def names_of_indexes(schema: Schema) -> dict[str, list[tuple[str, str]]]:
-    """Return name -> (topic, field) of each index of a keyspace that bears it, mostly one."""
-    return _named(schema.tables(fresh=True))
-
-
-def _named(tables: Mapping[str, TopicMetadata]) -> dict[str, list[tuple[str, str]]]:
+def names_of_indexes(tables: Mapping[str, TopicMetadata]) -> dict[str, list[tuple[str, str]]]:
+    """Return name -> (topic, field) of each index of some tables that bears it, mostly one."""
     found: dict[str, set[tuple[str, str]]] = {}
     for metadata in tables.values():
         for name, field in metadata.index_names.items():
@@ -242,15 +232,10 @@ def _named(tables: Mapping[str, TopicMetadata]) -> dict[str, list[tuple[str, str
 
 
 def _give_name(schema: Schema, topic: str, field: str, name: str) -> None:
-    """Call the index of a field so; it need not be there yet.
-
-    Raises:
-        InvalidName: Another index is called so.
-        TopicNotFound: The topic is gone.
-    """
+    """Call the index of a field so; it need not be there yet, and no other may be called so."""
 
     def check(tables: Mapping[str, TopicMetadata]) -> None:
-        for other, of in _named(tables).get(name, []):
+        for other, of in names_of_indexes(tables).get(name, []):
             if (other, of) != (topic, field):
                 raise InvalidName(
                     f"the index on {other} ({of}) is called {name} already; choose another name"

@@ -4,25 +4,16 @@
 
 from __future__ import annotations
 
-import logging
 from typing import Any, Optional, Union
 
-from cassandra_ros.errors import CorruptMessage, DefinitionError, MessageNotFound
+from cassandra_ros.errors import CorruptMessage, MessageNotFound
 from cassandra_ros.keys import Position, RowName
-from cassandra_ros.messages.classes import deserialize, message_class, raw_class
+from cassandra_ros.messages.classes import deserialize
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.store.fetch import Wanted, fetch_rows
-from cassandra_ros.store.large import read_chunks
+from cassandra_ros.store.fetch import Wanted, fetch_rows, read_chunks
 from cassandra_ros.store.row_table import TableRow
-from cassandra_ros.topics.connections import ConnectionCache
 from cassandra_ros.topics.topic_table import TopicTable
-
-_log = logging.getLogger(__name__)
-
-MAX_CLASSES = 1024
-"""Connections of a table whose message class is kept: anonymous publishers come without end."""
 
 Key = Union[Stamp, RowName]
 """What finds one stored message again: a time, or the name under which it is kept."""
@@ -32,37 +23,19 @@ class StoredRow:
     """One message of one topic.
 
     Attributes:
-        t: Key time, ns since 1970.
+        t, received: Key time, and when the message was received, ns since 1970.
         node: nodeID, '' when nobody said.
         seq: Writer id << 32 | counter.
-        conn: Number of its connection.
-        size: Serialised bytes.
-        chunked: Whether its bytes lie in the chunk table.
+        table, conn: The TopicTable in which it lies, and the number of its connection in that.
+        size, chunked: Serialised bytes, and whether they lie in the chunk table.
         odd: Whether some field is not held exactly in its column.
         columns: The format's columns, undecoded: all of them, or those that were asked for.
         name: The name under which it is kept; '' where it is found by time.
-        received: When the message was received, ns.
-        table: The TopicTable in which it lies.
     """
 
-    __slots__ = (
-        "_connections",
-        "_row",
-        "_wire",
-        "chunked",
-        "columns",
-        "conn",
-        "name",
-        "node",
-        "odd",
-        "received",
-        "seq",
-        "size",
-        "t",
-        "table",
-    )
+    __slots__ = "_row _wire chunked columns conn name node odd received seq size t table".split()
 
-    def __init__(self, row: TableRow, table: TopicTable, connections: ConnectionCache) -> None:
+    def __init__(self, row: TableRow, table: TopicTable) -> None:
         self.t, self.node, self.seq, _, self.conn, self.size, chunks = row[:7]
         _, self.odd, _, self.columns, self.name, received = row[7:]
         self.received = self.t if received < 0 else received
@@ -70,7 +43,6 @@ class StoredRow:
         self.table = table
         self._row = row
         self._wire: Optional[bytes] = None
-        self._connections = connections
 
     @property
     def topic(self) -> str:
@@ -104,7 +76,7 @@ class StoredRow:
     @property
     def connection(self) -> Connection:
         """The connection over which it came."""
-        return self._connections.get(self.table.name, self.conn)
+        return self.table.connections.get(self.table.name, self.conn)
 
     @property
     def type(self) -> str:
@@ -118,27 +90,7 @@ class StoredRow:
 
     def message_class(self) -> Any:
         """Return the class of the message: installed, generated, or RawMessage."""
-        known = self.table.classes.get(self.conn)
-        if known is None:
-            if len(self.table.classes) >= MAX_CLASSES:
-                self.table.classes.clear()
-            known = self.table.classes[self.conn] = self._find_class()
-        return known
-
-    def _find_class(self) -> Any:
-        type_, definition = self.type, self.table.definition
-        if definition is None:
-            return raw_class(type_, self.md5sum)
-        try:
-            text = self.connection.definition_text
-            if type_ != definition.type or (text and text != definition.text):
-                # The same md5 under another name, as tf/tfMessage and tf2_msgs/TFMessage, or of
-                # another text: it does not tell an array of messages from a single one.
-                definition = parse_definition(type_, text, self.md5sum)
-            return message_class(definition)
-        except DefinitionError as exc:
-            _log.debug("messages of topic %s are given back as bytes: %s", self.topic, exc)
-            return raw_class(type_, self.md5sum)
+        return self.table.message_class(self.conn)
 
     def message(self) -> Any:
         """Deserialise the message.
@@ -150,7 +102,7 @@ class StoredRow:
 
 
 def fetch_row(table: TopicTable, position: Position) -> Optional[TableRow]:
-    """Read one row by its place: one SELECT. None where there is none."""
+    """Read one row by its place, None where there is none: one SELECT."""
     return next(fetch_rows([Wanted(table, position)], ahead=1), None)
 
 

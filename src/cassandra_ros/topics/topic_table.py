@@ -7,13 +7,14 @@ from __future__ import annotations
 import hashlib
 import logging
 import threading
-from functools import partial
-from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
+from functools import lru_cache, partial
+from typing import Any, Callable, Mapping, Optional, Tuple
 
 from cassandra_ros.errors import DefinitionError, InvalidName
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.keys import MAX_NS
+from cassandra_ros.messages.classes import message_class, raw_class
 from cassandra_ros.messages.definition import Definition, parse_definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
@@ -21,9 +22,12 @@ from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.row_table import Indexed, NewRow, RowTable, Shadows, encode_long
 from cassandra_ros.store.schema import Schema
+from cassandra_ros.topics.connections import ConnectionCache
 
 _log = logging.getLogger(__name__)
 
+MAX_CLASSES = 1024
+"""Connections of a table whose message class is kept: anonymous publishers come without end."""
 _Value = Callable[[bytes], Tuple[Optional[bytes], bool]]
 """From a serialised message to its value in an index, None = unset, and whether it is odd."""
 
@@ -37,38 +41,32 @@ class TopicTable(RowTable):
         keyspace: str,
         name: str,
         metadata: TopicMetadata,
-        definition: Optional[Definition],
+        connections: ConnectionCache,
     ) -> None:
-        self.definition = definition
+        self.definition = definition = definition_in(metadata)
         """None where the stored definition is not one; the rows are bytes then."""
         self.format: CassandraTopic_ = format_class(metadata.format)(
             metadata.msg_type, metadata.md5sum, definition
         )
         columns = tuple(self.format.getColValidationClasses())
         super().__init__(cassandra, keyspace, name, metadata, columns)
-        self.key_part = _key_part(metadata, definition)
+        # A definition that lacks the field has neither index nor receive time; rows lie by time.
+        able = metadata.own_time or metadata.key_part in metadata.indexes
+        found = definition if able and metadata.key_format == "msg_part" else None
+        self.key_part = None if found is None else KeyPart(found, metadata.key_part)
         """The field that is the key, where there is one."""
         timed = self.key_part is None or self.key_part.is_time
         self.value_part = None if timed else self.key_part
         """The field by whose value rows are found, where there is one."""
-        self.classes: dict[int, Any] = {}
-        """Message classes by the number of the connection."""
+        part = self.value_part
+        self.digest = part if part is not None and part.digest else None
+        """The key field whose index holds the md5 of a whole array, where there is one."""
+        self.msg_type = metadata.msg_type
+        self.by_field = self.format.BY_FIELD
+        self.connections = connections
+        self.message_class: Callable[[int], Any] = lru_cache(MAX_CLASSES)(self._message_class)
+        """Return the class for a connection, by its number: installed, generated or RawMessage."""
         self._indexes: tuple[Mapping[str, str], dict[str, IndexField]] = ({}, {})
-
-    @property
-    def msg_type(self) -> str:
-        """Type of the first connection, 'pkg/Name'."""
-        return self.metadata.msg_type
-
-    @property
-    def by_field(self) -> bool:
-        """Whether each field has a column of its own."""
-        return self.format.BY_FIELD
-
-    @property
-    def valued(self) -> bool:
-        """Whether rows are found by the value of a field that is no time."""
-        return self.value_part is not None
 
     @property
     def index_fields(self) -> dict[str, IndexField]:
@@ -88,11 +86,22 @@ class TopicTable(RowTable):
             self._indexes = indexes, fields
         return fields
 
-    @property
-    def digest(self) -> Optional[KeyPart]:
-        """The key field whose index holds the md5 of a whole array, where there is one."""
-        part = self.value_part
-        return part if part is not None and part.digest else None
+    def _message_class(self, conn: int) -> Any:
+        definition, md5sum = self.definition, self.metadata.md5sum
+        connection = self.connections.get(self.name, conn)
+        if definition is None:
+            return raw_class(connection.type, md5sum)
+        try:
+            text = connection.definition_text
+            if connection.type != definition.type or (text and text != definition.text):
+                # The same md5 under another name, as tf/tfMessage and tf2_msgs/TFMessage, or of
+                # another text: it does not tell an array of messages from a single one.
+                definition = parse_definition(connection.type, text, md5sum)
+            return message_class(definition)
+        except DefinitionError as exc:
+            topic = self.metadata.topic
+            _log.debug("messages of topic %s are given back as bytes: %s", topic, exc)
+            return raw_class(connection.type, md5sum)
 
     def shadows(self) -> Optional[Shadows]:
         """Return the indexes that a bucket which is opened now is filled with; None = none."""
@@ -103,19 +112,22 @@ class TopicTable(RowTable):
         if not values:
             return None
         every = tuple(values.values())
-        if len(every) == 1:
-            return Shadows(tuple(values), lambda wire: _alone(every[0](wire)))
-        return Shadows(tuple(values), lambda wire: _together([value(wire) for value in every]))
+
+        def together(wire: bytes) -> Indexed:
+            encoded: list[Optional[bytes]] = []
+            odd = False
+            for value in every:
+                one, is_odd = value(wire)
+                encoded.append(one)
+                odd = odd or is_odd
+            return encoded, odd
+
+        return Shadows(tuple(values), together)
 
     def make_row(self, received: int, seq: int, conn: int, wire: bytes, name: str = "") -> NewRow:
         """Make the row of a message: its columns, and its place by the topic's key format.
 
-        Args:
-            received: When it was received, ns.
-            seq: Writer id << 32 | counter.
-            conn: Number of its connection.
-            wire: The serialised message.
-            name: Where messages are kept under names: this one's; '' = the topic's.
+        Where messages are kept under names, name is this one's; '' = the topic's.
         """
         metadata = self.metadata
         columns, odd, raw = self.format.encode_wire(wire)
@@ -139,9 +151,10 @@ class TopicTable(RowTable):
 class TopicTables:
     """The topic tables of a keyspace as objects, made once each. Thread-safe."""
 
-    def __init__(self, cassandra: Cassandra, schema: Schema) -> None:
+    def __init__(self, cassandra: Cassandra, schema: Schema, connections: ConnectionCache) -> None:
         self._cassandra = cassandra
         self._schema = schema
+        self._connections = connections
         self._made: dict[str, TopicTable] = {}
         self._mutex = threading.Lock()
 
@@ -150,11 +163,8 @@ class TopicTables:
         with self._mutex:
             table = self._made.get(name)
             if table is None:
-                definition = definition_in(metadata)
-                table = TopicTable(
-                    self._cassandra, self._schema.keyspace, name, metadata, definition
-                )
-                self._made[name] = table
+                where = self._cassandra, self._schema.keyspace
+                table = self._made[name] = TopicTable(*where, name, metadata, self._connections)
             table.metadata = metadata
             return table
 
@@ -174,14 +184,6 @@ def _digest(part: KeyPart, wire: bytes) -> tuple[Optional[bytes], bool]:
     return (None, True) if value is None else (part.index(value), False)
 
 
-def _alone(value: tuple[Optional[bytes], bool]) -> Indexed:
-    return value[:1], value[1]
-
-
-def _together(values: Sequence[tuple[Optional[bytes], bool]]) -> Indexed:
-    return [value for value, _ in values], any(odd for _, odd in values)
-
-
 def definition_in(metadata: TopicMetadata) -> Optional[Definition]:
     """Return the definition that a comment holds, None where it is unusable."""
     try:
@@ -189,11 +191,3 @@ def definition_in(metadata: TopicMetadata) -> Optional[Definition]:
     except DefinitionError as exc:
         _log.debug("topic %s has no usable definition: %s", metadata.topic, exc)
         return None
-
-
-def _key_part(metadata: TopicMetadata, definition: Optional[Definition]) -> Optional[KeyPart]:
-    # A definition that lacks the field has neither index nor receive time; its rows lie by time.
-    able = metadata.own_time or metadata.key_part in metadata.indexes
-    if metadata.key_format != "msg_part" or definition is None or not able:
-        return None
-    return KeyPart(definition, metadata.key_part)

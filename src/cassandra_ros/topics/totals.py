@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from typing import Optional, Sequence
 
 from cassandra_ros.store.counting import scan_keys, settle
-from cassandra_ros.store.directory import BucketRow, Directory
-from cassandra_ros.store.fetch import NamedKey, list_names
+from cassandra_ros.store.directory import BucketRow, BucketTotals, Directory
+from cassandra_ros.store.fetch import list_names
+from cassandra_ros.topics.selection import Nodes
 from cassandra_ros.topics.topic_table import TopicTable
-
-_FIRST, _LAST = -(2**63), 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -43,83 +42,57 @@ class TopicInfo:
     """What finds a message: 'time', 'hash', 'manual', or the field that is the key."""
 
 
-class TopicTotals:
-    """Counts and describes the rows of one keyspace."""
+def count_rows(
+    directory: Directory, tables: Sequence[TopicTable], low: int, high: int, nodes: Nodes
+) -> int:
+    """Count rows with t in [low, high]: whole closed buckets by the directory."""
+    return sum(_count(directory, table, low, high, nodes) for table in tables)
 
-    def __init__(self, directory: Directory) -> None:
-        self._directory = directory
 
-    def count(
-        self, tables: Sequence[TopicTable], low: int, high: int, nodes: Optional[Sequence[str]]
-    ) -> int:
-        """Count rows with t in [low, high]: whole closed buckets by the directory."""
-        return sum(self._count(table, low, high, nodes) for table in tables)
+def _count(directory: Directory, table: TopicTable, low: int, high: int, nodes: Nodes) -> int:
+    if table.named:
+        return sum(low <= key.position.t <= high for key in list_names(table, nodes))
+    length, ends = table.metadata.bucket_ns, (table.bucket_of(low), table.bucket_of(high))
+    rows = directory.buckets(table.name, *ends, nodes, table.metadata.ttl)
+    inner = [r for r in rows if low <= r.bucket * length and (r.bucket + 1) * length - 1 <= high]
+    edges = {(r.node, r.bucket) for r in rows} - {(r.node, r.bucket) for r in inner}
+    return sum(row.rows for row in settle(directory, table, inner)) + sum(
+        1 for node, bucket in edges for _ in scan_keys(table, node, bucket, low, high)
+    )
 
-    def _count(self, table: TopicTable, low: int, high: int, nodes: Optional[Sequence[str]]) -> int:
+
+def count_buckets(directory: Directory, tables: Sequence[TopicTable]) -> int:
+    """Count the partitions of tables: stretches of time of a node; 0 for named messages."""
+    every = ((table.name, row) for table in tables for row in _buckets(directory, table))
+    return len({(name, row.node, row.bucket) for name, row in every})
+
+
+def describe(directory: Directory, tables: Sequence[TopicTable]) -> list[TopicInfo]:
+    """Describe what is stored, by table and node; counts come from the directory."""
+    found: list[TopicInfo] = []
+    for table in tables:
         if table.named:
-            keys = list_names(table, nodes)
-            return sum(low <= key.position.t <= high for key in keys)
-        length = table.metadata.bucket_ns
-        rows = self._directory.buckets(
-            table.name, table.bucket_of(low), table.bucket_of(high), nodes, table.metadata.ttl
-        )
-        inner = [
-            r for r in rows if low <= r.bucket * length and (r.bucket + 1) * length - 1 <= high
-        ]
-        settled = settle(self._directory, table, inner)
-        edges = {(r.node, r.bucket) for r in rows} - {(r.node, r.bucket) for r in inner}
-        return sum(row.rows for row in settled) + sum(
-            1 for node, bucket in edges for _ in scan_keys(table, node, bucket, low, high)
-        )
+            rows = _names_as_buckets(table)
+        else:
+            rows = settle(directory, table, _buckets(directory, table))
+        for node in sorted({row.node for row in rows}) or [table.metadata.nodeID]:
+            found.append(_describe(table, node, [r for r in rows if r.node == node]))
+    return found
 
-    def count_buckets(self, tables: Sequence[TopicTable]) -> int:
-        """Count the partitions of tables: stretches of time of a node; 0 for named messages."""
-        rows = [
-            (table.name, row.node, row.bucket)
-            for table in tables
-            for row in self._directory.buckets(table.name, _FIRST, _LAST, ttl=table.metadata.ttl)
-        ]
-        return len(set(rows))
 
-    def info(self, tables: Sequence[TopicTable]) -> list[TopicInfo]:
-        """Describe what is stored, by table and node; counts come from the directory."""
-        found: list[TopicInfo] = []
-        for table in tables:
-            if table.named:
-                rows = _names_as_buckets(table)
-            else:
-                rows = self._directory.buckets(table.name, _FIRST, _LAST, ttl=table.metadata.ttl)
-                rows = settle(self._directory, table, rows)
-            for node in sorted({row.node for row in rows}) or [table.metadata.nodeID]:
-                found.append(_describe(table, node, [r for r in rows if r.node == node]))
-        return found
+def _buckets(directory: Directory, table: TopicTable) -> list[BucketRow]:
+    return directory.buckets(table.name, -(2**63), 2**63 - 1, ttl=table.metadata.ttl)
 
 
 def _names_as_buckets(table: TopicTable) -> list[BucketRow]:
-    """Describe each named message as if its name were a bucket."""
-    numbers: dict[str, int] = {}
+    """Describe the messages of a node under a name as if that were a bucket."""
+    counted: dict[tuple[str, str], BucketTotals] = {}
+    for (t, node, _, _, name), size, chunked, odd in list_names(table, None):
+        counted.setdefault((node, name), BucketTotals()).count(t, size, chunked, odd)
     return [
-        _as_bucket(numbers.setdefault(key.position.name, len(numbers)), key)
-        for key in list_names(table, None)
+        BucketRow(node, number, 0, True, None, age_sec=0.0, **vars(totals))
+        for number, ((node, _), totals) in enumerate(counted.items())
     ]
-
-
-def _as_bucket(number: int, key: NamedKey) -> BucketRow:
-    t = key.position.t
-    return BucketRow(
-        node=key.position.node,
-        bucket=number,
-        writer=0,
-        closed=True,
-        heartbeat=None,
-        rows=1,
-        bytes=key.size,
-        largest=key.size,
-        t_min=t,
-        t_max=t,
-        odd=int(key.odd),
-        age_sec=0.0,
-    )
 
 
 def _describe(table: TopicTable, node: str, rows: list[BucketRow]) -> TopicInfo:

@@ -8,7 +8,8 @@ buffer gets times around a small base: near it a double is exact to the nanoseco
 
 from __future__ import annotations
 
-from typing import Callable, Iterable, Optional, Type
+from collections import Counter
+from typing import Callable, Iterable, Optional, Sequence, Type
 
 from geometry_msgs.msg import TransformStamped
 
@@ -41,65 +42,47 @@ _ERRORS = {
     tf2_py.ExtrapolationException: ExtrapolationException,
 }
 
-Explain = Callable[[Type[TransformException]], str]
 
-
-class Buffer:
-    """A tf2 buffer that knows the transforms next to one time.
+def look_up(
+    target: str,
+    source: str,
+    time: Optional[int],
+    moving: Sequence[Sample],
+    fixed: Iterable[Sample],
+    explain: Callable[[Type[TransformException]], str],
+) -> TransformStamped:
+    """Return the transform that takes points of source to target. Its stamp means nothing.
 
     Args:
-        time: The time, ns; None = all transforms hold at the time that is looked up.
+        time: ns; None = all transforms hold at the time that is looked up.
         moving: The nearest before and after the time of each frame.
         fixed: Transforms that hold at every time.
+        explain: Gives the text of an error, for tf2's has other times.
     """
-
-    def __init__(
-        self, time: Optional[int], moving: Iterable[Sample], fixed: Iterable[Sample]
-    ) -> None:
-        self._time = time
-        moving = list(moving)
-        self._scales = _scales(moving, time)
-        whole = Stamp.from_ns(2 * REACH_NS + SECOND_NS) - Stamp.from_ns(0)
-        self._core = tf2_py.BufferCore(whole)
-        for sample in moving:
-            self._core.set_transform(_message(sample, self._place(sample)), _AUTHORITY)
-        for sample in fixed:
-            self._core.set_transform_static(_message(sample, _BASE_NS), _AUTHORITY)
-
-    def lookup(self, target: str, source: str, explain: Explain) -> TransformStamped:
-        """Return the transform that takes points of source to target. Its stamp means nothing.
-
-        Args:
-            target, source: Frames.
-            explain: Gives the text of an error, for tf2's has other times.
-
-        Raises:
-            TransformException: tf2 raises one.
-        """
-        try:
-            return self._core.lookup_transform_core(target, source, Stamp.from_ns(_BASE_NS))
-        except tf2_py.TransformException as exc:
-            kind = _ERRORS.get(type(exc), TransformException)
-            raise kind(explain(kind)) from exc
-
-    def _place(self, sample: Sample) -> int:
-        if self._time is None:
-            return _BASE_NS
-        distance, scale = sample.stamp - self._time, self._scales[sample.child]
-        if scale is None or not distance:
-            return _BASE_NS + distance
-        # Interpolation asks only how the distances of the two transforms of a frame compare.
-        near = max(1, round(abs(distance) * scale))
-        return _BASE_NS + (near if distance > 0 else -near)
+    core = tf2_py.BufferCore(Stamp.from_ns(2 * REACH_NS + SECOND_NS) - Stamp.from_ns(0))
+    distances = [0 if time is None else sample.stamp - time for sample in moving]
+    longest: Counter[str] = Counter()
+    for sample, distance in zip(moving, distances):
+        longest[sample.child] = max(longest[sample.child], abs(distance))
+    for sample, distance in zip(moving, distances):
+        near = _BASE_NS + _shortened(distance, longest[sample.child])
+        core.set_transform(_message(sample, near), _AUTHORITY)
+    for sample in fixed:
+        core.set_transform_static(_message(sample, _BASE_NS), _AUTHORITY)
+    try:
+        return core.lookup_transform_core(target, source, Stamp.from_ns(_BASE_NS))
+    except tf2_py.TransformException as exc:
+        kind = _ERRORS.get(type(exc), TransformException)
+        raise kind(explain(kind)) from exc
 
 
-def _scales(samples: Iterable[Sample], time: Optional[int]) -> dict[str, Optional[float]]:
-    """By what to multiply the distances from the time, by child frame; None = they fit."""
-    longest: dict[str, int] = {}
-    for sample in samples:
-        distance = abs(sample.stamp - (time or 0))
-        longest[sample.child] = max(longest.get(sample.child, 0), distance)
-    return {c: REACH_NS / most if most > REACH_NS else None for c, most in longest.items()}
+def _shortened(distance: int, longest: int) -> int:
+    """Scale a distance so that the longest one of its frame is within reach."""
+    if longest <= REACH_NS or not distance:
+        return distance
+    # Interpolation asks only how the distances of the two transforms of a frame compare.
+    near = max(1, round(abs(distance) * (REACH_NS / longest)))
+    return near if distance > 0 else -near
 
 
 def _message(sample: Sample, ns: int) -> TransformStamped:

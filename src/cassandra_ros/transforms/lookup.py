@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import difflib
+from dataclasses import dataclass
 from typing import Callable, Optional, Sequence, Type
 
 from geometry_msgs.msg import TransformStamped
@@ -12,62 +13,54 @@ from geometry_msgs.msg import TransformStamped
 from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import InvalidName, LookupException, TopicNotFound, TransformException
 from cassandra_ros.keys import MAX_NS, SECOND_NS
-from cassandra_ros.messages.stamps import Stamp, iso_time, to_ns
-from cassandra_ros.query.protocols import Row, Source
-from cassandra_ros.transforms.samples import (
-    Fixed,
-    FrameTree,
-    Nearest,
-    Recorded,
-    fill,
-    named,
-    stripped,
-)
+from cassandra_ros.messages.stamps import SECONDS_BELOW, Stamp, iso_time, to_ns
+from cassandra_ros.query.protocols import Row
+from cassandra_ros.query.source import Source
+from cassandra_ros.transforms.samples import Fixed, FrameTree, Nearest, Recorded, fill, named
 
-_SECONDS_BELOW = 10**12
 _SHOWN_FRAMES = 20
 
 
-class TransformFinder:
-    """Finds transforms in the stored messages of tf's topics.
+def lookup_transform(
+    find: Callable[[str], Source[Row]],
+    node: Optional[str],
+    target: str,
+    source: str,
+    time: object,
+    tf: str,
+    tf_static: str,
+) -> TransformStamped:
+    """Return the transform that takes points of one frame to another; see RosCassandra.
 
-    Args:
-        find: Returns a topic by its name, or raises TopicNotFound.
-        node: Only transforms of this nodeID; None = of all.
+    ``find`` returns a topic by its name, or raises TopicNotFound.
     """
-
-    def __init__(self, find: Callable[[str], Source[Row]], node: Optional[str] = None) -> None:
-        self._find = find
-        self._node = node
-
-    def lookup(
-        self, target: str, source: str, time: object, tf: str, tf_static: str
-    ) -> TransformStamped:
-        """Return the transform that takes points of one frame to another; see RosCassandra."""
-        frames = (_frame(target), _frame(source))
-        check_nodes(self._node)
-        asked = to_ns(time)
-        moving, fixed = (self._recorded(name) for name in (tf, tf_static))
-        if moving is None and fixed is None:
-            self._find(tf)  # raises with the nearest names
-        topics = [
-            f"topic {name}{'' if found else ' (which is not stored)'}"
-            for name, found in ((tf, moving), (tf_static, fixed))
-        ]
-        lookup = _Lookup(moving, fixed, Failure(frames, topics, self._node, time))
-        return lookup.at(asked) if asked else lookup.newest()
-
-    def _recorded(self, topic: str) -> Optional[Recorded]:
+    frames = (_frame(target), _frame(source))
+    check_nodes(node)
+    asked = to_ns(time)
+    found: list[Optional[Recorded]] = []
+    for name in (tf, tf_static):
         try:
-            found = self._find(topic)
+            found.append(Recorded(find(name), node))
         except TopicNotFound:
-            return None
-        return Recorded(found, self._node)
+            found.append(None)
+    if found == [None, None]:
+        find(tf)  # raises with the nearest names
+    topics = [
+        f"topic {name}{'' if topic else ' (which is not stored)'}"
+        for name, topic in zip((tf, tf_static), found)
+    ]
+    moving, recorded = found
+    fixed = Fixed()
+    if recorded is not None:
+        # Newest first: those that repeat it then need no look.
+        recorded.read(fixed, 0, MAX_NS, reverse=True)
+    lookup = _Lookup(moving, fixed, Failure(frames, topics, node, time))
+    return lookup.at(asked) if asked else lookup.newest()
 
 
 def _frame(name: object) -> str:
     """Return a frame's name as tf2 wants it."""
-    frame = stripped(name) if isinstance(name, str) else ""
+    frame = name.lstrip("/") if isinstance(name, str) else ""
     try:
         if frame and "\0" not in frame and frame.encode("utf-8"):
             return frame
@@ -76,30 +69,25 @@ def _frame(name: object) -> str:
     raise InvalidName(f"{name!r:.80} is no name of a frame: give a text like 'base_link'")
 
 
+@dataclass(frozen=True)
 class _Lookup:
     """Answers one question."""
 
-    def __init__(
-        self, moving: Optional[Recorded], fixed: Optional[Recorded], failure: Failure
-    ) -> None:
-        self._moving = moving
-        self._fixed = Fixed()
-        if fixed is not None:
-            # Newest first: those that repeat it then need no look.
-            fixed.read(self._fixed, 0, MAX_NS, reverse=True)
-        self._failure = failure
+    moving: Optional[Recorded]
+    fixed: Fixed
+    failure: Failure
 
     def at(self, time: int, centre: Optional[int] = None) -> TransformStamped:
         """Return the transform at a time, ns; ``centre`` is a row key near which it lies."""
-        tree = FrameTree(Nearest(time), self._fixed)
-        path = fill(tree, self._moving, self._failure.frames, time if centre is None else centre)
+        tree = FrameTree(Nearest(time), self.fixed)
+        path = fill(tree, self.moving, self.failure.frames, time if centre is None else centre)
         return self._computed(tree, path, time)
 
     def newest(self) -> TransformStamped:
         """Return the transform at the newest time that all frames on the path have, as in tf2."""
-        tree, frames = FrameTree(Nearest(None), self._fixed), self._failure.frames
-        last = 0 if self._moving is None else self._moving.ends[1]
-        path = fill(tree, self._moving, frames, last)
+        tree, frames = FrameTree(Nearest(None), self.fixed), self.failure.frames
+        last = 0 if self.moving is None else self.moving.ends[1]
+        path = fill(tree, self.moving, frames, last)
         moving = tree.moving(path or [])
         if not moving and path == []:
             moving = tree.moving([frames[0]])
@@ -118,42 +106,31 @@ class _Lookup:
             moving, fixed = ([s for s in part if s.child in path] for part in (moving, fixed))
         else:
             # It remembers every frame that it has heard of, and its errors depend on it.
-            known = tree.frames().intersection(self._failure.frames)
+            known = tree.frames().intersection(self.failure.frames)
             fixed.extend(named(frame) for frame in known)
         # It needs tf2, which who only records or asks may lack.
-        from cassandra_ros.transforms.buffer import Buffer
+        from cassandra_ros.transforms.buffer import look_up
 
-        buffer = Buffer(time, moving, fixed)
-        found = buffer.lookup(*self._failure.frames, lambda kind: self._failure.text(kind, tree))
+        failure = self.failure
+        found = look_up(*failure.frames, time, moving, fixed, lambda kind: failure.text(kind, tree))
         found.header.stamp = Stamp.from_ns(time or 0)
         return found
 
 
+@dataclass(frozen=True)
 class Failure:
-    """The texts of the errors of one question.
+    """The texts of the errors of one question."""
 
-    Args:
-        frames: Target and source.
-        topics: What to call those of the moving and of the fixed transforms.
-        node: The nodeID that was asked for, or None.
-        asked: The time as the user gave it.
-    """
-
-    def __init__(
-        self, frames: tuple[str, str], topics: Sequence[str], node: Optional[str], asked: object
-    ) -> None:
-        self.frames = frames
-        self._topics = topics
-        self._whose = "" if node is None else f" of node {node}"
-        self._asked = asked
+    frames: tuple[str, str]
+    """Target and source."""
+    topics: Sequence[str]
+    """What to call those of the moving and of the fixed transforms."""
+    node: Optional[str]
+    asked: object
+    """The time as the user gave it."""
 
     def text(self, kind: Type[TransformException], tree: FrameTree) -> str:
-        """Say what is wrong.
-
-        Args:
-            kind: What tf2 said.
-            tree: All that was found in the topics.
-        """
+        """Say what is wrong, by what tf2 said and all that was found in the topics."""
         frames, time = tree.frames(), tree.nearest.time
         absent = [frame for frame in self.frames if frame not in frames]
         if absent:
@@ -165,7 +142,7 @@ class Failure:
         if kind is LookupException and loop:
             return text + f"the frames {' -> '.join(loop)} form a loop in {self._where()}"
         text += self._gap(tree) or self._apart(tree)
-        if type(self._asked) is int and 0 < self._asked < _SECONDS_BELOW:
+        if type(self.asked) is int and 0 < self.asked < SECONDS_BELOW:
             text += "; integers are nanoseconds; did you mean seconds (a float)?"
         return text
 
@@ -193,7 +170,7 @@ class Failure:
             away = abs(sample.stamp - nearest.time) / SECOND_NS
             which = "last" if before else "first"
             return (
-                f"the {which} transform of frame {frame} on {self._topics[0]}{self._whose} "
+                f"the {which} transform of frame {frame} on {self.topics[0]}{self._whose()} "
                 f"is at {_shown(sample.stamp)}, {away:.9g} s {'before' if before else 'after'}"
                 f"{_ignored(frame, tree)}; ask for a time within what was recorded, or for the "
                 "time 0, which means the newest"
@@ -208,7 +185,10 @@ class Failure:
         return f"nothing in {self._where()} connects them{how}{left_out}"
 
     def _where(self) -> str:
-        return f"{' and '.join(self._topics)}{self._whose}"
+        return f"{' and '.join(self.topics)}{self._whose()}"
+
+    def _whose(self) -> str:
+        return "" if self.node is None else f" of node {self.node}"
 
 
 def _shown(ns: int) -> str:

@@ -12,6 +12,7 @@ milliseconds apart, or years: in a bag that was replayed, or where a clock was w
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Iterator, NamedTuple, Optional, Sequence, Tuple
 
@@ -19,16 +20,16 @@ from cassandra_ros.errors import CorruptMessage, TypeMismatch
 from cassandra_ros.keys import MAX_NS, SECOND_NS, Position
 from cassandra_ros.query.extract import Extractor
 from cassandra_ros.query.names import all_fields
-from cassandra_ros.query.protocols import Row, Source, Table
+from cassandra_ros.query.protocols import Row, Table
+from cassandra_ros.query.source import Source
 
 _log = logging.getLogger(__name__)
 
 TRANSFORMS_MD5 = "94810edda583a504dfda3829e70d7eec"
 """Of tf2_msgs/TFMessage, and of tf/tfMessage, its name before tf2."""
 _HEAD = ("header.stamp", "header.frame_id", "child_frame_id")
-_REST = tuple(f"transform.translation.{c}" for c in "xyz") + tuple(
-    f"transform.rotation.{c}" for c in "xyzw"
-)
+_MOVED = tuple(f"transform.translation.{c}" for c in "xyz")
+_TURNED = tuple(f"transform.rotation.{c}" for c in "xyzw")
 _TOLERANCE = 10e-3
 """How far tf2 lets the square of a rotation's length be from 1."""
 
@@ -53,18 +54,9 @@ class Sample(NamedTuple):
     order: Order
     """Its place in the order of arrival."""
 
-    @property
-    def delay(self) -> int:
-        """From its stamp to its row key, ns."""
-        return self.key - self.stamp
-
 
 class Nearest:
-    """For each child frame the transforms next to a time.
-
-    Args:
-        time: ns; None = the end of all times.
-    """
+    """For each child frame the transforms next to a time, ns; None = the end of all times."""
 
     def __init__(self, time: Optional[int] = None) -> None:
         self.time = time
@@ -118,17 +110,12 @@ class Fixed(Nearest):
         return known is None or order > known.order
 
 
+@dataclass(frozen=True)
 class FrameTree:
-    """The frames at a time.
+    """The frames at a time; one that is among the fixed transforms counts as fixed."""
 
-    Args:
-        nearest: The moving transforms next to the time.
-        fixed: Those that hold at every time; a frame among them counts as fixed.
-    """
-
-    def __init__(self, nearest: Nearest, fixed: Fixed) -> None:
-        self.nearest = nearest
-        self.fixed = fixed
+    nearest: Nearest
+    fixed: Fixed
 
     def frames(self) -> set[str]:
         """List all frames that were found, also at other times."""
@@ -137,12 +124,14 @@ class FrameTree:
 
     def climb(self, frame: str) -> list[str]:
         """Return the frames from one upwards, as far as the time has transforms."""
-        way = [frame]
-        while True:
-            sample = self.fixed.at(way[-1]) or self.nearest.at(way[-1])
-            if sample is None or sample.parent in way:
-                return way
+        way, sample = [frame], self._above(frame)
+        while sample is not None and sample.parent not in way:
             way.append(sample.parent)
+            sample = self._above(sample.parent)
+        return way
+
+    def _above(self, frame: str) -> Optional[Sample]:
+        return self.fixed.at(frame) or self.nearest.at(frame)
 
     def path(self, target: str, source: str) -> Optional[list[str]]:
         """Return the child frames between two frames; None where nothing connects them yet."""
@@ -160,16 +149,12 @@ class FrameTree:
     def loop(self, frame: str) -> Optional[list[str]]:
         """Return the loop into which the way up from a frame leads, or None."""
         way = self.climb(frame)
-        sample = self.fixed.at(way[-1]) or self.nearest.at(way[-1])
+        sample = self._above(way[-1])
         return None if sample is None else [*way[way.index(sample.parent) :], sample.parent]
 
 
 class Recorded:
-    """The transforms of one topic.
-
-    Args:
-        topic: Whose messages.
-        node: Only transforms of this nodeID; None = of all.
+    """The transforms of one topic, of one nodeID or of all.
 
     Raises:
         TypeMismatch: The topic holds other messages.
@@ -203,7 +188,8 @@ class Recorded:
         heads, rests = self._extractor(row.table)
         rest: Sequence[Tuple[float, ...]] = ()
         for number, (stamp, *names) in enumerate(_elements(heads, row)):
-            parent, child = map(stripped, names)
+            # As tf2 knows them: tf wrote them with a slash in front.
+            parent, child = (name.lstrip("/") for name in names)
             order = (row.position, number)
             if nearest.wants(child, stamp, order):
                 rest = rest or list(_elements(rests, row))
@@ -222,7 +208,7 @@ class Recorded:
             refs = {ref.name: ref for ref in all_fields(definition)}
             head, rest = (
                 Extractor(definition, [refs[f"transforms.{name}"] for name in names], ())
-                for names in (_HEAD, _REST)
+                for names in (_HEAD, _MOVED + _TURNED)
             )
             self._extractors[table.name] = head, rest
         return self._extractors[table.name]
@@ -236,17 +222,9 @@ def _elements(extractor: Extractor, row: Row) -> Iterator[tuple[Any, ...]]:
 def fill(
     tree: FrameTree, recorded: Optional[Recorded], frames: tuple[str, str], centre: int
 ) -> Optional[list[str]]:
-    """Add transforms to a tree until more cannot change its path between two frames.
+    """Add moving transforms to a tree until more cannot change its path between two frames.
 
-    Args:
-        tree: Of the time that is asked.
-        recorded: The moving transforms; None = there are none.
-        frames: Target and source.
-        centre: The row key around which to read, ns; then ever wider.
-
-    Returns:
-        The path's child frames; None where nothing connects the frames at the time, and everything
-        was read.
+    It reads around a row key, ns, then ever wider; None where all of them connect nothing.
     """
     reach, window = FIRST_REACH_NS, (0, 0)
     while recorded is not None and not _is_final(tree, frames, window):
@@ -277,16 +255,11 @@ def _is_final(tree: FrameTree, frames: tuple[str, str], window: tuple[int, int])
     for before in tree.moving(path):
         if time not in (None, before.stamp):
             after = tree.nearest.after[before.child]
-            delays = before.delay, after.delay
+            delays = [sample.key - sample.stamp for sample in (before, after)]
             low, high = before.stamp + min(delays), after.stamp + max(delays)
             if not (window[0] <= low and high <= window[1]):
                 return False
     return True
-
-
-def stripped(frame: str) -> str:
-    """Return a frame's name as tf2 knows it: tf wrote it with a slash in front."""
-    return frame.lstrip("/")
 
 
 def named(frame: str) -> Sample:

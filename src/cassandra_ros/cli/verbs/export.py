@@ -26,14 +26,11 @@ from cassandra_ros.cli.text import MessageBar, format_bytes, format_table, shown
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bag, selection, compression and the store."""
-    parser.add_argument("bag", metavar="OUT.bag", help="the bag to make")
-    parser.add_argument(
-        "--topics", nargs="+", metavar="TOPIC", help="only these topics (after OUT.bag)"
-    )
+    add = parser.add_argument
+    add("bag", metavar="OUT.bag", help="the bag to make")
+    add("--topics", nargs="+", metavar="TOPIC", help="only these topics (after OUT.bag)")
     add_time_options(parser)
-    parser.add_argument(
-        "--node-id", metavar="N", help="only messages of this node (default: of all)"
-    )
+    add("--node-id", metavar="N", help="only messages of this node (default: of all)")
     add_where_option(parser)
     packing = parser.add_mutually_exclusive_group()
     packing.add_argument(
@@ -42,8 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     packing.add_argument(
         "--lz4", dest="compression", action="store_const", const="lz4", help="use LZ4"
     )
-    parser.add_argument("-f", "--force", action="store_true", help="replace OUT.bag if it exists")
-    parser.add_argument("-q", "--quiet", action="store_true", help="print errors only")
+    add("-f", "--force", action="store_true", help="replace OUT.bag if it exists")
+    add("-q", "--quiet", action="store_true", help="print errors only")
     add_store_options(parser)
 
 

@@ -30,18 +30,17 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add bags, format, selection and the store."""
-    parser.add_argument("bags", nargs="+", metavar="FILE", help="bags of format 2.0")
+    add = parser.add_argument
+    add("bags", nargs="+", metavar="FILE", help="bags of format 2.0")
     add_format_option(parser)
-    parser.add_argument(
-        "--topics", nargs="+", metavar="TOPIC", help="only these topics (after the FILEs)"
-    )
-    parser.add_argument(
+    add("--topics", nargs="+", metavar="TOPIC", help="only these topics (after the FILEs)")
+    add(
         "--node-id",
         default="",
         metavar="N",
         help="the robot or entity that produced the messages (default: nobody says)",
     )
-    parser.add_argument("-q", "--quiet", action="store_true", help="print errors and warnings only")
+    add("-q", "--quiet", action="store_true", help="print errors and warnings only")
     add_store_options(parser)
 
 
@@ -118,12 +117,7 @@ class SafeInterrupt:
         self._handlers: dict[int, signal._HANDLER] = {}
 
     def check(self) -> None:
-        """Act on a signal that has come.
-
-        Raises:
-            KeyboardInterrupt: It was Ctrl-C.
-            SystemExit: It was SIGTERM; with the status that a shell gives it.
-        """
+        """Raise KeyboardInterrupt after a Ctrl-C, SystemExit with a shell's status on SIGTERM."""
         if self._came == signal.SIGINT:
             raise KeyboardInterrupt
         if self._came is not None:

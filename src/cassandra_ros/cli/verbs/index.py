@@ -22,16 +22,15 @@ from cassandra_ros.cli.text import MessageBar, format_table, shown
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add topic, field, what is to be done, and the store."""
-    parser.add_argument("topic", metavar="TOPIC", nargs="?", help="a stored topic")
-    parser.add_argument(
-        "field", metavar="FIELD", nargs="?", help="dotted name of a field of its messages"
-    )
+    add = parser.add_argument
+    add("topic", metavar="TOPIC", nargs="?", help="a stored topic")
+    add("field", metavar="FIELD", nargs="?", help="dotted name of a field of its messages")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--remove", action="store_true", help="remove the index on FIELD")
     what.add_argument(
         "--list", action="store_true", help="list the indexes of TOPIC (default: of all topics)"
     )
-    parser.add_argument("-q", "--quiet", action="store_true", help="print errors only")
+    add("-q", "--quiet", action="store_true", help="print errors only")
     add_store_options(parser)
 
 

@@ -37,31 +37,22 @@ _OUTPUTS = ("table", "csv", "json", "ndjson", "parquet")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the statement, its values, the form of the output and the store."""
-    parser.add_argument("statement", metavar="STATEMENT", help="what to ask, in quotes")
-    parser.add_argument(
-        "params", metavar="VALUE", nargs="*", help="a value for each ? of the statement"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("statement", metavar="STATEMENT", help="what to ask, in quotes")
+    add("params", metavar="VALUE", nargs="*", help="a value for each ? of the statement")
+    add(
         "--output", choices=_OUTPUTS, default="table", help="how to write it (default: %(default)s)"
     )
-    parser.add_argument(
-        "-O", "--output-file", metavar="FILE", help="write to FILE (default: standard output)"
-    )
-    parser.add_argument("-f", "--force", action="store_true", help="replace FILE if it exists")
-    parser.add_argument(
-        "-l", "--limit", metavar="NUM", type=_count, help="print at most so many rows"
-    )
-    parser.add_argument(
-        "--node-id", metavar="N", help="only messages of this node (default: of all)"
-    )
-    parser.add_argument(
+    add("-O", "--output-file", metavar="FILE", help="write to FILE (default: standard output)")
+    add("-f", "--force", action="store_true", help="replace FILE if it exists")
+    add("-l", "--limit", metavar="NUM", type=_count, help="print at most so many rows")
+    add("--node-id", metavar="N", help="only messages of this node (default: of all)")
+    add(
         "--explain",
         action="store_true",
         help="say instead how the statement was answered: what the store checked, what was read",
     )
-    parser.add_argument(
-        "--allow-writes", action="store_true", help="run statements that change what is stored"
-    )
+    add("--allow-writes", action="store_true", help="run statements that change what is stored")
     add_store_options(parser)
 
 

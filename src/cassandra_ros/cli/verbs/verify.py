@@ -16,7 +16,13 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from cassandra_ros.cli.options import add_store_options, add_time_options, open_store, read_times
+from cassandra_ros.cli.options import (
+    add_store_options,
+    add_time_options,
+    open_store,
+    read_pair,
+    read_times,
+)
 from cassandra_ros.cli.text import MessageBar, shown
 
 if TYPE_CHECKING:
@@ -25,30 +31,24 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bag, what is compared, and the store."""
-    parser.add_argument("bag", metavar="FILE.bag", help="a bag of format 2.0")
-    parser.add_argument(
+    add = parser.add_argument
+    add("bag", metavar="FILE.bag", help="a bag of format 2.0")
+    add(
         "--topics", nargs="+", metavar="TOPIC", help="only these topics of the bag (after FILE.bag)"
     )
-    parser.add_argument("--node-id", metavar="N", help="only what is stored for this node")
-    parser.add_argument("--content", action="store_true", help="compare the content alone")
-    parser.add_argument(
+    add("--node-id", metavar="N", help="only what is stored for this node")
+    add("--content", action="store_true", help="compare the content alone")
+    add(
         "--map",
         metavar="FROM:=TO",
         action="append",
-        type=_mapping,
+        type=lambda text: read_pair(text, ":=", "FROM:=TO"),
         default=[],
         help="with --content: topic FROM of the bag was recorded as TO; may be repeated",
     )
     add_time_options(parser, "with --content: ")
-    parser.add_argument("-q", "--quiet", action="store_true", help="print differences only")
+    add("-q", "--quiet", action="store_true", help="print differences only")
     add_store_options(parser)
-
-
-def _mapping(text: str) -> tuple[str, str]:
-    source, sign, target = text.partition(":=")
-    if not (source and sign and target):
-        raise argparse.ArgumentTypeError(f"{text!r} is not of the form FROM:=TO")
-    return source, target
 
 
 def run(options: argparse.Namespace) -> int:

@@ -16,13 +16,8 @@ from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import Field
-from cassandra_ros.messages.tree.read import (
-    NUMBER_CODES,
-    TIME_CODES,
-    TIME_NAMES,
-    is_bytes,
-    number_runs,
-)
+from cassandra_ros.messages.tree.read import NUMBER_CODES, TIME_CODES, number_runs
+from cassandra_ros.messages.wire.build import BUILD_ERRORS
 
 AsBytes = Callable[[object], bytes]
 """From what a text holds for uint8[] and char[] to their bytes; raises ValueError, TypeError."""
@@ -32,24 +27,12 @@ _Write = Callable[[object, List[bytes]], None]
 _Step = Callable[[Dict[str, object], List[bytes]], None]
 """(tree of a message, bytes so far) -> nothing; it writes one or several fields."""
 
-_ERRORS = (
-    struct.error,
-    AttributeError,
-    KeyError,
-    OverflowError,
-    TypeError,
-    ValueError,
-    RecursionError,
-)
+_ERRORS = (*BUILD_ERRORS, AttributeError, KeyError, RecursionError)
 _pack_length = struct.Struct("<I").pack
 
 
 def plain_bytes(value: object) -> bytes:
-    """Return the bytes of uint8[] or char[], given as such or as a list of numbers.
-
-    Raises:
-        ValueError, TypeError: They are neither.
-    """
+    """Return the bytes of uint8[] or char[], given as such or as a list of numbers."""
     if type(value) is bytes:
         return value
     values = _list(value, None)
@@ -91,39 +74,34 @@ class _Compiler:
     def message(self, name: str) -> _Write:
         if name not in self._memo:
             fields = self._specs[name].fields
-            steps: list[_Step] = []
-            for run, fixed in number_runs(fields):
-                if fixed is not None:
-                    steps.append(_numbers_step(run, fixed))
-                else:
-                    steps.append(_field_step(run[0].name, self._field(run[0])))
-            self._memo[name] = _fields(steps, len(fields))
+            steps = [self._step(run, fixed) for run, fixed in number_runs(fields)]
+
+            def write(tree: object, parts: list[bytes]) -> None:
+                found = _mapping(tree, len(fields))
+                for step in steps:
+                    step(found, parts)
+
+            self._memo[name] = write
         return self._memo[name]
 
+    def _step(self, run: Sequence[Field], fixed: struct.Struct | None) -> _Step:
+        if fixed is not None:
+            return _numbers_step(run, fixed)
+        name, write = run[0].name, self._field(run[0])
+        return lambda tree, parts: write(tree[name], parts)
+
     def _field(self, field: Field) -> _Write:
+        if field.is_array and field.base == "uint8":
+            return _bytes(field.length, self._as_bytes)
+        if field.is_array and field.base in NUMBER_CODES:
+            return _numbers(NUMBER_CODES[field.base], field.length)
         if field.is_array:
-            return self._array(field)
+            return _elements(self._field(Field(field.name, field.type)), field.length)
         if field.type == "string":
             return _string
         if field.type in TIME_CODES:
             return _time(TIME_CODES[field.type])
         return self.message(field.type)
-
-    def _array(self, field: Field) -> _Write:
-        if is_bytes(field):
-            return _bytes(field.length, self._as_bytes)
-        if field.base in NUMBER_CODES:
-            return _numbers(NUMBER_CODES[field.base], field.length)
-        length, element = field.length, self._field(Field(field.name, field.type))
-
-        def write(value: object, parts: list[bytes]) -> None:
-            values = _list(value, length)
-            if length is None:
-                parts.append(_pack_length(len(values)))
-            for one in values:
-                element(one, parts)
-
-        return write
 
 
 def _list(value: object, length: int | None) -> list[Any]:
@@ -132,39 +110,10 @@ def _list(value: object, length: int | None) -> list[Any]:
     return value
 
 
-def _fields(steps: Sequence[_Step], count: int) -> _Write:
-    def write(tree: object, parts: list[bytes]) -> None:
-        fields = _mapping(tree, count)
-        for step in steps:
-            step(fields, parts)
-
-    return write
-
-
 def _mapping(tree: object, count: int) -> dict[str, object]:
     if type(tree) is not dict or len(tree) != count:
         raise ValueError(f"a message is no mapping of its {count} fields")
     return tree
-
-
-def _field_step(name: str, write: _Write) -> _Step:
-    def step(tree: dict[str, object], parts: list[bytes]) -> None:
-        write(tree[name], parts)
-
-    return step
-
-
-def _numbers_step(run: Sequence[Field], fixed: struct.Struct) -> _Step:
-    names = [field.name for field in run]
-    pick = itemgetter(*names)
-    pack, single, bools = fixed.pack, len(run) == 1, run[0].type == "bool"
-
-    def step(tree: dict[str, object], parts: list[bytes]) -> None:
-        values = (pick(tree),) if single else pick(tree)
-        _check_bools(values, bools)
-        parts.append(pack(*values))
-
-    return step
 
 
 def _check_bools(values: Sequence[object], bools: bool) -> None:
@@ -175,14 +124,25 @@ def _check_bools(values: Sequence[object], bools: bool) -> None:
         raise ValueError("a number is true or false")
 
 
+def _numbers_step(run: Sequence[Field], fixed: struct.Struct) -> _Step:
+    pick = itemgetter(*[field.name for field in run])
+    pack, single, bools = fixed.pack, len(run) == 1, run[0].type == "bool"
+
+    def step(tree: dict[str, object], parts: list[bytes]) -> None:
+        values = (pick(tree),) if single else pick(tree)
+        _check_bools(values, bools)
+        parts.append(pack(*values))
+
+    return step
+
+
 def _string(value: Any, parts: list[bytes]) -> None:
     data: bytes = value.encode()
-    parts.append(_pack_length(len(data)))
-    parts.append(data)
+    parts += (_pack_length(len(data)), data)
 
 
 def _time(code: str) -> _Write:
-    pack, pick = struct.Struct(code).pack, itemgetter(*TIME_NAMES)
+    pack, pick = struct.Struct(code).pack, itemgetter("secs", "nsecs")
 
     def write(tree: object, parts: list[bytes]) -> None:
         values = pick(_mapping(tree, 2))
@@ -197,10 +157,10 @@ def _time(code: str) -> _Write:
 def _bytes(length: int | None, as_bytes: AsBytes) -> _Write:
     def write(value: object, parts: list[bytes]) -> None:
         data = as_bytes(value)
+        if length not in (None, len(data)):
+            raise ValueError("an array has another length than its field")
         if length is None:
             parts.append(_pack_length(len(data)))
-        elif len(data) != length:
-            raise ValueError("an array has another length than its field")
         parts.append(data)
 
     return write
@@ -213,5 +173,16 @@ def _numbers(code: str, length: int | None) -> _Write:
         if length is None:
             parts.append(_pack_length(len(values)))
         parts.append(struct.pack(f"<{len(values)}{code}", *values))
+
+    return write
+
+
+def _elements(element: _Write, length: int | None) -> _Write:
+    def write(value: object, parts: list[bytes]) -> None:
+        values = _list(value, length)
+        if length is None:
+            parts.append(_pack_length(len(values)))
+        for one in values:
+            element(one, parts)
 
     return write

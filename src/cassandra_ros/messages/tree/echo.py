@@ -43,10 +43,8 @@ class _Compiler:
 
     def message(self, name: str) -> _Lines:
         if name not in self._memo:
-            fields = [
-                (f"{attribute_name(field.name)}: ", field.name, self._field(field))
-                for field in self._specs[name].fields
-            ]
+            own = self._specs[name].fields
+            fields = [(f"{attribute_name(f.name)}: ", f.name, self._field(f)) for f in own]
 
             def lines(tree: MessageTree, indent: str) -> list[str]:
                 deeper = indent + "  "
@@ -93,7 +91,7 @@ class _Compiler:
 def _strings(values: Sequence[str], indent: str) -> str:
     if not values:
         return "[]"
-    items = (_item(v) if len(v) <= _CACHED else _dump_item(v) for v in values)
+    items = (_item(v) if len(v) <= _CACHED else _item.__wrapped__(v) for v in values)
     return "".join([f"\n{indent}{line}" for item in items for line in item])
 
 
@@ -102,16 +100,14 @@ def _quoted(text: str) -> str:
         return f'"{text}"'
     if not text:
         return "''"
-    return _dump(text) if len(text) <= _CACHED else _dump_text(text)
+    return _dump(text) if len(text) <= _CACHED else _dump.__wrapped__(text)
 
 
-def _dump_text(text: str) -> str:
+@lru_cache(maxsize=4096)
+def _dump(text: str) -> str:
     return str(yaml.dump(text, default_style='"')).rstrip("\n")
 
 
-def _dump_item(text: str) -> list[str]:
+@lru_cache(maxsize=4096)
+def _item(text: str) -> list[str]:
     return str(yaml.dump([text], default_flow_style=False)).rstrip("\n").splitlines()
-
-
-_dump = lru_cache(maxsize=4096)(_dump_text)
-_item = lru_cache(maxsize=4096)(_dump_item)

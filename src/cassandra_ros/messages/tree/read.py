@@ -10,6 +10,7 @@ tree has the words of ``rostopic echo --noarr`` in its place.
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import groupby
 from typing import Callable, Dict, Iterator, List, Sequence, Tuple, Union
@@ -17,10 +18,9 @@ from typing import Callable, Dict, Iterator, List, Sequence, Tuple, Union
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES, Field
-from cassandra_ros.messages.wire.skip import WIRE_ERRORS, compile_field_skip, short_buffer
+from cassandra_ros.messages.wire.skip import compile_field_skip, short_buffer
 
 TIME_CODES = {"time": "<II", "duration": "<ii"}
-TIME_NAMES = ("secs", "nsecs")
 NUMBER_CODES = {name: code for name, code in CODES.items() if name not in TIME_CODES}
 """struct codes of all primitive types but string, time and duration."""
 
@@ -39,34 +39,23 @@ class TooLong(Exception):  # noqa: N818 - not an error: the next limits are trie
     """The text of a message would exceed the budget of its reader."""
 
 
+@dataclass
 class Budget:
-    """What a tree may hold.
+    """What a tree may hold."""
 
-    Args:
-        characters: Of the text; reading stops as soon as it must become longer.
-        byte: What a byte of uint8[] or char[] takes at least, in characters.
-        elements: Longer arrays are not read, only counted.
-        text: Longer strings are not read, only counted; in bytes.
-
-    Attributes:
-        shortened: Whether words stand in place of some array or string.
-    """
-
-    __slots__ = ("byte", "elements", "left", "shortened", "text")
-
-    def __init__(self, characters: int, byte: int, elements: int, text: int) -> None:
-        self.left = characters
-        self.byte = byte
-        self.elements = elements
-        self.text = text
-        self.shortened = False
+    left: int
+    """Characters of the text; reading stops as soon as it must become longer."""
+    byte: int
+    """What a byte of uint8[] or char[] takes at least, in characters."""
+    elements: int
+    """Longer arrays are not read, only counted."""
+    text: int
+    """Longer strings are not read, only counted; in bytes."""
+    shortened: bool = False
+    """Whether words stand in place of some array or string."""
 
     def charge(self, characters: int) -> None:
-        """Take characters off.
-
-        Raises:
-            TooLong: There are not so many left.
-        """
+        """Take characters off; raise TooLong where there are not so many left."""
         self.left -= characters
         if self.left < 0:
             raise TooLong
@@ -85,10 +74,7 @@ _CONTINUATION = bytes(range(0x80, 0xC0))
 
 
 def number_runs(fields: Sequence[Field]) -> Iterator[tuple[list[Field], struct.Struct | None]]:
-    """Yield fields in order, numbers (or bools) side by side together with what reads them.
-
-    A field of another kind stands alone, with None.
-    """
+    """Yield fields in order: numbers (or bools) side by side with what reads them, others alone."""
 
     def kind(field: Field) -> bool | str:
         number = not field.is_array and field.base in NUMBER_CODES
@@ -100,17 +86,11 @@ def number_runs(fields: Sequence[Field]) -> Iterator[tuple[list[Field], struct.S
         yield together, struct.Struct("<" + "".join(codes)) if codes else None
 
 
-def is_bytes(field: Field) -> bool:
-    """Return whether a field's tree is bytes."""
-    return field.is_array and field.base == "uint8"
-
-
 class TreeReader:
     """Reads messages of one type, compiled from its definition."""
 
     def __init__(self, definition: Definition) -> None:
-        self.type = definition.type
-        self._specs = definition.specs
+        self.type, self._specs = definition.type, definition.specs
         self._memo: dict[str, tuple[_ReadMessage, int]] = {}
         self._read, self._weight = self._message(definition.type)
 
@@ -118,17 +98,14 @@ class TreeReader:
         """Return the tree of a message; surplus bytes are ignored, bad UTF-8 becomes U+FFFD.
 
         Any bytes will do. The budget, a new one, bounds memory and time and says afterwards what
-        was shortened. None: the text certainly has more characters than it.
-
-        Raises:
-            CorruptMessage: The bytes end before the message does.
+        was shortened. None: the text certainly has more characters. CorruptMessage: bytes lack.
         """
         try:
             budget.charge(self._weight)
             return self._read(wire, 0, budget)[0]
         except TooLong:
             return None
-        except WIRE_ERRORS as exc:
+        except struct.error as exc:
             raise CorruptMessage(f"{len(wire)} bytes are no {self.type}: {exc}") from exc
 
     def _message(self, name: str) -> tuple[_ReadMessage, int]:
@@ -144,7 +121,14 @@ class TreeReader:
                     read, least = self._field(run[0])
                     weight += max(least, _FIELD)
                     steps.append(_field_step(run[0].name, read))
-            self._memo[name] = _fields(steps), max(weight, _FIELD)
+
+            def read_message(wire: bytes, at: int, budget: Budget) -> tuple[MessageTree, int]:
+                tree: MessageTree = {}
+                for step in steps:
+                    at = step(tree, wire, at, budget)
+                return tree, at
+
+            self._memo[name] = read_message, max(weight, _FIELD)
         return self._memo[name]
 
     def _field(self, field: Field) -> tuple[_Read, int]:
@@ -159,7 +143,7 @@ class TreeReader:
     def _array(self, field: Field) -> _Read:
         length, skip = field.length, compile_field_skip(field, self._specs)
         if field.base in NUMBER_CODES:
-            weight, read_elements = 0 if is_bytes(field) else _NUMBER, _number_elements(field)
+            weight, read_elements = 0 if field.base == "uint8" else _NUMBER, _number_elements(field)
         else:
             element, least = self._field(Field(field.name, field.type))
             weight, read_elements = max(least, _NUMBER), _elements(element)
@@ -178,20 +162,8 @@ class TreeReader:
         return read
 
 
-@lru_cache(maxsize=512)
-def tree_reader(definition: Definition) -> TreeReader:
-    """Return the reader of a definition, compiled once per type and md5."""
-    return TreeReader(definition)
-
-
-def _fields(steps: Sequence[_Step]) -> _ReadMessage:
-    def read(wire: bytes, at: int, budget: Budget) -> tuple[MessageTree, int]:
-        tree: MessageTree = {}
-        for step in steps:
-            at = step(tree, wire, at, budget)
-        return tree, at
-
-    return read
+tree_reader = lru_cache(maxsize=512)(TreeReader)
+"""Returns the reader of a definition, compiled once per type and md5."""
 
 
 def _numbers_step(names: Sequence[str], fixed: struct.Struct) -> _Step:
@@ -233,7 +205,7 @@ def _characters(wire: bytes, at: int, end: int) -> int:
 
 def _time(code: str) -> _Read:
     unpack = struct.Struct(code).unpack_from
-    return lambda wire, at, budget: (dict(zip(TIME_NAMES, unpack(wire, at))), at + 8)
+    return lambda wire, at, budget: (dict(zip(("secs", "nsecs"), unpack(wire, at))), at + 8)
 
 
 def _number_elements(field: Field) -> _Elements:

@@ -6,24 +6,15 @@ from __future__ import annotations
 
 import struct
 from itertools import chain
-from typing import Callable, Optional, Sequence, Sized, Tuple, cast
+from typing import Callable, List, Sequence, Sized
 
-from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, cql_sizes
-from cassandra_ros.messages.wire.values import (
-    ns_to_duration,
-    ns_to_time,
-    split_equal,
-    split_list,
-    unpack_numbers,
-)
+from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, columns_of
+from cassandra_ros.messages.wire.values import FROM_NS, split_equal, split_list, unpack_numbers
 
 Columns = Sequence[bytes]
 """Values in CQL's encoding; a None among them ends in TypeError."""
-Head = Callable[[Columns, int], bytes]
-"""(columns, length of the tail) -> bytes."""
-BuildTail = Callable[[Columns], Tuple[int, bytes]]
-"""Columns -> length of the field, its bytes."""
-Step = Tuple[Optional[Head], Optional[BuildTail]]
+Step = Callable[[Columns, List[bytes]], None]
+"""(columns, wire bytes so far) -> nothing."""
 
 BUILD_ERRORS = (struct.error, TypeError, ValueError, OverflowError, IndexError)
 """What columns that no message made can raise."""
@@ -31,89 +22,51 @@ BUILD_ERRORS = (struct.error, TypeError, ValueError, OverflowError, IndexError)
 _pack_length = struct.Struct("<I").pack
 
 
-def compile_build(segments: Sequence[Segment]) -> list[Step]:
-    """Return the steps that turn all columns of a type into a message."""
+def compile_build(segments: Sequence[Segment], first: int = 0) -> list[Step]:
+    """Return the steps that turn all columns of a type, from one on, into a message."""
     steps: list[Step] = []
-    first = 0
-    for segment in segments:
-        tail = segment.tail
-        after = first + len(segment.fixed)
-        head = _head(segment.fixed, first, after, tail is not None and tail.has_count)
-        steps.append((head, None if tail is None else _build_tail(tail, after)))
-        first = after + (len(tail.columns) if tail is not None else 0)
+    for fixed, tail in segments:
+        if fixed:
+            steps.append(_fixed(fixed, first))
+            first += len(fixed)
+        if tail is not None:
+            steps.append(_tail(tail, first))
+            first += len(tail.columns)
     return steps
 
 
-def build_message(steps: Sequence[Step], columns: Sequence[bytes | None]) -> bytes:
-    """Return the wire bytes of columns.
-
-    Raises:
-        struct.error, TypeError, ValueError, OverflowError, IndexError: They are no message.
-    """
-    parts: list[bytes] = []
-    _append(steps, cast(Columns, columns), parts)
-    return b"".join(parts)
-
-
-def _append(steps: Sequence[Step], columns: Columns, parts: list[bytes]) -> None:
-    for head, tail in steps:
-        if tail is None:
-            if head is not None:
-                parts.append(head(columns, 0))
-            continue
-        count, data = tail(columns)
-        if head is not None:
-            parts.append(head(columns, count))
-        parts.append(data)
-
-
-def _head(fixed: Sequence[Fixed], first: int, after: int, has_length: bool) -> Head | None:
-    if not fixed:
-        return (lambda columns, count: _pack_length(count)) if has_length else None
+def _fixed(fixed: Sequence[Fixed], first: int) -> Step:
+    after = first + len(fixed)
     unpack = struct.Struct(">" + "".join(f.big for f in fixed)).unpack
-    pack = struct.Struct("<" + "".join(f.little for f in fixed) + "I" * has_length).pack
-    converts = {"time": ns_to_time, "duration": ns_to_duration}
-    times = [(i, converts[f.special]) for i, f in enumerate(fixed) if f.special in converts]
+    pack = struct.Struct("<" + "".join(f.little for f in fixed)).pack
+    times = [(i, FROM_NS[f.special]) for i, f in enumerate(fixed) if f.special in FROM_NS]
     varints = [i for i, f in enumerate(fixed) if f.special == "uint64"]
-    blobs = [(first + i, f.cql_size) for i, f in enumerate(fixed) if f.column.kind == "array"]
+    blobs = [(i, f.cql_size) for i, f in enumerate(fixed) if f.column.kind == "array"]
 
-    def head(columns: Columns, count: int) -> bytes:
-        for i, size in blobs:
-            if len(columns[i]) != size:
-                raise struct.error("a blob has another size than its array")
-        return pack(*unpack(b"".join(columns[first:after])))
-
-    def head_with_length(columns: Columns, count: int) -> bytes:
-        for i, size in blobs:
-            if len(columns[i]) != size:
-                raise struct.error("a blob has another size than its array")
-        return pack(*unpack(b"".join(columns[first:after])), count)
-
-    def special_head(columns: Columns, count: int) -> bytes:
-        for i, size in blobs:
-            if len(columns[i]) != size:
-                raise struct.error("a blob has another size than its array")
+    def step(columns: Columns, parts: list[bytes]) -> None:
         own = columns[first:after]
+        for i, size in blobs:
+            if len(own[i]) != size:
+                raise struct.error("a blob has another size than its array")
         if varints:
             own = list(own)
             for i in varints:
                 own[i] = int.from_bytes(own[i], "big", signed=True).to_bytes(8, "big")
-        values = list(unpack(b"".join(own)))
-        for i, convert in times:
-            values[i] = convert(values[i])
-        if has_length:
-            values.append(count)
-        return pack(*values)
+        values: Sequence[int] = unpack(b"".join(own))
+        if times:
+            values = changed = list(values)
+            for i, convert in times:
+                changed[i] = convert(changed[i])
+        parts.append(pack(*values))
 
-    plain = head_with_length if has_length else head
-    return special_head if times or varints else plain
+    return step
 
 
-def _build_tail(tail: Tail, index: int) -> BuildTail:
+def _tail(tail: Tail, index: int) -> Step:
     if tail.kind in ("text", "bytes"):
         return _bytes(index, tail.unit)
     if tail.kind == "wire":
-        return lambda columns: (0, columns[index])
+        return lambda columns, parts: parts.append(columns[index])
     if tail.kind == "texts":
         return _texts(index, tail.length)
     if len(tail.element) == 1 and tail.element[0].tail is None:
@@ -121,62 +74,62 @@ def _build_tail(tail: Tail, index: int) -> BuildTail:
     return _elements(tail, index)
 
 
-def _bytes(index: int, unit: int) -> BuildTail:
-    def tail(columns: Columns) -> tuple[int, bytes]:
+def _bytes(index: int, unit: int) -> Step:
+    def step(columns: Columns, parts: list[bytes]) -> None:
         data = columns[index]
         count, rest = divmod(len(data), unit)
         if rest:
             raise struct.error("a blob ends within an element")
-        return count, data
+        parts += (_pack_length(count), data)
 
-    return tail
+    return step
 
 
-def _texts(index: int, length: int | None) -> BuildTail:
-    def tail(columns: Columns) -> tuple[int, bytes]:
+def _texts(index: int, length: int | None) -> Step:
+    def step(columns: Columns, parts: list[bytes]) -> None:
         texts = split_list(columns[index])
-        if length is not None and len(texts) != length:
+        if length not in (None, len(texts)):
             raise struct.error("a list has another length than its array")
-        sizes = map(_pack_length, map(len, texts))
-        return len(texts), b"".join(chain.from_iterable(zip(sizes, texts)))
+        if length is None:
+            parts.append(_pack_length(len(texts)))
+        parts.extend(chain.from_iterable(zip(map(_pack_length, map(len, texts)), texts)))
 
-    return tail
+    return step
 
 
-def _elements(field: Tail, first: int) -> BuildTail:
+def _elements(tail: Tail, first: int) -> Step:
     """Elements of variable size: each is built as a message of its own."""
-    after, length = first + len(field.columns), field.length
-    steps = compile_build(field.element)
-    splits = [
-        split_list if size is None else split_equal(size) for size in cql_sizes(field.element)
-    ]
+    after, length, steps = first + len(tail.columns), tail.length, compile_build(tail.element)
+    sizes = [size for _, size in columns_of(tail.element)]
+    splits = [split_list if size is None else split_equal(size) for size in sizes]
 
-    def tail(columns: Columns) -> tuple[int, bytes]:
+    def step(columns: Columns, parts: list[bytes]) -> None:
         lists = [split(column) for split, column in zip(splits, columns[first:after])]
-        count = _check_lengths(lists, length)
-        parts: list[bytes] = []
+        _count(lists, length, parts)
         for row in zip(*lists):
-            _append(steps, row, parts)
-        return count, b"".join(parts)
+            for build in steps:
+                build(row, parts)
 
-    return tail
+    return step
 
 
-def _numbers(fixed: Sequence[Fixed], first: int, length: int | None) -> BuildTail:
+def _numbers(fixed: Sequence[Fixed], first: int, length: int | None) -> Step:
     """Elements of fixed size: column by column, then all at once."""
-    after = first + len(fixed)
-    splits = [unpack_numbers(f) for f in fixed]
+    after, splits = first + len(fixed), [unpack_numbers(f) for f in fixed]
     pack = struct.Struct("<" + "".join(f.little for f in fixed)).pack
 
-    def tail(columns: Columns) -> tuple[int, bytes]:
+    def step(columns: Columns, parts: list[bytes]) -> None:
         lists = [split(column) for split, column in zip(splits, columns[first:after])]
-        return _check_lengths(lists, length), b"".join(map(pack, *lists))
+        _count(lists, length, parts)
+        parts.extend(map(pack, *lists))
 
-    return tail
+    return step
 
 
-def _check_lengths(lists: Sequence[Sized], length: int | None) -> int:
+def _count(lists: Sequence[Sized], length: int | None, parts: list[bytes]) -> None:
+    """Check that lists have the length of their array, and write it where it is not fixed."""
     count = len(lists[0])
     if any(len(values) != count for values in lists) or length not in (None, count):
         raise struct.error("the lists of an array of messages differ in length")
-    return count
+    if length is None:
+        parts.append(_pack_length(count))

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, replace
-from typing import Iterator, Mapping
+from typing import Iterator, NamedTuple, Optional, Tuple
 
-from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, MessageSpec
+from cassandra_ros.messages.spec import Field, Specs
 from cassandra_ros.messages.wire.skip import Skip, compile_field_skip, fixed_size
 
 
@@ -48,8 +48,7 @@ class FieldColumn:
         return not self.is_list and self.kind not in ("array", "wire")
 
 
-@dataclass(frozen=True)
-class Fixed:
+class Fixed(NamedTuple):
     """A field that always takes the same number of bytes."""
 
     column: FieldColumn
@@ -70,27 +69,26 @@ class Tail:
     """'bytes', 'text', 'texts', 'wire' or 'elements'."""
     skip: Skip
     """Finds the end of the field, its length included."""
+    columns: tuple[FieldColumn, ...]
+    """Those of the field, or of its elements' fields."""
     unit: int = 1
     """Bytes of an element, for 'bytes' and 'text'."""
     length: int | None = None
     """Elements of a fixed array; None when their number is on the wire."""
-    columns: tuple[FieldColumn, ...] = ()
-    """Those of the field, or of its elements' fields."""
     element: tuple[Segment, ...] = ()
     """Layout of one element, for 'elements'."""
 
     @property
     def has_count(self) -> bool:
-        """Whether a segment's struct ends with the length of this field."""
+        """Whether the fixed part of the segment ends with the length of this field."""
         return self.length is None and self.kind != "wire"
 
 
-@dataclass(frozen=True)
-class Segment:
+class Segment(NamedTuple):
     """Fields of fixed size, then at most one of variable size."""
 
-    fixed: tuple[Fixed, ...]
-    tail: Tail | None
+    fixed: Tuple[Fixed, ...]
+    tail: Optional[Tail]
 
 
 # ROS type -> struct code on the wire, struct code in CQL, CQL type, kind, special
@@ -112,38 +110,13 @@ _SCALARS = {
 }
 
 
-def layout(msg_type: str, specs: Mapping[str, MessageSpec]) -> tuple[Segment, ...]:
-    """Return the segments of a checked message type."""
-    return _segments(_items(msg_type, specs, "", False))
-
-
-def columns_of(segments: tuple[Segment, ...]) -> Iterator[FieldColumn]:
-    """Yield all columns in the order of the wire."""
-    for segment in segments:
-        for fixed in segment.fixed:
-            yield fixed.column
-        if segment.tail is not None:
-            yield from segment.tail.columns
-
-
-def cql_sizes(segments: tuple[Segment, ...]) -> Iterator[int | None]:
-    """Yield the bytes that each column takes in CQL, None where they vary."""
-    for segment in segments:
-        for fixed in segment.fixed:
-            yield None if fixed.special == "uint64" else fixed.cql_size
-        if segment.tail is not None:
-            yield from [None] * len(segment.tail.columns)
-
-
-def element_of(column: FieldColumn) -> Fixed:
-    """Return how one element of a primitive array lies on the wire, and what would hold it."""
-    return _fixed(column.name, Field(column.name, column.field_type.partition("[")[0]))
-
-
-def _segments(items: Iterator[Fixed | Tail]) -> tuple[Segment, ...]:
+def layout(
+    msg_type: str, specs: Specs, prefix: str = "", inside: bool = False
+) -> tuple[Segment, ...]:
+    """Return the segments of a checked message type; see _items."""
     segments: list[Segment] = []
     fixed: list[Fixed] = []
-    for item in items:
+    for item in _items(msg_type, specs, prefix, inside):
         if isinstance(item, Fixed):
             fixed.append(item)
         else:
@@ -154,9 +127,21 @@ def _segments(items: Iterator[Fixed | Tail]) -> tuple[Segment, ...]:
     return tuple(segments)
 
 
-def _items(
-    msg_type: str, specs: Mapping[str, MessageSpec], prefix: str, inside: bool
-) -> Iterator[Fixed | Tail]:
+def columns_of(segments: tuple[Segment, ...]) -> Iterator[tuple[FieldColumn, int | None]]:
+    """Yield all columns in the order of the wire, and their bytes in CQL, None where they vary."""
+    for segment in segments:
+        for fixed in segment.fixed:
+            yield fixed.column, None if fixed.special == "uint64" else fixed.cql_size
+        if segment.tail is not None:
+            yield from ((column, None) for column in segment.tail.columns)
+
+
+def element_of(column: FieldColumn) -> Fixed:
+    """Return how one element of a primitive array lies on the wire, and what would hold it."""
+    return _fixed(column.name, Field(column.name, column.field_type.partition("[")[0]))
+
+
+def _items(msg_type: str, specs: Specs, prefix: str, inside: bool) -> Iterator[Fixed | Tail]:
     """Yield the fields of the message at path ``prefix`` ('' or 'a.b.') on the wire.
 
     ``inside`` an element of an array, the arrays become blobs.
@@ -164,12 +149,10 @@ def _items(
     for field in specs[msg_type].fields:
         name = prefix + field.name
         if field.is_array:
-            item = _array(name, field, specs, inside)
-            if item is not None:
-                yield item
+            yield from _array(name, field, specs, inside)
         elif field.type == "string":
             column = FieldColumn(name, "text", "text", "string")
-            yield Tail("text", compile_field_skip(field, specs), columns=(column,))
+            yield Tail("text", compile_field_skip(field, specs), (column,))
         elif field.is_primitive:
             yield _fixed(name, field)
         else:
@@ -182,33 +165,27 @@ def _fixed(name: str, field: Field) -> Fixed:
     return Fixed(column, little, big, struct.calcsize(">" + big), special)
 
 
-def _array(
-    name: str, field: Field, specs: Mapping[str, MessageSpec], inside: bool
-) -> Fixed | Tail | None:
-    skip, length = compile_field_skip(field, specs), field.length
-    if field.is_primitive and field.type != "string":
-        return _numbers(name, field, skip)
-    size = None if field.is_primitive else fixed_size(field.type, specs)
-    if length == 0 or (length is not None and size == 0):
-        return None  # takes no bytes: no column either
-    if inside or size == 0:
-        column = FieldColumn(name, "blob", "wire", field.full_type)
-        return Tail("wire", skip, length=length, columns=(column,))
-    if field.is_primitive:
+def _array(name: str, field: Field, specs: Specs, inside: bool) -> Iterator[Fixed | Tail]:
+    length, unit = field.length, fixed_size(field.type, specs)
+    skip = compile_field_skip(field, specs)
+    if length is not None and 0 in (length, unit):
+        return  # takes no bytes: no column either
+    column = FieldColumn(name, "blob", "wire", field.full_type)
+    if unit and field.is_primitive:
+        column = replace(column, kind="array")
+        if length is None:
+            yield Tail("bytes", skip, (column,), unit)
+        else:
+            yield Fixed(column, f"{length * unit}s", f"{length * unit}s", length * unit)
+    elif inside or unit == 0:
+        yield Tail("wire", skip, (column,), length=length)
+    elif field.is_primitive:
         column = FieldColumn(name, "frozen<list<text>>", "text", field.full_type, True)
-        return Tail("texts", skip, length=length, columns=(column,))
-    element = _segments(_items(field.type, specs, name + ".", True))
-    columns = tuple(
-        replace(c, cql_type=f"frozen<list<{c.cql_type}>>", is_list=True, array=name)
-        for c in columns_of(element)
-    )
-    return Tail("elements", skip, length=length, columns=columns, element=element)
-
-
-def _numbers(name: str, field: Field, skip: Skip) -> Fixed | Tail | None:
-    column = FieldColumn(name, "blob", "array", field.full_type)
-    unit = PRIMITIVE_SIZES[field.type]
-    if field.length is None:
-        return Tail("bytes", skip, unit, columns=(column,))
-    size = field.length * unit
-    return Fixed(column, f"{size}s", f"{size}s", size) if size else None
+        yield Tail("texts", skip, (column,), length=length)
+    else:
+        element = layout(field.type, specs, name + ".", True)
+        columns = tuple(
+            replace(c, cql_type=f"frozen<list<{c.cql_type}>>", is_list=True, array=name)
+            for c, _ in columns_of(element)
+        )
+        yield Tail("elements", skip, columns, length=length, element=element)

@@ -4,16 +4,16 @@
 
 from __future__ import annotations
 
+import struct
 from functools import lru_cache
-from typing import Any, Callable, Sequence
+from typing import Any, Callable, Sequence, cast
 
 from cassandra_ros.errors import CorruptMessage, InvalidExpression
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.build import BUILD_ERRORS, build_message, compile_build
+from cassandra_ros.messages.wire.build import BUILD_ERRORS, Columns, compile_build
 from cassandra_ros.messages.wire.layout import FieldColumn, columns_of, layout
-from cassandra_ros.messages.wire.skip import WIRE_ERRORS
 from cassandra_ros.messages.wire.values import compile_decoder
-from cassandra_ros.messages.wire.walk import Out, Step, compile_walk
+from cassandra_ros.messages.wire.walk import Out, Step, compile_walk, walk_message
 
 MAX_COLUMNS = 64
 
@@ -31,7 +31,7 @@ class WirePlan:
     def __init__(self, definition: Definition) -> None:
         self.definition = definition
         self._segments = layout(definition.type, definition.specs)
-        self.all_columns: tuple[FieldColumn, ...] = tuple(columns_of(self._segments))
+        self.all_columns: tuple[FieldColumn, ...] = tuple(c for c, _ in columns_of(self._segments))
         scalars = [c for c in self.all_columns if c.is_scalar]
         self.complete = len(self.all_columns) <= MAX_COLUMNS
         self.columns = self.all_columns if self.complete else tuple(scalars[:MAX_COLUMNS])
@@ -41,7 +41,6 @@ class WirePlan:
         self._decoders = [compile_decoder(c, definition.specs) for c in self.columns]
         self._scalar_at = [i for i, c in enumerate(self.columns) if c.is_scalar]
         self._scalar_steps = compile_walk(self._segments, True, {c.name for c in scalars} & names)
-        self._readers: dict[tuple[str, ...], Callable[[bytes], list[Any]]] = {}
 
     def walk(self, wire: bytes) -> tuple[Out, bool]:
         """Return the columns of a message in CQL's encoding, and whether they are inexact.
@@ -49,78 +48,74 @@ class WirePlan:
         Any bytes will do. A column that cannot hold its field exactly is None; the columns are
         also inexact where bytes are left over, or where there is no message (then all are None).
         """
-        out, odd, end = _walk(self._steps, wire)
-        if end < 0:
-            return [None] * len(self.columns), True
-        return out, odd or end != len(wire)
+        out, odd = _walk(self._steps, wire)
+        return [None] * len(self.columns) if out is None else out, odd
 
     def walk_scalars(self, wire: bytes) -> tuple[Out, bool]:
         """Turn a large message into columns, leaving lists and arrays out (None)."""
-        out, odd, end = _walk(self._scalar_steps, wire)
+        out, odd = _walk(self._scalar_steps, wire)
         columns: Out = [None] * len(self.columns)
-        if end < 0:
-            return columns, True
-        for i, column in zip(self._scalar_at, out):
+        for i, column in zip(self._scalar_at, out or ()):
             columns[i] = column
-        exact = len(out) == len(columns) and not odd and end == len(wire)
-        return columns, not exact
+        return columns, odd or len(self._scalar_at) < len(columns)
 
     def build(self, columns: Sequence[bytes | None]) -> bytes:
-        """Turn columns back into the message.
-
-        Raises:
-            CorruptMessage: A column is missing or malformed, or the plan is not complete.
-        """
+        """Turn columns back; CorruptMessage: one is missing or malformed, or not all were kept."""
         name = self.definition.type
         if not self.complete or len(columns) != len(self.columns):
             raise CorruptMessage(f"a row of {name} has {len(columns)} columns, not all its fields")
+        parts: list[bytes] = []
         try:
-            return build_message(self._build, columns)
+            for step in self._build:
+                step(cast(Columns, columns), parts)
+            return b"".join(parts)
         except BUILD_ERRORS as exc:
             missing = [c.name for c, v in zip(self.columns, columns) if v is None]
             why = f"column {missing[0]} is missing" if missing else str(exc)
             raise CorruptMessage(f"the columns of a row are no {name}: {why}") from exc
 
     def value(self, index: int, raw: bytes) -> Any:
-        """Return the Python value of a column; see compile_decoder.
-
-        Raises:
-            CorruptMessage: The bytes are none of the column's type.
-        """
+        """Return the Python value of a column, see compile_decoder; raises CorruptMessage."""
         try:
             return self._decoders[index](raw)
         except BUILD_ERRORS as exc:
             name = self.columns[index].name
             raise CorruptMessage(f"column {name} of a row is malformed: {exc}") from exc
 
+    def column(self, name: str) -> FieldColumn | None:
+        """Return the one of ``all_columns`` that holds a field."""
+        return next((column for column in self.all_columns if column.name == name), None)
+
     def reader(self, names: Sequence[str]) -> Callable[[bytes], list[Any]]:
         """Return the function from wire bytes to the values of some of ``all_columns``, by name.
 
         What ``walk`` gives as None is read as its nearest value: bool byte 2 as True, nsecs over
-        10**9 as they add up, text that is not UTF-8 with U+FFFD. It raises CorruptMessage.
-
-        Raises:
-            InvalidExpression: There is no such field.
+        10**9 as they add up, text that is not UTF-8 with U+FFFD. It raises CorruptMessage; an
+        unknown name raises InvalidExpression.
         """
-        key = tuple(names)
-        if key not in self._readers:
-            self._readers[key] = self._compile_reader(key)
-        return self._readers[key]
+        steps, places = self._compile_cut(names)
+        columns = {column.name: column for column in self.all_columns}
+        decoders = [compile_decoder(columns[name], self.definition.specs) for name in names]
+        picks = list(zip(places, decoders))
+
+        def read(wire: bytes) -> list[Any]:
+            out, _ = _walk(steps, wire)
+            if out is None:
+                raise self._no_message(wire)
+            return [decode(out[i]) for i, decode in picks]  # type: ignore[arg-type]
+
+        return read
 
     def picker(self, name: str) -> Callable[[bytes], bytes | None]:
         """Return the function from wire bytes to one of ``all_columns``, in CQL's encoding.
 
         It gives None where the column cannot hold the field exactly or the bytes are no message.
-
-        Raises:
-            InvalidExpression: There is no such field.
         """
-        self._compile_cut((name,))  # checks the name
         steps = compile_walk(self._segments, True, (name,))
 
         def pick(wire: bytes) -> bytes | None:
-            out, _, end = _walk(steps, wire)
-            return out[0] if end >= 0 else None
+            out, _ = _walk(steps, wire)
+            return None if out is None else out[0]
 
         return pick
 
@@ -132,26 +127,12 @@ class WirePlan:
         steps, places = self._compile_cut(names)
 
         def cut(wire: bytes) -> list[bytes]:
-            out, _, end = _walk(steps, wire)
-            if end < 0:
+            out, _ = _walk(steps, wire)
+            if out is None:
                 raise self._no_message(wire)
             return [out[i] for i in places]  # type: ignore[misc]
 
         return cut
-
-    def _compile_reader(self, names: Sequence[str]) -> Callable[[bytes], list[Any]]:
-        steps, places = self._compile_cut(names)
-        columns = {column.name: column for column in self.all_columns}
-        decoders = [compile_decoder(columns[name], self.definition.specs) for name in names]
-        picks = list(zip(places, decoders))
-
-        def read(wire: bytes) -> list[Any]:
-            out, _, end = _walk(steps, wire)
-            if end < 0:
-                raise self._no_message(wire)
-            return [decode(out[i]) for i, decode in picks]  # type: ignore[arg-type]
-
-        return read
 
     def _compile_cut(self, names: Sequence[str]) -> tuple[list[Step], list[int]]:
         """Return what cuts the named columns out, and where each then stands."""
@@ -165,23 +146,16 @@ class WirePlan:
         return CorruptMessage(f"{len(wire)} bytes are no {self.definition.type}")
 
 
-def _walk(steps: Sequence[Step], wire: bytes) -> tuple[Out, bool, int]:
-    """Return columns, whether one is inexact, and the end of the message (-1: it is none)."""
+def _walk(steps: Sequence[Step], wire: bytes) -> tuple[Out | None, bool]:
+    """Return the columns of a message, None where it is none, and whether they are inexact."""
     out: Out = []
     odd: list[int] = []
-    at = 0
     try:
-        for head, size, tail in steps:
-            count = head(wire, at, out, odd) if head is not None else 0
-            at += size
-            if tail is not None:
-                at = tail(wire, at, count, out, odd)
-    except WIRE_ERRORS:
-        return out, True, -1
-    return out, bool(odd), at
+        end = walk_message(steps, wire, 0, out, odd)
+    except struct.error:
+        return None, True
+    return (out if end <= len(wire) else None), bool(odd) or end != len(wire)
 
 
-@lru_cache(maxsize=512)
-def wire_plan(definition: Definition) -> WirePlan:
-    """Return the plan of a definition, compiled once per type and md5."""
-    return WirePlan(definition)
+wire_plan = lru_cache(maxsize=512)(WirePlan)
+"""Returns the plan of a definition, compiled once per type and md5."""

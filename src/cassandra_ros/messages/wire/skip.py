@@ -5,24 +5,21 @@
 from __future__ import annotations
 
 import struct
-from typing import Callable, Dict, List, Mapping, Union
+from typing import Callable, List, Sequence, Union
 
 from cassandra_ros.messages.shape import object_counts
-from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, MessageSpec
+from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, Specs
 
 Skip = Callable[[bytes, int], int]
 """(wire bytes, offset of a field) -> offset behind it; raises struct.error where they end."""
 
-WIRE_ERRORS = (struct.error,)
-"""What reading past the end of a buffer raises."""
 MAX_SURPLUS = 1 << 20
 """Objects that a message may have beyond one for each byte."""
 
 _length = struct.Struct("<I").unpack_from
 
-_Part = Union[int, Skip]
-"""A number of bytes, or the function that finds it."""
-_Memo = Dict[str, List[_Part]]
+_Parts = List[Union[int, Skip]]
+"""Numbers of bytes, and functions that find an end (and may find one behind that of the bytes)."""
 
 
 def short_buffer() -> struct.error:
@@ -30,24 +27,22 @@ def short_buffer() -> struct.error:
     return struct.error("the buffer ends before the message does")
 
 
-def compile_skip(msg_type: str, specs: Mapping[str, MessageSpec]) -> Skip:
+def compile_skip(msg_type: str, specs: Specs) -> Skip:
     """Return the function that finds the end of a message of a checked definition."""
-    return _chain(_message_parts(msg_type, specs, {}))
+    return _chain(_parts(specs[msg_type].fields, specs))
 
 
-def compile_field_skip(field: Field, specs: Mapping[str, MessageSpec]) -> Skip:
+def compile_field_skip(field: Field, specs: Specs) -> Skip:
     """Return the function that finds the end of one field, count of an array included."""
-    return _chain(_field_parts(field, specs, {}))
+    return _chain(_parts([field], specs))
 
 
-def fixed_size(msg_type: str, specs: Mapping[str, MessageSpec]) -> int | None:
-    """Return the bytes that every message of a type takes, None when they vary."""
-    return _size(_message_parts(msg_type, specs, {}))
+def fixed_size(type_: str, specs: Specs) -> int | None:
+    """Return the bytes that everything of a type takes, None when they vary."""
+    return _size(_parts([Field("", type_)], specs))
 
 
-def compile_object_check(
-    msg_type: str, specs: Mapping[str, MessageSpec]
-) -> Callable[[bytes], object] | None:
+def compile_object_check(msg_type: str, specs: Specs) -> Callable[[bytes], object] | None:
     """Return the check that a message would not become too many objects; it raises struct.error.
 
     An array of empty messages takes four bytes, whatever it counts; genpy makes an object of each.
@@ -86,89 +81,72 @@ def compile_object_check(
     return check
 
 
-def _message_parts(name: str, specs: Mapping[str, MessageSpec], memo: _Memo) -> list[_Part]:
-    if name not in memo:
-        parts: list[_Part] = []
-        for field in specs[name].fields:
-            for part in _field_parts(field, specs, memo):
-                if parts and isinstance(part, int) and isinstance(parts[-1], int):
-                    parts[-1] += part
-                else:
-                    parts.append(part)
-        memo[name] = parts
-    return memo[name]
+def _parts(fields: Sequence[Field], specs: Specs) -> _Parts:
+    parts: _Parts = []
+    for field in fields:
+        for part in _field_parts(field, specs):
+            if parts and isinstance(part, int) and isinstance(parts[-1], int):
+                parts[-1] += part
+            else:
+                parts.append(part)
+    return parts
 
 
-def _field_parts(field: Field, specs: Mapping[str, MessageSpec], memo: _Memo) -> list[_Part]:
-    if field.length == 0:
-        return [0]
+def _field_parts(field: Field, specs: Specs) -> _Parts:
     if field.type == "string":
-        element: list[_Part] = [_skip_string]
+        element: _Parts = [_skip_counted(1)]
     elif field.is_primitive:
         element = [PRIMITIVE_SIZES[field.type]]
     else:
-        element = _message_parts(field.type, specs, memo)
+        element = _parts(specs[field.type].fields, specs)
     if not field.is_array:
         return element
     size = _size(element)
+    if field.length == 0:
+        return [0]
     if size is None:
-        return [_skip_elements(_chain(element), field.length)]
-    return [_skip_fixed(size)] if field.length is None else [size * field.length]
+        return [_skip_elements(element, field.length)]
+    return [_skip_counted(size)] if field.length is None else [size * field.length]
 
 
-def _size(parts: list[_Part]) -> int | None:
+def _size(parts: _Parts) -> int | None:
     sizes = [part for part in parts if isinstance(part, int)]
     return sum(sizes) if len(sizes) == len(parts) else None
 
 
-def _chain(parts: list[_Part]) -> Skip:
-    skips = [_skip_bytes(p) if isinstance(p, int) else p for p in parts]
-    if len(skips) == 1:
-        return skips[0]
+def _chain(parts: _Parts) -> Skip:
+    skips = [_skip_bytes(part) if isinstance(part, int) else part for part in parts]
 
     def skip(wire: bytes, at: int) -> int:
         for part in skips:
             at = part(wire, at)
+        if at > len(wire):
+            raise short_buffer()
         return at
 
     return skip
 
 
 def _skip_bytes(size: int) -> Skip:
-    def skip(wire: bytes, at: int) -> int:
-        at += size
-        if at > len(wire):
-            raise short_buffer()
-        return at
-
-    return skip
+    return lambda wire, at: at + size
 
 
-def _skip_string(wire: bytes, at: int) -> int:
-    at += 4 + _length(wire, at)[0]
-    if at > len(wire):
-        raise short_buffer()
-    return at
+def _skip_counted(size: int) -> Skip:
+    return lambda wire, at: at + 4 + _length(wire, at)[0] * size
 
 
-def _skip_fixed(size: int) -> Skip:
-    def skip(wire: bytes, at: int) -> int:
-        at += 4 + _length(wire, at)[0] * size
-        if at > len(wire):
-            raise short_buffer()
-        return at
+def _skip_elements(element: _Parts, length: int | None) -> Skip:
+    # One part reads a count, which fails behind the end by itself; more of them are checked there.
+    first = element[0]
+    step = first if len(element) == 1 and not isinstance(first, int) else _chain(element)
 
-    return skip
-
-
-def _skip_elements(element: Skip, length: int | None) -> Skip:
     def skip(wire: bytes, at: int) -> int:
         count = length
         if count is None:
             (count,) = _length(wire, at)
             at += 4
         for _ in range(count):
-            at = element(wire, at)
+            at = step(wire, at)
         return at
 
     return skip

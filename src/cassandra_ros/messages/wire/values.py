@@ -8,11 +8,12 @@ A list is an int32 number of elements, then the int32 length and the bytes of ea
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from itertools import chain, repeat
-from typing import Any, Callable, Iterable, Mapping, Sequence, Union
+from typing import Any, Callable, Sequence, Union
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES, Field, MessageSpec
+from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES, Field, Specs
 from cassandra_ros.messages.wire.layout import FieldColumn, Fixed
 from cassandra_ros.messages.wire.skip import fixed_size
 
@@ -31,7 +32,7 @@ CQL_CODES = {
 }
 """struct codes of CQL's types of fixed size."""
 EMPTY_LIST = b"\0\0\0\0"
-LOW = 0xFFFFFFFF
+_LOW = 0xFFFFFFFF
 
 _pack_size = struct.Struct(">i").pack
 _unpack_size = struct.Struct(">i").unpack_from
@@ -39,12 +40,7 @@ _length = struct.Struct("<I").unpack_from
 
 
 def encode_value(cql_type: str, value: Primitive) -> bytes:
-    """Encode a Python value for a column of a CQL type.
-
-    Raises:
-        struct.error, OverflowError: The type cannot hold it.
-        UnicodeEncodeError: It is a text with lone surrogates.
-    """
+    """Encode a Python value; struct.error, OverflowError, UnicodeEncodeError: it is none of it."""
     if isinstance(value, str):
         return value.encode("utf-8")
     if cql_type == "varint":
@@ -66,23 +62,16 @@ def pack_list(values: Sequence[bytes]) -> bytes:
 
 
 def split_list(raw: bytes) -> list[bytes]:
-    """Return the encoded elements of a list.
-
-    Raises:
-        struct.error: It is no list.
-    """
+    """Return the encoded elements of a list; struct.error: it is none."""
     (count,) = _unpack_size(raw, 0)
-    values = []
-    at = 4
+    values, end = [], 4
     for _ in range(count):
-        (size,) = _unpack_size(raw, at)
-        at += 4
-        end = at + size
-        if size < 0 or end > len(raw):
+        at = end + 4
+        end = at + _unpack_size(raw, end)[0]
+        if not at <= end <= len(raw):
             raise struct.error("a list column has a malformed element")
         values.append(raw[at:end])
-        at = end
-    if at != len(raw):
+    if end != len(raw):
         raise struct.error("a list column has surplus bytes")
     return values
 
@@ -109,10 +98,7 @@ def split_equal(size: int) -> Callable[[bytes], list[bytes]]:
 
 
 def unpack_numbers(fixed: Fixed) -> Callable[[bytes], Sequence[int]]:
-    """Return the inverse of pack_numbers: from a list to the wire codes of its elements.
-
-    It raises struct.error and OverflowError.
-    """
+    """Return the inverse of pack_numbers; it raises struct.error and OverflowError."""
     if fixed.special == "uint64":
         return lambda raw: [_varint(value) for value in split_list(raw)]
     size, unpack = fixed.cql_size, struct.Struct(">i" + fixed.big).iter_unpack
@@ -128,83 +114,73 @@ def unpack_numbers(fixed: Fixed) -> Callable[[bytes], Sequence[int]]:
             raise struct.error("a list column has a malformed element")
         return values
 
-    if fixed.special in ("time", "duration"):
-        convert = ns_to_time if fixed.special == "time" else ns_to_duration
-        return lambda raw: [convert(value) for value in split(raw)]
-    return split
+    convert = FROM_NS.get(fixed.special)
+    return split if convert is None else lambda raw: list(map(convert, split(raw)))
 
 
 def pack_numbers(fixed: Fixed, strict: bool) -> Callable[[Sequence[int]], bytes | None]:
-    """Return the encoder of a list of fields of fixed size, read by their wire code.
-
-    It gives None where a value cannot be held exactly and strict is set.
-    """
-    size = fixed.cql_size
-    if fixed.special == "uint64":
+    """Return the encoder of a list of wire codes; if strict, None where one is not held exactly."""
+    size, special, convert = fixed.cql_size, fixed.special, TO_NS.get(fixed.special)
+    if special == "uint64":
         return lambda values: pack_list([pack_varint(value) for value in values])
     pack = struct.Struct(">i" + fixed.big).pack
 
-    def encode(values: Iterable[int], count: int) -> bytes:
-        return _pack_size(count) + b"".join(map(pack, repeat(size), values))
+    def encode(values: Sequence[int]) -> bytes | None:
+        if strict and special and not _are_exact(special, values):
+            return None
+        numbers = values if convert is None else map(convert, values)
+        return _pack_size(len(values)) + b"".join(map(pack, repeat(size), numbers))
 
-    if fixed.special == "bool":
-        return lambda v: None if strict and max(v, default=0) > 1 else encode(v, len(v))
-    if fixed.special:
-
-        def encode_times(values: Sequence[int]) -> bytes | None:
-            if strict and any(not 0 <= value >> 32 < SECOND_NS for value in values):
-                return None
-            return encode(map(convert, values), len(values))
-
-        convert = TO_NS[fixed.special]
-        return encode_times
-    return lambda values: encode(values, len(values))
+    return encode
 
 
-def time_to_ns(value: int) -> int:
-    """Return the nanoseconds of a time read as one uint64."""
-    return (value & LOW) * SECOND_NS + (value >> 32)
+def _are_exact(special: str, values: Sequence[int]) -> bool:
+    """Whether all bytes are bools, or the nsecs of all times and durations below 10**9."""
+    if special == "bool":
+        return max(values, default=0) <= 1
+    return all(0 <= value >> 32 < SECOND_NS for value in values)
 
 
-def duration_to_ns(value: int) -> int:
-    """Return the nanoseconds of a duration read as one int64."""
-    seconds = value & LOW
+def _time_to_ns(value: int) -> int:
+    return (value & _LOW) * SECOND_NS + (value >> 32)
+
+
+def _duration_to_ns(value: int) -> int:
+    seconds = value & _LOW
     return (seconds - ((seconds & 0x80000000) << 1)) * SECOND_NS + (value >> 32)
 
 
-TO_NS = {"time": time_to_ns, "duration": duration_to_ns}
-
-
-def ns_to_time(ns: int) -> int:
-    """Return the time of nanoseconds as the uint64 that lies on the wire."""
+def _ns_to_time(ns: int) -> int:
     seconds, rest = divmod(ns, SECOND_NS)
     if seconds >> 32:
         raise struct.error("a time is out of range")
     return rest << 32 | seconds
 
 
-def ns_to_duration(ns: int) -> int:
-    """Return the duration of nanoseconds as the int64 that lies on the wire."""
+def _ns_to_duration(ns: int) -> int:
     seconds, rest = divmod(ns, SECOND_NS)
     if not -0x80000000 <= seconds <= 0x7FFFFFFF:
         raise struct.error("a duration is out of range")
-    return rest << 32 | (seconds & LOW)
+    return rest << 32 | (seconds & _LOW)
 
 
-def compile_decoder(column: FieldColumn, specs: Mapping[str, MessageSpec]) -> Decoder:
+TO_NS = {"time": _time_to_ns, "duration": _duration_to_ns}
+"""From what lies on the wire, read as one uint64 or int64, to nanoseconds; FROM_NS goes back."""
+FROM_NS = {"time": _ns_to_time, "duration": _ns_to_duration}
+
+
+def compile_decoder(column: FieldColumn, specs: Specs) -> Decoder:
     """Return the function from a column to the value that a query compares and a person reads.
 
     Numbers are int or float, times int nanoseconds, text str (bytes that are not UTF-8 replaced),
     uint8[] and char[] bytes, other arrays lists, arrays of messages in an array lists of dicts,
     arrays of empty messages their number. It raises struct.error and ValueError.
     """
-    element = _element_decoder(column, specs)
-    if not column.is_list:
-        return element
-    return lambda raw: [element(value) for value in split_list(raw)]
-
-
-def _element_decoder(column: FieldColumn, specs: Mapping[str, MessageSpec]) -> Decoder:
+    if column.is_list:
+        element = compile_decoder(
+            replace(column, cql_type=column.element_type, is_list=False), specs
+        )
+        return lambda raw: [element(value) for value in split_list(raw)]
     if column.kind == "text":
         return _text
     if column.kind == "bool":
@@ -230,44 +206,33 @@ def _text(raw: bytes) -> str:
 
 
 def _array(type_: str, raw: bytes) -> bytes | list[Any]:
-    return raw if type_ in ("uint8", "char") else _unpack(type_, raw)
-
-
-def _unpack(type_: str, raw: bytes) -> list[Any]:
+    if type_ in ("uint8", "char"):
+        return raw
     values = struct.unpack(f"<{len(raw) // PRIMITIVE_SIZES[type_]}{CODES[type_]}", raw)
     return list(map(TO_NS[type_], values)) if type_ in TO_NS else list(values)
 
 
-def _read(wire: bytes, at: int, field: Field, specs: Mapping[str, MessageSpec]) -> tuple[Any, int]:
+def _read(wire: bytes, at: int, field: Field, specs: Specs) -> tuple[Any, int]:
     """Read a field as on the wire; return its value and the offset behind it."""
-    if not field.is_array:
-        return _read_one(wire, at, field.type, specs)
-    count = field.length
+    count = field.length if field.is_array else 1
     if count is None:
         (count,) = _length(wire, at)
         at += 4
     if field.type in CODES:
         end = at + count * PRIMITIVE_SIZES[field.type]
-        return _array(field.type, wire[at:end]), end
-    if not field.is_primitive and fixed_size(field.type, specs) == 0:
+        values = _array(field.type, wire[at:end])
+        return (values if field.is_array else values[0]), end
+    if field.is_array and not field.is_primitive and fixed_size(field.type, specs) == 0:
         return count, at
-    values = []
+    elements: list[Any] = []
     for _ in range(count):
-        value, at = _read_one(wire, at, field.type, specs)
-        values.append(value)
-    return values, at
-
-
-def _read_one(
-    wire: bytes, at: int, type_: str, specs: Mapping[str, MessageSpec]
-) -> tuple[Any, int]:
-    if type_ == "string":
-        end = at + 4 + _length(wire, at)[0]
-        return _text(wire[at + 4 : end]), end
-    if type_ in CODES:
-        end = at + PRIMITIVE_SIZES[type_]
-        return _unpack(type_, wire[at:end])[0], end
-    message = {}
-    for field in specs[type_].fields:
-        message[field.name], at = _read(wire, at, field, specs)
-    return message, at
+        if field.type == "string":
+            start = at + 4
+            at = start + _length(wire, at)[0]
+            elements.append(_text(wire[start:at]))
+        else:
+            message = {}
+            for inner in specs[field.type].fields:
+                message[inner.name], at = _read(wire, at, inner, specs)
+            elements.append(message)
+    return (elements if field.is_array else elements[0]), at

@@ -4,7 +4,8 @@
 
 A segment becomes a head (one little-endian unpack, one big-endian pack, one split into columns;
 returns the length of the tail), the head's size, and a tail. No step raises anything but
-struct.error, and none allocates more than the buffer justifies.
+struct.error, and none allocates more than the buffer justifies. An offset may come to lie behind
+the end of the bytes: the next step fails there, and who walks a whole message looks at the last.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ import struct
 from typing import Callable, Container, Iterator, List, Optional, Sequence, Tuple, cast
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, cql_sizes
-from cassandra_ros.messages.wire.skip import short_buffer
+from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, columns_of
+from cassandra_ros.messages.wire.skip import Skip
 from cassandra_ros.messages.wire.values import (
     EMPTY_LIST,
     TO_NS,
@@ -25,89 +26,74 @@ from cassandra_ros.messages.wire.values import (
 )
 
 Out = List[Optional[bytes]]
-Head = Callable[[bytes, int, Out, List[int]], int]
+_Head = Callable[[bytes, int, Out, List[int]], int]
 """(wire, offset, columns so far, marks of inexact columns) -> length of the tail."""
-WalkTail = Callable[[bytes, int, int, Out, List[int]], int]
+_Tail = Callable[[bytes, int, int, Out, List[int]], int]
 """(wire, offset, length, columns, marks) -> offset behind the field."""
-Step = Tuple[Optional[Head], int, Optional[WalkTail]]
+Step = Tuple[_Head, int, Optional[_Tail]]
 
 _unpack_length = struct.Struct("<I").unpack_from
 
 
-def compile_walk(
-    segments: Sequence[Segment], strict: bool = True, wanted: Container[str] | None = None
-) -> list[Step]:
-    """Return the steps that turn a message into columns.
+def compile_walk(segments: Sequence[Segment], strict: bool, wanted: Container[str]) -> list[Step]:
+    """Return the steps that turn a message into the wanted columns, by name.
 
-    Args:
-        segments: Layout of the type.
-        strict: Whether a column that cannot hold its field exactly is None and marked;
-            else it holds the nearest value.
-        wanted: Names of the columns to be made; None makes all.
+    If strict, a column that cannot hold its field exactly is None and marked, else it holds the
+    nearest value.
     """
-    return [_step(segment, strict, wanted) for segment in segments]
+    steps: list[Step] = []
+    for fixed, tail in segments:
+        has_length = tail is not None and tail.has_count
+        used, codes = _choose(fixed, wanted)
+        read = struct.Struct(codes + "I" * has_length)
+        head = _head(read, used, has_length, strict)
+        steps.append((head, read.size, None if tail is None else _tail(tail, strict, wanted)))
+    return steps
 
 
-def _step(segment: Segment, strict: bool, wanted: Container[str] | None) -> Step:
-    tail = segment.tail
-    kept = [wanted is None or f.column.name in wanted for f in segment.fixed]
-    has_length = tail is not None and tail.has_count
-    head, size = _head(segment.fixed, kept, has_length, strict)
-    if tail is None:
-        return head, size, None
-    if wanted is not None and not any(c.name in wanted for c in tail.columns):
-        return head, size, _skip_tail(tail)
-    return head, size, _walk_tail(tail, strict, wanted)
+def walk_message(steps: Sequence[Step], wire: bytes, at: int, out: Out, odd: list[int]) -> int:
+    """Append the columns of a message and the marks of inexact ones; return the offset behind."""
+    for head, size, tail in steps:
+        count = head(wire, at, out, odd)
+        at += size
+        if tail is not None:
+            at = tail(wire, at, count, out, odd)
+    return at
 
 
-def _head(
-    fixed: Sequence[Fixed], kept: Sequence[bool], has_length: bool, strict: bool
-) -> tuple[Head | None, int]:
-    used = [f for f, keep in zip(fixed, kept) if keep]
+def _choose(fixed: Sequence[Fixed], wanted: Container[str]) -> tuple[list[Fixed], str]:
+    """Return the wanted fields, and the struct codes that read them and pass over the others."""
+    kept = [f.column.name in wanted for f in fixed]
     codes = [f.little if k else f"{struct.calcsize(f.little)}x" for f, k in zip(fixed, kept)]
-    wire = struct.Struct("<" + "".join(codes) + "I" * has_length)
-    unpack = wire.unpack_from
+    return [f for f, keep in zip(fixed, kept) if keep], "<" + "".join(codes)
+
+
+def _head(codes: struct.Struct, used: Sequence[Fixed], has_length: bool, strict: bool) -> _Head:
+    unpack = codes.unpack_from
     if not used:  # () where nothing but padding is skipped, which must be there all the same
-        return (
-            lambda wire, at, out, odd: (unpack(wire, at) or (0,))[-1]
-        ) if wire.size else None, wire.size
-    cql = struct.Struct(">" + "".join(f.big for f in used) + "I" * has_length)
-    split = struct.Struct("".join(f"{f.cql_size}s" for f in used) + "4x" * has_length)
-    if any(f.special for f in used):
-        return _special_head(wire, cql, split, used, strict), wire.size
-    pack, cut = cql.pack, split.unpack
+        return lambda wire, at, out, odd: (unpack(wire, at) or (0,))[-1]
+    pack = struct.Struct(">" + "".join(f.big for f in used) + "I" * has_length).pack
+    cut = struct.Struct("".join(f"{f.cql_size}s" for f in used) + "4x" * has_length).unpack
+    stamps = [(i, TO_NS[f.special]) for i, f in enumerate(used) if f.special in TO_NS]
+    bools = [i for i, f in enumerate(used) if f.special == "bool"]
+    varints = [i for i, f in enumerate(used) if f.special == "uint64"]
 
     def head(wire: bytes, at: int, out: Out, odd: list[int]) -> int:
         values = unpack(wire, at)
         out += cut(pack(*values))
         return values[-1]  # type: ignore[no-any-return]
 
-    return head, wire.size
-
-
-def _special_head(
-    wire: struct.Struct,
-    cql: struct.Struct,
-    split: struct.Struct,
-    used: Sequence[Fixed],
-    strict: bool,
-) -> Head:
-    unpack, pack, cut = wire.unpack_from, cql.pack, split.unpack
-    stamps = [(i, TO_NS[f.special]) for i, f in enumerate(used) if f.special in TO_NS]
-    bools = [i for i, f in enumerate(used) if f.special == "bool"]
-    varints = [i for i, f in enumerate(used) if f.special == "uint64"]
-
-    def head(wire: bytes, at: int, out: Out, odd: list[int]) -> int:
+    def special_head(wire: bytes, at: int, out: Out, odd: list[int]) -> int:
         values = list(unpack(wire, at))
         inexact = []
+        for i in bools:
+            if values[i] > 1:
+                inexact.append(i)
         for i, convert in stamps:
             value = values[i]
             if not 0 <= value >> 32 < SECOND_NS:
                 inexact.append(i)
             values[i] = convert(value)
-        for i in bools:
-            if values[i] > 1:
-                inexact.append(i)
         columns: Sequence[bytes | None] = cut(pack(*values))
         if varints or inexact:
             columns = own = list(columns)
@@ -120,48 +106,36 @@ def _special_head(
         out += columns
         return values[-1]  # type: ignore[no-any-return]
 
-    return head
+    return special_head if stamps or bools or varints else head
 
 
-def _skip_tail(tail: Tail) -> WalkTail:
-    skip, back = tail.skip, 4 if tail.has_count else 0
-    return lambda wire, at, count, out, odd: skip(wire, at - back)
-
-
-def _walk_tail(tail: Tail, strict: bool, wanted: Container[str] | None) -> WalkTail:
-    if tail.kind == "text":
-        return _text if strict else _bytes(1)
-    if tail.kind == "bytes":
-        return _bytes(tail.unit)
+def _tail(tail: Tail, strict: bool, wanted: Container[str]) -> _Tail:
+    skip, unit = tail.skip, tail.unit
+    if not any(column.name in wanted for column in tail.columns):
+        if tail.kind in ("text", "bytes"):
+            return lambda wire, at, count, out, odd: at + count * unit
+        back = 4 if tail.has_count else 0
+        return lambda wire, at, count, out, odd: skip(wire, at - back)
+    if tail.kind == "text" and strict:
+        return _text
+    if tail.kind in ("text", "bytes"):
+        return _bytes(unit)
     if tail.kind == "wire":
-        return _wire(tail)
+        return _wire(skip)
     if tail.kind == "texts":
         return _texts(tail.length, strict)
-    kept = [i for i, c in enumerate(tail.columns) if wanted is None or c.name in wanted]
     if len(tail.element) == 1 and tail.element[0].tail is None:
-        walk = _numbers(tail.element[0].fixed, tail.length, strict)
-    else:
-        walk = _elements(tail, strict)
-    return walk if len(kept) == len(tail.columns) else _choose(walk, kept)
-
-
-def _choose(walk: WalkTail, kept: Sequence[int]) -> WalkTail:
-    def tail(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
-        columns: Out = []
-        at = walk(wire, at, count, columns, odd)
-        out.extend(columns[i] for i in kept)
-        return at
-
-    return tail
+        return _numbers(tail.element[0].fixed, tail.length, strict, wanted)
+    return _elements(tail, strict, wanted)
 
 
 def _text(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
     end = at + count
     text = wire[at:end]
-    if len(text) != count:
-        raise short_buffer()
-    out.append(text if _is_utf8(text) else None)
-    if out[-1] is None:
+    if _is_utf8(text):
+        out.append(text)
+    else:
+        out.append(None)
         odd.append(1)
     return end
 
@@ -176,20 +150,16 @@ def _is_utf8(text: bytes) -> bool:
     return True
 
 
-def _bytes(unit: int) -> WalkTail:
+def _bytes(unit: int) -> _Tail:
     def tail(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
         end = at + count * unit
-        if end > len(wire):
-            raise short_buffer()
         out.append(wire[at:end])
         return end
 
     return tail
 
 
-def _wire(field: Tail) -> WalkTail:
-    skip = field.skip
-
+def _wire(skip: Skip) -> _Tail:
     def tail(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
         end = skip(wire, at)
         out.append(wire[at:end])
@@ -198,14 +168,12 @@ def _wire(field: Tail) -> WalkTail:
     return tail
 
 
-def _texts(length: int | None, strict: bool) -> WalkTail:
+def _texts(length: int | None, strict: bool) -> _Tail:
     def tail(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
         texts = []
         for _ in range(count if length is None else length):
             start = at + 4
             at = start + _unpack_length(wire, at)[0]
-            if at > len(wire):
-                raise short_buffer()
             texts.append(wire[start:at])
         if strict and not all(map(_is_utf8, texts)):
             odd.append(1)
@@ -217,21 +185,18 @@ def _texts(length: int | None, strict: bool) -> WalkTail:
     return tail
 
 
-def _numbers(fixed: Sequence[Fixed], length: int | None, strict: bool) -> WalkTail:
+def _numbers(
+    fixed: Sequence[Fixed], length: int | None, strict: bool, wanted: Container[str]
+) -> _Tail:
     """Elements of fixed size: all at once, column by column."""
-    element = struct.Struct("<" + "".join(f.little for f in fixed))
-    encoders = [pack_numbers(f, strict) for f in fixed]
-    unpack, size = element.iter_unpack, element.size
+    used, codes = _choose(fixed, wanted)
+    unpack, size = struct.Struct(codes).iter_unpack, struct.calcsize(codes)
+    encoders = [pack_numbers(f, strict) for f in used]
 
     def tail(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
-        if length is not None:
-            count = length
-        end = at + count * size
-        if end > len(wire):
-            raise short_buffer()
-        if not count:
+        end = at + (count if length is None else length) * size
+        if at == end:
             out.extend([EMPTY_LIST] * len(encoders))
-            return end
         for encode, values in zip(encoders, zip(*unpack(wire[at:end]))):
             column = encode(values)
             if column is None:
@@ -242,34 +207,25 @@ def _numbers(fixed: Sequence[Fixed], length: int | None, strict: bool) -> WalkTa
     return tail
 
 
-def _elements(field: Tail, strict: bool) -> WalkTail:
+def _elements(field: Tail, strict: bool, wanted: Container[str]) -> _Tail:
     """Elements of variable size: each as a message of its own, then turned into lists."""
-    steps, length = compile_walk(field.element, strict), field.length
-    encoders = [
-        pack_list if size is None else pack_equal(size) for size in cql_sizes(field.element)
-    ]
+    steps, length = compile_walk(field.element, strict, wanted), field.length
+    sizes = [size for column, size in columns_of(field.element) if column.name in wanted]
+    encoders = [pack_list if size is None else pack_equal(size) for size in sizes]
 
     def tail(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
         rows: list[Out] = []
         marks: list[int] = []
         for _ in range(count if length is None else length):
             row: Out = []
-            for head, size, rest in steps:
-                number = head(wire, at, row, marks) if head is not None else 0
-                at += size
-                if rest is not None:
-                    at = rest(wire, at, number, row, marks)
+            at = walk_message(steps, wire, at, row, marks)
             rows.append(row)
         if not rows:
             out.extend([EMPTY_LIST] * len(encoders))
-            return at
         columns = cast("Iterator[Sequence[bytes]]", zip(*rows))  # a None in them has its mark
-        if marks:
-            odd += marks
-            for encode, column in zip(encoders, columns):
-                out.append(None if None in column else encode(column))
-        else:
-            out.extend([encode(column) for encode, column in zip(encoders, columns)])
+        for encode, column in zip(encoders, columns):
+            out.append(None if marks and None in column else encode(column))
+        odd += marks
         return at
 
     return tail

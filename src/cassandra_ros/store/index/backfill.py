@@ -13,15 +13,8 @@ from typing import Iterator, NamedTuple, Sequence
 from cassandra.query import BatchStatement, BatchType
 
 from cassandra_ros.store.open_bucket import BATCH_BYTES, BATCH_ROWS
-from cassandra_ros.store.row_table import (
-    ALL,
-    RowTable,
-    TableRow,
-    bind,
-    decode_long,
-    encode_int,
-    encode_long,
-)
+from cassandra_ros.store.paging import RawRow
+from cassandra_ros.store.row_table import ODD, RowTable, TableRow, bind, decode_long, encode_int
 
 PAGE_ROWS = 1000
 PAGE_BYTES = 2 * 1024 * 1024
@@ -58,17 +51,17 @@ class Backfill:
     def pages(self, node: str, bucket: int, largest: int) -> Iterator[list[Written]]:
         """Read the rows of a bucket, whose largest message in a row has so many bytes."""
         size = max(1, min(PAGE_ROWS, PAGE_BYTES // (largest + 64)))
-        table, place = self._table, (node.encode("utf-8"), encode_long(bucket))
-        asked = table.stretch(table.select_ages(), place, ALL, page_rows=size)
+        table = self._table
+        names = f'{table.listing()}, WRITETIME("_conn"), TTL("_conn")'
+        asked = table.stretch(names, table.place(node, bucket), page_rows=size)
         # What is back-filled competes with who records: nothing is asked for ahead.
         for page in asked.pages(ahead=False):
-            yield [
-                Written(
-                    table.row_from_values(node, values[:-2]), values[-2] or b"", _ttl(values[-1])
-                )
-                for values in page
-                if not table.is_rest(values)
-            ]
+            yield [self._written(node, each) for each in page if not table.is_rest(each)]
+
+    def _written(self, node: str, values: RawRow) -> Written:
+        *own, timestamp, ttl = values
+        row = self._table.row_from_values(node, tuple(own))
+        return Written(row, timestamp or b"", None if ttl is None else decode_long(ttl))
 
     def write(self, updates: Sequence[Update]) -> None:
         """Write the values of rows of one bucket; return when they are acknowledged."""
@@ -82,13 +75,9 @@ class Backfill:
         for (row, timestamp, ttl), value in updates:
             left = 0 if ttl is None else ttl + LATER_SEC
             statement = self._set_odd if value is None else self._set_value
-            head = (timestamp, encode_int(left), b"\x01" if value is None else value)
+            head = (timestamp, encode_int(left), ODD if value is None else value)
             batch.add(bind(statement, (*head, *self._table.key_of(row))))
         return batch
-
-
-def _ttl(value: bytes | None) -> int | None:
-    return None if value is None else decode_long(value)
 
 
 def _parts(updates: Sequence[Update]) -> Iterator[list[Update]]:

@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import Callable
 
 from cassandra_ros.errors import SchemaConflict
-from cassandra_ros.metadata import SHADOW, TopicMetadata, shadow_column
-from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.metadata import TopicMetadata, shadow_column
+from cassandra_ros.store.index import table_files
 from cassandra_ros.store.names import quote_name
 from cassandra_ros.store.schema import Schema
 from cassandra_ros.store.side_tables import SchemaLock
@@ -21,32 +21,25 @@ from cassandra_ros.store.side_tables import SchemaLock
 TypeOf = Callable[[TopicMetadata], "str | None"]
 """CQL type of the shadow column of a field in a table; None where its type lacks the field."""
 
-BUILD_SEC = 30.0
-"""How long Cassandra may take to begin to build an index."""
-
 
 class IndexChanges:
     """Adds and drops the indexes of the topics of one keyspace."""
 
-    def __init__(self, cassandra: Cassandra, schema: Schema) -> None:
-        self._cassandra = cassandra
+    def __init__(self, schema: Schema) -> None:
         self._schema = schema
 
     def add(self, topic: str, field: str, type_of: TypeOf) -> None:
-        """Make an index in every table of a topic that can have it; complete one that is there.
-
-        Raises:
-            TopicNotFound: The topic is gone.
-        """
+        """Make an index in every table of a topic that can have it; complete one that is there."""
         with self._schema.lock() as lock:
             for table, metadata in self._schema.tables_of(topic).items():
-                cql_type = type_of(metadata)
-                if field in metadata.indexes:
-                    self._complete(table, metadata.indexes[field], lock)
-                elif cql_type is not None:
+                cql_type, shadow = type_of(metadata), metadata.indexes.get(field)
+                files = self._schema.files(table, lock)
+                if shadow is None and cql_type is not None:
                     self._add_to(table, metadata, field, cql_type, lock)
+                elif shadow is not None and table + shadow not in files.indexes():
+                    self._make(table, shadow, lock)
                 else:
-                    self._resume(table, lock)
+                    files.resume()  # who paused it died while he changed the indexes
         self._schema.tables(fresh=True)
 
     def _add_to(
@@ -65,20 +58,14 @@ class IndexChanges:
         self._make(table, shadow, lock)
         self._schema.set_comment(table, metadata.with_index(field, number), lock)
 
-    def _complete(self, table: str, shadow: str, lock: SchemaLock) -> None:
-        """Do what somebody left who died while he changed the indexes of a table."""
-        if table + shadow in self._names(table):
-            self._resume(table, lock)
-        else:
-            self._make(table, shadow, lock)
-
     def _make(self, table: str, shadow: str, lock: SchemaLock) -> None:
         """Make an index, anew where somebody made it who died before it was listed."""
         index, files = table + shadow, self._schema.files(table, lock)
-        if index in self._names(table):
+        names = files.indexes()
+        if index in names:
             # It may miss rows. Its build, if it waits for its turn, would go on without it.
-            files.await_builds(self._names(table), BUILD_SEC)
-            self._drop(table, index, lock)
+            files.await_builds(names, table_files.BUILD_SEC)
+            files.drop(index)
         files.pause()
         refused = None
         # When the nodes make and build what was sent to them, if at all, is not known on an error.
@@ -88,51 +75,25 @@ class IndexChanges:
                 self._schema.create_sai_index(table, shadow)
             except SchemaConflict as exc:
                 refused = exc
-            self._resume(table, lock)
+            files.resume()
         if refused:
             raise refused
 
-    def _resume(self, table: str, lock: SchemaLock) -> None:
-        """Let the files of a table be merged again that somebody has paused for an index."""
-        files = self._schema.files(table, lock)
-        if files.paused():
-            files.await_builds(self._names(table), BUILD_SEC)
-            files.resume()
-
-    def _drop(self, table: str, index: str, lock: SchemaLock) -> None:
-        lock.change(
-            f"DROP INDEX IF EXISTS {quote_name(self._schema.keyspace)}.{quote_name(index)}",
-            what=f"dropping an index of table {table}",
-        )
-
     def drop(self, topic: str, field: str) -> bool:
-        """Drop an index in every table of a topic, and what others left behind in doing so.
-
-        Returns:
-            Whether there was anything to drop.
-
-        Raises:
-            StoreUnavailable: Cassandra has not begun to build an index that somebody made.
-            TopicNotFound: The topic is gone.
-        """
+        """Drop an index in every table of a topic, and what others left; return whether any was."""
         done = False
         with self._schema.lock() as lock:
             for table, metadata in self._schema.tables_of(topic).items():
                 # First, for a build that waits for its turn goes on without its index.
-                self._resume(table, lock)
+                files = self._schema.files(table, lock)
+                files.resume()
                 if field in metadata.indexes:
                     metadata = metadata.without_index(field)
                     self._schema.set_comment(table, metadata, lock)
                     done = True
                 kept = {table + shadow for shadow in metadata.indexes.values()}
-                for name in self._names(table) - kept:
-                    self._drop(table, name, lock)
+                for name in files.indexes() - kept:
+                    files.drop(name)
                     done = True
         self._schema.tables(fresh=True)
         return done
-
-    def _names(self, table: str) -> set[str]:
-        """Names of the indexes of ours that a table has."""
-        keyspace = self._schema.keyspace
-        rows = self._cassandra.system_schema("indexes", "index_name", keyspace, table)
-        return {name for (name,) in rows if name.startswith(table + SHADOW)}

@@ -16,14 +16,17 @@ from contextlib import contextmanager
 from typing import AbstractSet, Iterator, Mapping
 
 from cassandra_ros.errors import StoreUnavailable, TopicNotFound
+from cassandra_ros.metadata import SHADOW
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.names import quote_name, quote_text
+from cassandra_ros.store.names import qualified, quote_text
 from cassandra_ros.store.side_tables import SchemaLock
 
 _log = logging.getLogger(__name__)
 
 QUIET_SEC = 30.0
 """How long merging that is going on is waited for."""
+BUILD_SEC = 30.0
+"""How long Cassandra may take to begin to build an index."""
 PAUSE_SEC = 0.05
 _ENABLED = "enabled"
 _BUILD = "secondary index build"
@@ -40,12 +43,6 @@ class TableFiles:
         self._keyspace = keyspace
         self._table = table
         self._lock = lock
-
-    # ---------------------------------------------------------------- merging
-
-    def paused(self) -> bool:
-        """Tell whether somebody has paused merging."""
-        return self._options().get(_ENABLED, "true") != "true"
 
     def pause(self) -> None:
         """Forbid merging, and wait for what is going on.
@@ -66,8 +63,11 @@ class TableFiles:
             )
 
     def resume(self) -> None:
-        """Allow merging."""
-        self._alter({name: value for name, value in self._options().items() if name != _ENABLED})
+        """Allow merging again where somebody has paused it to make an index."""
+        options = self._options()
+        if options.pop(_ENABLED, "true") != "true":
+            self.await_builds(self.indexes(), BUILD_SEC)
+            self._alter(options)
 
     @contextmanager
     def told(self) -> Iterator[None]:
@@ -95,17 +95,12 @@ class TableFiles:
     def _alter(self, options: Mapping[str, str]) -> None:
         pairs = ", ".join(f"{quote_text(k)}: {quote_text(v)}" for k, v in options.items())
         self._lock.change(
-            f"ALTER TABLE {quote_name(self._keyspace)}.{quote_name(self._table)} "
-            f"WITH compaction = {{{pairs}}}",
+            f"ALTER TABLE {qualified(self._keyspace, self._table)} WITH compaction = {{{pairs}}}",
             what=f"changing how table {self._table} is compacted",
         )
 
     def _await_quiet(self) -> str:
-        """Wait until no node in reach is rewriting files of the table, nor about to.
-
-        Returns:
-            What is still being done after 30 s, or ''.
-        """
+        """Wait until no node rewrites files of the table; return what is left after 30 s, or ''."""
         deadline = time.monotonic() + QUIET_SEC
         quiet = 0
         # One that was chosen just before it was forbidden may not be listed at once.
@@ -128,18 +123,20 @@ class TableFiles:
             what=f"asking whether table {self._table} is compacted",
         )
 
-    # ---------------------------------------------------------------- indexes
+    def indexes(self) -> set[str]:
+        """Names of the indexes of ours that the table has."""
+        rows = self._cassandra.system_schema("indexes", "index_name", self._keyspace, self._table)
+        return {name for (name,) in rows if name.startswith(self._table + SHADOW)}
+
+    def drop(self, index: str) -> None:
+        """Drop an index."""
+        self._lock.change(
+            f"DROP INDEX IF EXISTS {qualified(self._keyspace, index)}",
+            what=f"dropping an index of table {self._table}",
+        )
 
     def await_builds(self, names: AbstractSet[str], seconds: float) -> None:
-        """Wait until every node has built the indexes of the table, or is at the last of them.
-
-        Args:
-            names: Of all of them that the schema has.
-            seconds: How long.
-
-        Raises:
-            StoreUnavailable: A node has not begun by then.
-        """
+        """Wait until every node has built these, all indexes of the table, or is at the last."""
         deadline = time.monotonic() + seconds
         while not self._begun_on_each(names):
             if time.monotonic() > deadline:
@@ -170,10 +167,9 @@ class TableFiles:
 
 
 def begun(names: AbstractSet[str], listed: Mapping[str, bool], at_work: bool) -> bool:
-    """Tell whether a node has begun to build every index of a table.
+    """Tell whether a node has begun to build every index that the schema has of a table.
 
     Args:
-        names: Indexes that the schema has.
         listed: Those that the node knows, name → whether it waits for being built or is at it.
         at_work: It builds one of the table.
     """
