@@ -9,6 +9,7 @@ argument, its value, and what to give instead. Nothing is stored or asked before
 from __future__ import annotations
 
 import json
+import re
 from numbers import Integral
 from typing import Any, Iterable, Mapping, Optional, Type
 
@@ -102,6 +103,21 @@ def check_new_topic(topic: Any) -> str:
     if not name or "\0" in name:
         raise InvalidName(f"{name!r:.80} is not a topic name: it is empty or contains NUL")
     return name
+
+
+def check_ros_name(name: str) -> str:
+    """Return the name of a topic that ROS can subscribe to, or raise InvalidName."""
+    wrong = re.search(r"[^A-Za-z0-9_/]|//", name.replace("~", "", name.startswith("~")))
+    if wrong:
+        reason = f"{wrong[0]!r} may not stand in it"
+    elif not re.match(r"[A-Za-z/~]", name):
+        reason = "it must begin with a letter, / or ~"
+    else:
+        return name
+    raise InvalidName(
+        f"{name!r:.80} is no name of a ROS topic: {reason}; a name has letters, digits, _ and "
+        "single /, as /camera/image_raw"
+    )
 
 
 def check_topics(topics: Any) -> Optional[list[str]]:

@@ -358,7 +358,6 @@ def test_limit_and_duration(roscore, recorder, rosCas):
         b.await_subscribers().publish(*[text(n) for n in range(10)])
         assert child.wait(30) == 0, child.output
     assert wires(rosCas, "/a") == wires(rosCas, "/b") == [text(n) for n in range(3)]
-    assert recorder("/a", "--duration", "1").wait() == 0
 
 
 def test_all_and_exclude(roscore, recorder, rosCas):
@@ -401,9 +400,26 @@ def test_no_name_of_a_living_node_is_taken(roscore, recorder, rosCas):
 
 
 def test_quiet(roscore, recorder):
-    child = recorder("/x", "-q", "--duration", "2", ready="")
-    assert child.wait() == 0
+    with publisher(roscore, "/x") as one:
+        child = recorder("/x", "-q", "--duration", "2", ready="")
+        one.await_subscribers().publish(text(1))
+        assert child.wait() == 0
     assert child.output == ""
+
+
+def test_a_name_that_nobody_publishes(roscore, recorder):
+    """It is told at once, with what was perhaps meant, and at the end with a status."""
+    with publisher(roscore, "/front/scan") as one:
+        child = recorder("/front/scna", "/front/scan", "--duration", "1")
+        said = child.await_line("nobody publishes /front/scna yet")
+        assert said.endswith("did you mean /front/scan?")
+        one.await_subscribers().publish(text(1))
+        assert child.wait() == 1
+    assert "recorder: nothing came on /front/scna: nobody published it" in child.output
+    assert "nothing came on /front/scan:" not in child.output
+    child = recorder("-e", "/no/such/.*", "--duration", "0.1")
+    assert child.wait() == 1
+    assert "nothing was recorded" in child.output
 
 
 @pytest.mark.parametrize(
@@ -416,6 +432,8 @@ def test_quiet(roscore, recorder):
         (("/x", "--duration", "soon"), "not a duration"),
         (("/x", "-b", "-5"), "whole number"),
         (("/x", "--format", "xml"), "no format 'xml'"),
+        (("/has space",), "'/has space' is no name of a ROS topic: ' ' may not stand in it"),
+        (("/good", "3d"), "it must begin with a letter, / or ~"),
     ],
 )
 def test_wrong_usage(roscore, arguments, word):

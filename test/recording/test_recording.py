@@ -110,6 +110,8 @@ def test_gaps_before_us():
     assert gaps([2**32 - 2, 2**32 - 1, 0, 1]) == 0
     assert gaps([0, 0, 0]) is None  # not numbered
     assert gaps([1, 2, 700, 3, 701, 4]) is None  # two counters behind one connection
+    assert gaps(range(0, 90_000, 7)) is None  # sparse throughout: no counter of messages
+    assert gaps([*range(0, 20, 2), *range(20, 60)]) == 10  # a counter of which some were lost
 
 
 def test_only_a_header_that_comes_first_is_read():

@@ -3,7 +3,7 @@
 """Record topics into Cassandra. Every message is kept as it was sent, found by its time.
 
 Ctrl-C, SIGTERM and the shutdown of the node end the recording; what has arrived is stored first.
-The exit status is 1 when messages were lost.
+The exit status is 1 when messages were lost, or nobody published a topic that was named.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import sys
 from dataclasses import fields
 from typing import TYPE_CHECKING, Sequence
 
+from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.cli.options import (
     add_format_option,
     add_store_options,
@@ -22,7 +23,7 @@ from cassandra_ros.cli.options import (
     strip_remappings,
 )
 from cassandra_ros.cli.text import format_bytes, format_table, shown
-from cassandra_ros.errors import UnknownFormat
+from cassandra_ros.errors import InvalidName, UnknownFormat
 from cassandra_ros.formats.table import format_class
 
 if TYPE_CHECKING:
@@ -99,9 +100,9 @@ def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -
     try:
         if options.format:
             format_class(options.format)
-        for text in options.topics if options.regex else ():
-            regular_expression(text)
-    except (UnknownFormat, argparse.ArgumentTypeError) as exc:
+        for text in options.topics:
+            (regular_expression if options.regex else check_ros_name)(text)
+    except (InvalidName, UnknownFormat, argparse.ArgumentTypeError) as exc:
         parser.error(str(exc))
     return RecorderOptions(**{f.name: getattr(options, f.name) for f in fields(RecorderOptions)})
 
@@ -120,15 +121,30 @@ def main() -> int:
     with open_store(options, make=True) as ros_cas:
         reports = record(ros_cas, chosen, sys.argv, say)
     say(closing_table(reports))
+    failures = _failures(reports)
+    for text in failures:
+        print(f"{PROGRAM}: {text}", file=sys.stderr)
+    return 1 if failures else 0
+
+
+def _failures(reports: Sequence[TopicReport]) -> list[str]:
+    """Say what was not recorded that should have been."""
     lost = sum(report.lost for report in reports)
-    if lost:
-        print(f"{PROGRAM}: {lost} messages were lost", file=sys.stderr)
-    return 1 if lost else 0
+    found = [f"{lost} messages were lost"] if lost else []
+    for report in reports:
+        if not report.published:
+            found.append(f"nothing came on {shown(report.topic)}: nobody published it")
+    if not reports:
+        found.append("nothing was recorded: no topic that was published was to be")
+    return found
 
 
 def closing_table(reports: Sequence[TopicReport]) -> str:
-    """Write what became of the messages of each topic."""
-    names = ("topic", "type", "received", "stored", "lost", "gaps before us", "bytes", "rate")
+    """Write what became of the messages of each topic.
+
+    What is missing in the publishers' own numbers is no loss of ours: "seq gaps".
+    """
+    names = ("topic", "type", "received", "stored", "lost", "seq gaps", "bytes", "rate")
     rows: list[Sequence[str]] = [
         (
             shown(r.topic),

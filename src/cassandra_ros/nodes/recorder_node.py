@@ -9,7 +9,8 @@ import re
 import signal
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from types import FrameType
 from typing import Callable, Optional, Sequence
 
@@ -23,7 +24,7 @@ from cassandra_ros.nodes.node import (
     now_ns,
     own_name,
 )
-from cassandra_ros.nodes.subscription import connected_uris, is_drained, subscribe
+from cassandra_ros.nodes.subscription import connected_uris, is_drained, subscribe, was_heard
 from cassandra_ros.recording.counts import TopicReport
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.topics.ros_cassandra import RosCassandra
@@ -134,6 +135,16 @@ class _Session:
             resolved = rospy.resolve_name(topic)
             if not self._options.excludes(resolved):
                 self._subscribe(resolved)
+        self._warn_of_names()
+
+    def _warn_of_names(self) -> None:
+        """Warn of topics that nobody publishes (yet): the name may be mistyped."""
+        published = _publishers(None)
+        for topic in self._subscribers:
+            if published and topic not in published:
+                near = get_close_matches(topic, sorted(published), 3)
+                meant = f"; did you mean {' or '.join(near)}?" if near else ""
+                _log.warning("nobody publishes %s yet%s", topic, meant)
 
     def _discover(self, announce: bool) -> None:
         try:
@@ -188,8 +199,16 @@ class _Session:
         while not self._recorder.stop(timeout_sec=0.2):
             if self._signals > 1:
                 _log.warning("interrupted again: what is not stored yet is lost")
-                return self._recorder.reports(final=True)
-        return self._recorder.close()
+                return self._final(self._recorder.reports(final=True))
+        return self._final(self._recorder.close())
+
+    def _final(self, reports: list[TopicReport]) -> list[TopicReport]:
+        """Note in the reports which topics nobody ever published."""
+        silent = {t for t, subscriber in self._subscribers.items() if not was_heard(subscriber)}
+        return [
+            replace(report, published=report.topic not in silent or report.received > 0)
+            for report in reports
+        ]
 
     def _drain_sockets(self) -> None:
         """Wait until each connection was seen empty once: until then it lags behind the end."""
@@ -229,10 +248,14 @@ def _start_node(argv: Sequence[str]) -> str:
     return str(rospy.get_name())
 
 
-def _publishers(topics: Sequence[str]) -> dict[str, int]:
-    """Return how many publishers each topic has, where it has any."""
+def _publishers(topics: Optional[Sequence[str]]) -> dict[str, int]:
+    """Return how many publishers each topic has, where it has any; None = of all topics."""
     try:
         _, _, (publishers, _, _) = rospy.get_master().getSystemState()
     except MASTER_ERRORS:
         return {}
-    return {topic: len(nodes) for topic, nodes in publishers if topic in topics and nodes}
+    return {
+        topic: len(nodes)
+        for topic, nodes in publishers
+        if nodes and (topics is None or topic in topics)
+    }

@@ -94,6 +94,12 @@ def connected_uris(subscriber: rospy.Subscriber) -> set[str]:
     return {c.endpoint_id for c in found if c.header is not None}
 
 
+def was_heard(subscriber: rospy.Subscriber) -> bool:
+    """Say whether a publisher was ever connected."""
+    impl = subscriber.impl
+    return not isinstance(impl, _Subscription) or impl.heard
+
+
 class _Subscription(_SubscriberImpl):
     """rospy's side of a subscription, with the faults above mended."""
 
@@ -103,6 +109,8 @@ class _Subscription(_SubscriberImpl):
         self.set_tcp_nodelay(tcp_nodelay)
         self._connecting: dict[str, threading.Thread] = {}
         self._asked_again: set[str] = set()
+        self.heard = False
+        """A publisher was connected at some time."""
         self.add_callback(take, None)
 
     def has_connection(self, endpoint_id: str) -> bool:
@@ -127,6 +135,7 @@ class _Subscription(_SubscriberImpl):
             for old in self.connections:
                 if old.endpoint_id == c.endpoint_id:
                     old.endpoint_id += _CLOSING
+            self.heard = True
             return bool(super().add_connection(c))
 
     def remove_connection(self, c: Transport) -> None:

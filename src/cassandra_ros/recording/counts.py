@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What became of the messages of each topic: received, stored, lost and why, gaps before us."""
+"""What became of the messages of each topic: received, stored, lost and why, gaps in numbers."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ MAX_SEQUENCES = 1024
 """Publishers of a topic whose numbers are followed: anonymous ones come without end."""
 LEFT_OVER = "the recorder ended before they were stored"
 
+MIN_STEPS = 4
+"""Fewer numbers do not show whether they are those of a counter."""
 _JUMP = 100_000
 """A sequence number that leaps further was set anew, nothing was lost."""
 _sequence = struct.Struct("<I").unpack_from
@@ -40,10 +42,15 @@ class TopicReport:
     reasons: Mapping[str, int]
     """Why messages were lost → how many."""
     gaps: Optional[int]
-    """Messages that the publishers numbered and that never came here; None = not numbered."""
+    """Numbers of header.seq that never came here: not sent, or lost on the way to us.
+
+    None = the numbers are not those of a counter.
+    """
     bytes: int
     """Serialised bytes received."""
     rate_hz: float
+    published: bool = True
+    """Whether something came, or a publisher was connected at some time."""
 
 
 @dataclass
@@ -64,31 +71,42 @@ class _Topic:
         found = self.sequences.get(callerid)
         if found is None:
             while len(self.sequences) >= MAX_SEQUENCES:
-                self.past_gaps += self.sequences.pop(next(iter(self.sequences))).gaps
+                self.past_gaps += self.sequences.pop(next(iter(self.sequences))).gaps or 0
             found = self.sequences[callerid] = _Sequence()
         return found
 
 
 @dataclass
 class _Sequence:
-    """``header.seq`` of one publisher: what is missing between two messages was lost before us."""
+    """``header.seq`` of one publisher: what is missing between two messages never came here."""
 
     last: int = 0
     feed: Optional[Feed] = None
-    reliable: bool = True
-    """Whether the numbers are those of one counter."""
-    gaps: int = 0
+    mixed: bool = False
+    """The numbers are not those of one counter."""
+    steps: int = 0
+    leaps: int = 0
+    """Steps that left numbers out."""
+    missing: int = 0
+
+    @property
+    def gaps(self) -> Optional[int]:
+        """Numbers that are missing; None where they count nothing."""
+        # A bag that was thinned out, or a driver that numbers in ticks, leaps all the time.
+        sparse = self.steps >= MIN_STEPS and 2 * self.leaps > self.steps
+        return None if self.mixed or sparse else self.missing
 
     def see(self, number: int, feed: Feed) -> None:
         """Take the number of the next message."""
-        if self.feed is not None and self.reliable:
+        if self.feed is not None:
             step = (number - self.last) & 0xFFFFFFFF
             if 0 < step < _JUMP:
-                self.gaps += step - 1
+                self.steps += 1
+                self.leaps += step > 1
+                self.missing += step - 1
             elif feed is self.feed:
                 # No number, or several counters behind one publisher (a played bag, a relay).
-                self.reliable = False
-                self.gaps = 0
+                self.mixed = True
         self.last, self.feed = number, feed
 
 
@@ -158,7 +176,7 @@ def _report(name: str, counted: _Topic, stored: int, final: bool) -> TopicReport
     left = counted.received - stored - sum(reasons.values())
     if final and left > 0:
         reasons[LEFT_OVER] = left
-    numbered = [s for s in counted.sequences.values() if s.reliable]
+    gaps = [s.gaps for s in counted.sequences.values() if s.gaps is not None]
     span = counted.last - counted.first
     return TopicReport(
         topic=name,
@@ -167,7 +185,7 @@ def _report(name: str, counted: _Topic, stored: int, final: bool) -> TopicReport
         stored=stored,
         lost=sum(reasons.values()),
         reasons=reasons,
-        gaps=counted.past_gaps + sum(s.gaps for s in numbered) if numbered else None,
+        gaps=counted.past_gaps + sum(gaps) if gaps else None,
         bytes=counted.nbytes,
         rate_hz=(counted.received - 1) / span if span > 0 else 0.0,
     )
