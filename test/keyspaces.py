@@ -7,6 +7,8 @@ from __future__ import annotations
 import contextlib
 import uuid
 
+from cassandra_ros.store.side_tables import LATER_TABLES
+
 MOST_TABLES = 50
 """What a keyspace may hold of earlier tests: each change of its schema goes through all of it."""
 KEYS = {
@@ -15,6 +17,8 @@ KEYS = {
     "cr_node": ("tbl",),
     "cr_bucket": ("tbl", "node", "slot"),
     "cr_run": ("writer",),
+    "cr_loss": ("topic",),
+    "cr_context": ("writer",),
     "cr_lock": ("name",),
 }
 """Partition keys of the side tables."""
@@ -60,7 +64,7 @@ class Keyspaces:
             "{'class': 'NetworkTopologyStrategy', 'datacenter1': 1}"
         )
         with self._connect(keyspace=name) as store:
-            store.parts.side_tables.make()
+            store.parts.side_tables.make(*LATER_TABLES)
         self._made[name] = self._schema(name)
         return name
 

@@ -11,10 +11,10 @@ from __future__ import annotations
 import json
 import re
 from numbers import Integral
-from typing import Any, Iterable, Mapping, Optional, Type
+from typing import Any, Iterable, Mapping, Optional, Type, Union
 
 from cassandra_ros.errors import CassandraRosError, InvalidKey, InvalidName, InvalidOption
-from cassandra_ros.keys import KEY_FORMATS
+from cassandra_ros.keys import KEY_FORMATS, MAX_WRITER
 from cassandra_ros.metadata import FACTS
 
 MAX_TOPIC_BYTES = 65_535
@@ -87,6 +87,16 @@ def check_node(node: Any) -> str:
 def check_nodes(node: Any) -> Optional[tuple[str, ...]]:
     """Return the nodes whose messages a nodeID asks for, None = all, or raise InvalidName."""
     return None if node is None else (check_node(node),)
+
+
+def check_run(run: Any) -> Union[None, str, int]:
+    """Return what names a run, a text or a writer id, None = all runs, or raise InvalidName."""
+    if run is None:
+        return None
+    if isinstance(run, Integral) and not isinstance(run, bool):
+        return check_integer("run", run, 1, MAX_WRITER, InvalidName)
+    wanted = f"the name of a run, or its writer id of 1 to {MAX_WRITER}"
+    return check_text("run", run, MAX_TEXT_BYTES, InvalidName, wanted)
 
 
 def check_topic(topic: Any) -> str:

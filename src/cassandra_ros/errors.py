@@ -5,7 +5,7 @@
 * CassandraRosError
   - ConnectionFailed, StoreUnavailable, WriteFailed, KeyspaceNotFound, SchemaConflict,
     UnsupportedSchema, TopicExists, ClockNotSet, ServerError
-  - TopicNotFound, MessageNotFound (also a KeyError)
+  - TopicNotFound, MessageNotFound, RunNotFound (also a KeyError)
   - TransformException
     + LookupException, ConnectivityException, ExtrapolationException
   - TypeMismatch, UnknownFormat, InvalidKey, InvalidName, InvalidOption, InvalidQuery,
@@ -61,6 +61,10 @@ class TopicExists(CassandraRosError):
 
 class MessageNotFound(CassandraRosError, KeyError):
     """No message lies at this key."""
+
+
+class RunNotFound(CassandraRosError, KeyError):
+    """No recording or import has this name or writer id; the text gives the nearest names."""
 
 
 class TransformException(CassandraRosError):

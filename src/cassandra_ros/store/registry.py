@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""cr_connection, cr_definition and cr_run: what the rows refer to, written before them."""
+"""cr_connection, cr_definition, cr_run: what the rows refer to, written before them.
+
+Beside them cr_loss, what could not be stored, and cr_context, what stood around a run.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,11 @@ import hashlib
 import platform
 from dataclasses import dataclass, field, fields
 from datetime import datetime
-from typing import Mapping, NamedTuple
+from enum import Enum
+from typing import Mapping, NamedTuple, Sequence
 
 from cassandra_ros.store.connection import CqlRow
+from cassandra_ros.store.run_context import RunContext, decode_context, encode_context
 from cassandra_ros.store.side_tables import SideTables
 
 
@@ -47,6 +52,37 @@ class Run:
 
 
 _RUN = tuple(each.name for each in fields(Run))
+
+
+class LossKind(str, Enum):
+    """Why messages are missing."""
+
+    BUFFER_FULL = "buffer full"
+    NO_TABLE = "no table"
+    NO_CLOCK = "no clock"
+    REFUSED = "refused by the store"
+    NOT_READ = "not read from the socket"
+    UNHEARD = "publisher not heard"
+    AT_END = "not stored at the end"
+    MISTAKE = "internal error"
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Messages of a topic that a run should hold and does not."""
+
+    topic: str
+    node: str
+    writer: int
+    kind: LossKind
+    first_ns: int
+    """When the first of them came, or the stretch began in which they were missed."""
+    last_ns: int
+    count: int
+    """0 = nobody knows how many."""
+
+
+_LOSS = "node, writer, kind, first, last, n"
 
 
 class Registry:
@@ -97,6 +133,43 @@ class Registry:
         rows = self._tables.select("cr_run", ", ".join(_RUN), what="listing the runs")
         return [_run(row) for row in rows]
 
+    def put_loss(self, loss: Loss) -> None:
+        """Store a loss; one of the same topic, node, writer, kind and first_ns is replaced."""
+        self._tables.make("cr_loss")
+        columns = {"topic": loss.topic, "node": loss.node, "writer": loss.writer}
+        columns.update(kind=loss.kind.value, first=loss.first_ns, last=loss.last_ns, n=loss.count)
+        self._tables.insert("cr_loss", columns, f"storing a loss of topic {loss.topic}")
+
+    def losses(self, topics: Sequence[str] | None = None) -> list[Loss]:
+        """List the losses of some topics, None = all (a scan: losses are few), by time."""
+        what, names = "listing the losses", f"topic, {_LOSS}"
+        if topics is None:
+            rows = self._tables.select("cr_loss", names, what=what)
+        else:
+            select = self._tables.select
+            every = (select("cr_loss", names, "topic = ?", (t,), what=what) for t in set(topics))
+            rows = [row for found in every for row in found]
+        return sorted(map(_loss, rows), key=lambda loss: (loss.first_ns, loss.topic, loss.writer))
+
+    def forget_losses(self, topic: str) -> None:
+        """Remove the losses of a topic whose messages were removed."""
+        if self._tables.has("cr_loss"):
+            self._tables.delete("cr_loss", ("topic",), [(topic,)], "removing losses")
+
+    def put_context(self, writer: int, node: str, context: RunContext) -> None:
+        """Store the parameters and the node graph of a run; InvalidOption where they cannot be."""
+        blob = encode_context(context)
+        self._tables.make("cr_context")
+        columns = {"writer": writer, "node": node, "context": blob}
+        what = "storing the parameters of the run"
+        self._tables.insert("cr_context", columns, what, now=["heartbeat"])
+
+    def get_context(self, writer: int, node: str) -> RunContext | None:
+        """Read the parameters and the node graph of a run back; None where none were kept."""
+        where, what = "writer = ? AND node = ?", "reading the parameters of a run"
+        rows = self._tables.select("cr_context", "context", where, (writer, node), what=what)
+        return None if not rows or rows[0][0] is None else decode_context(rows[0][0])
+
 
 # The column is an int of CQL, the numbers of bags go to 2**32 - 1: those from 2**31 on are kept as
 # the negative int of the same 32 bits. The last one would be -1, which is live; it is null.
@@ -112,6 +185,15 @@ def _unsigned(column: int | None) -> int:
     if column is None:
         return 2**32 - 1
     return column if column >= -1 else column + 2**32
+
+
+def _loss(row: CqlRow) -> Loss:
+    topic, node, writer, kind, first, last, count = row
+    try:
+        known = LossKind(kind)
+    except ValueError:  # a newer release knows more of them
+        known = LossKind.MISTAKE
+    return Loss(topic, node, writer, known, first, last or first, count or 0)
 
 
 def _run(row: CqlRow) -> Run:

@@ -61,6 +61,18 @@ SIDE_TABLES = {
         "PRIMARY KEY ((writer), node)"
     ),
 }
+LATER_TABLES = {
+    # Keyspaces of earlier releases lack these, and many never need them: each is made by what
+    # first writes to it. What could not be recorded, beside the data:
+    "cr_loss": (
+        "topic text, node text, writer bigint, kind text, first bigint, last bigint, n bigint, "
+        "PRIMARY KEY ((topic), node, writer, kind, first)"
+    ),
+    # Parameters and node graph at the start of a run, and when it was last seen alive.
+    "cr_context": (
+        "writer bigint, node text, heartbeat timestamp, context blob, PRIMARY KEY ((writer), node)"
+    ),
+}
 _COMMENT = "cassandra_ros side table, schema version 1"
 
 
@@ -246,23 +258,31 @@ class SideTables:
             )
         self._keyspace_made = True
 
-    def make(self) -> None:
-        """Make the keyspace and the tables where they are missing; before the first write."""
+    def make(self, *later: str) -> None:
+        """Make the keyspace and the tables where they are missing; before the first write.
+
+        Args:
+            later: Which of LATER_TABLES are about to be written, too.
+        """
         with self._mutex:
-            if self._made:
+            if self._made and self._there.issuperset(later):
                 return
             self.make_keyspace()
+            wanted = {**SIDE_TABLES, **{name: LATER_TABLES[name] for name in later}}
             there = self._list()
             if _LOCK not in there:
                 self._make_lock_table()
-            if not there.issuperset(SIDE_TABLES):
+            if not there.issuperset(wanted):
                 with SchemaLock(self._cassandra, self.keyspace) as lock:
-                    for name in sorted(set(SIDE_TABLES) - self._list()):
+                    for name in sorted(set(wanted) - self._list()):
                         lock.change(
                             f"CREATE TABLE IF NOT EXISTS {self.qualified(name)} "
-                            f"({SIDE_TABLES[name]}) WITH comment = {quote_text(_COMMENT)}",
+                            f"({wanted[name]}) WITH comment = {quote_text(_COMMENT)}",
                             what=f"making table {name}",
                         )
+                self._there = self._list()
+            else:
+                self._there = there
             self._made = True
 
     def _make_lock_table(self) -> None:

@@ -31,7 +31,8 @@ from cassandra_ros.topics.finding import Filter, Where
 from cassandra_ros.topics.indexes import check_unnamed
 from cassandra_ros.topics.keyspace import Keyspace, Wish
 from cassandra_ros.topics.message_writer import Adder, Clock
-from cassandra_ros.topics.selection import Stretch
+from cassandra_ros.topics.runs import Runs
+from cassandra_ros.topics.selection import Stretch, spellings
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -51,6 +52,7 @@ class Catalog:
     def __init__(self, keyspace: Keyspace, clock: Optional[Clock]) -> None:
         self.keyspace = keyspace
         self.adder = Adder(keyspace, clock)
+        self.runs = Runs(keyspace)
         self._pending: dict[str, Wish] = {}
         self._mutex = threading.Lock()
 
@@ -137,6 +139,7 @@ class Catalog:
         for table in space.schema.drop_topic(name, renew=renew):
             space.directory.forget(table)
             space.registry.forget(table)
+        space.registry.forget_losses(name)
         if not renew:
             with self._mutex:
                 self._pending.pop(name, None)
@@ -144,7 +147,7 @@ class Catalog:
     def rename(self, topic: str, new_name: str) -> None:
         """Give a topic another name."""
         name = self.get(topic).name
-        if name in _spellings(new_name):
+        if name in spellings(new_name):
             raise TopicExists(
                 f"topic {name} is found as {new_name} already, for the leading slash may be left "
                 "out: give another name"
@@ -172,7 +175,7 @@ class Catalog:
     def _find(self, topic: str, fresh: bool) -> Optional[str]:
         check_topic(topic)
         names = self.names(fresh=fresh)
-        return next((name for name in _spellings(topic) if name in names), None)
+        return next((name for name in spellings(topic) if name in names), None)
 
     def _topic(self, name: str) -> CassandraTopic:
         with self._mutex:
@@ -252,11 +255,6 @@ class Catalog:
             elif own:
                 streams.append(filters[name].rows(stretch))
         return heapq.merge(*streams, key=attrgetter("arrival" if received else "position"))
-
-
-def _spellings(topic: str) -> tuple[str, str]:
-    """Return the names that a topic is looked for by: the given one first."""
-    return topic, topic[1:] if topic.startswith("/") else "/" + topic
 
 
 def nearest_pairs(

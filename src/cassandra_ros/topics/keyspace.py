@@ -7,8 +7,17 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from typing import Any, Optional, Sequence
+from typing import Any, Mapping, Optional, Sequence
 
+from cassandra_ros.arguments import (
+    check_fields,
+    check_key_format,
+    check_new_topic,
+    check_node,
+    check_text,
+    check_ttl,
+    check_user_keys,
+)
 from cassandra_ros.errors import InvalidKey, InvalidName, TopicExists, TypeMismatch, WriteFailed
 from cassandra_ros.formats.table import DEFAULT_FORMAT, FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import SECOND_NS
@@ -199,6 +208,35 @@ def _default_bucket(definition: Optional[Definition]) -> int:
         field.is_array for spec in definition.specs.values() for field in spec.fields
     )
     return (60 if arrays else 600) * SECOND_NS
+
+
+def wished_topic(
+    topic: str,
+    format: Optional[str],
+    node: str,
+    ttl: int,
+    comment: str,
+    user: Optional[Mapping[str, Any]],
+    index: Sequence[str],
+) -> TopicMetadata:
+    """Check what addTopic was given, and return it as metadata without a type."""
+    return TopicMetadata(
+        topic=check_new_topic(topic),
+        msg_type="",
+        md5sum="",
+        format="" if format is None else format,
+        bucket_ns=0,
+        nodeID=check_node(node),
+        ttl=check_ttl(ttl),
+        comment=check_text("comment", comment),
+        user=check_user_keys({} if user is None else user),
+        indexes=dict.fromkeys(check_fields("index", index), ""),
+    )
+
+
+def with_key(wanted: TopicMetadata, key_format: Optional[str], key_part: str) -> TopicMetadata:
+    """Return them with the key that was asked for, '' = as the topic is stored."""
+    return wanted.with_(key_format=check_key_format(key_format, key_part), key_part=key_part)
 
 
 @dataclass(frozen=True)

@@ -8,32 +8,31 @@ from typing import Any, Iterable, Iterator, Mapping, Optional, Sequence
 
 from cassandra_ros.arguments import (
     MAX_TOPIC_BYTES,
-    check_fields,
     check_integer,
-    check_key_format,
     check_new_topic,
     check_node,
+    check_nodes,
     check_seconds,
     check_text,
     check_topics,
     check_ttl,
-    check_user_keys,
 )
 from cassandra_ros.errors import InvalidKey, InvalidName, InvalidOption, KeyspaceNotFound
 from cassandra_ros.keys import MAX_WRITER, Position, new_writer_id
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import duration_ns
-from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.query.explain import Explanation
 from cassandra_ros.query.run import QueryResult, Rows
 from cassandra_ros.store.address import from_environment
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.registry import Run
+from cassandra_ros.store.registry import Loss, Run
+from cassandra_ros.store.run_context import RunContext
 from cassandra_ros.store.writer import LossCallback
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
-from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.keyspace import Keyspace, wished_topic, with_key
 from cassandra_ros.topics.message_writer import Clock, MessageWriter
+from cassandra_ros.topics.runs import RunName
 from cassandra_ros.topics.selection import LAST_NS, Stretch, Time
 from cassandra_ros.topics.statements import Statements
 from cassandra_ros.topics.stored_row import StoredRow
@@ -190,21 +189,8 @@ class RosCassandra:
         """
         if msg_type is not None:
             check_text("msg_type", msg_type, error=InvalidName, wanted="one like 'std_msgs/String'")
-        wanted = TopicMetadata(
-            topic=check_new_topic(topic),
-            msg_type="",
-            md5sum="",
-            format="" if format is None else format,
-            bucket_ns=0,
-            nodeID=check_node(nodeID),
-            ttl=check_ttl(ttl),
-            comment=check_text("comment", comment),
-            key_format=check_key_format(key_format, key_part),
-            key_part=key_part,
-            user=check_user_keys({} if metadata is None else metadata),
-            indexes=dict.fromkeys(check_fields("index", index), ""),
-        )
-        return self._open.add(wanted, msg_type)
+        wanted = wished_topic(topic, format, nodeID, ttl, comment, metadata, index)
+        return self._open.add(with_key(wanted, key_format, key_part), msg_type)
 
     def getTopic(self, topic: str) -> CassandraTopic:
         """Return a topic by its name, with or without the leading slash.
@@ -311,6 +297,29 @@ class RosCassandra:
     def runs(self) -> list[Run]:
         """List the recordings and imports of the keyspace."""
         return self.parts.registry.runs()
+
+    def runContext(self, run: RunName) -> Optional[RunContext]:
+        """Return parameters and node graph at the start of a run; None where none were kept.
+
+        Of several runs of one name the one that began last counts. Raises RunNotFound.
+        """
+        return self._open.runs.context(run)
+
+    def losses(
+        self,
+        topics: Optional[Iterable[str]] = None,
+        key: Optional[Time] = None,
+        to_key: Optional[Time] = None,
+        *,
+        nodeID: Optional[str] = None,
+        run: RunName = None,
+    ) -> list[Loss]:
+        """List what should have been recorded and was not, also of topics that are not stored.
+
+        The arguments are those of readMessages: a loss counts whose stretch of time is touched.
+        """
+        stretch = Stretch.between(key, to_key)
+        return self._open.runs.losses(check_topics(topics), stretch, check_nodes(nodeID), run)
 
     def readMessages(
         self,

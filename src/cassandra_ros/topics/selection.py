@@ -43,4 +43,9 @@ class Valued(NamedTuple):
     value: AnyKey
 
 
+def spellings(topic: str) -> tuple[str, str]:
+    """Return the names that a topic is looked for by: the given one first."""
+    return topic, topic[1:] if topic.startswith("/") else "/" + topic
+
+
 Selection = Union[Stretch, Named, Valued]

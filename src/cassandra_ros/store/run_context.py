@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What stood around a run at its start: the ROS parameters and the node graph, as one blob.
+
+It is compressed JSON. What JSON lacks stands in a mapping of one key that begins with ``$``:
+``{"$float": "nan"}``, ``{"$datetime": "20260102T03:04:05"}``, ``{"$binary": base64}``, and a
+mapping of the parameters' own that has such a key is ``{"$mapping": {…}}``.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import xmlrpc.client
+import zlib
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Mapping, Sequence
+
+from cassandra_ros.errors import CorruptMessage, InvalidOption
+
+MAX_CONTEXT_BYTES = 64 * 1024 * 1024
+"""Of the JSON: what a hostile or broken blob may unfold to."""
+
+Graph = Mapping[str, Sequence[str]]
+"""Topic or service -> names of nodes."""
+
+
+@dataclass(frozen=True)
+class NodeGraph:
+    """Who publishes, hears and serves what, as the ROS master knows it (``getSystemState``)."""
+
+    publishers: Graph = field(default_factory=dict)
+    subscribers: Graph = field(default_factory=dict)
+    services: Graph = field(default_factory=dict)
+    types: Mapping[str, str] = field(default_factory=dict)
+    """Topic -> 'pkg/Name'."""
+
+    @property
+    def nodes(self) -> list[str]:
+        """The names of all nodes, sorted."""
+        every = (self.publishers, self.subscribers, self.services)
+        return sorted({node for part in every for nodes in part.values() for node in nodes})
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """ROS parameters and node graph at the start of a run.
+
+    Attributes:
+        params: The tree of the parameter server: what ``rosgraph.Master.getParam('/')`` gives.
+            Its values are those of XML-RPC: bools, ints, floats, texts, lists, mappings of texts,
+            ``xmlrpc.client.DateTime`` and ``Binary``, and None. They come back as they were, but
+            that tuples are lists, and datetime and bytes are DateTime and Binary.
+        graph: The nodes and what they speak about.
+    """
+
+    params: Mapping[str, object] = field(default_factory=dict)
+    graph: NodeGraph = field(default_factory=NodeGraph)
+
+
+def encode_context(context: RunContext) -> bytes:
+    """Write a context as a blob.
+
+    Raises:
+        InvalidOption: A parameter is of no type that a parameter server has, or all are too large.
+    """
+    parts = {
+        "params": _plain(context.params, "", 0),
+        **{name: getattr(context.graph, name) for name in ("publishers", "subscribers")},
+        **{name: getattr(context.graph, name) for name in ("services", "types")},
+    }
+    text = json.dumps(parts, allow_nan=False, separators=(",", ":")).encode("ascii")
+    if len(text) > MAX_CONTEXT_BYTES:
+        raise InvalidOption(
+            f"the parameters of the run take {len(text)} bytes as JSON; at most "
+            f"{MAX_CONTEXT_BYTES} are kept"
+        )
+    return zlib.compress(text)
+
+
+def decode_context(blob: bytes) -> RunContext:
+    """Read a context back; CorruptMessage where encode_context did not write it."""
+    try:
+        unpacker = zlib.decompressobj()
+        text = unpacker.decompress(blob, MAX_CONTEXT_BYTES)
+        parts = json.loads(text.decode("ascii"))
+        graph = {name: parts.get(name, {}) for name in ("publishers", "subscribers", "services")}
+        params = _value(parts["params"])
+        if not isinstance(params, dict):
+            raise TypeError("the parameters are no mapping")
+        return RunContext(params, NodeGraph(**graph, types=parts.get("types", {})))
+    except (zlib.error, ValueError, TypeError, KeyError, AttributeError, RecursionError) as exc:
+        raise CorruptMessage(
+            f"the stored parameters of a run cannot be read: {exc}; a newer release wrote them, "
+            "or the row is damaged"
+        ) from exc
+
+
+_MAX_DEPTH = 200
+
+
+def _plain(value: object, place: str, depth: int) -> object:
+    """Return what JSON keeps of a value."""
+    if depth > _MAX_DEPTH:
+        raise InvalidOption(f"parameter {place[:80]}… is nested deeper than {_MAX_DEPTH} levels")
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else {"$float": repr(value)}
+    if isinstance(value, (xmlrpc.client.DateTime, datetime)):
+        when = xmlrpc.client.DateTime(value) if isinstance(value, datetime) else value
+        return {"$datetime": str(when)}
+    if isinstance(value, (bytes, bytearray, xmlrpc.client.Binary)):
+        data = value.data if isinstance(value, xmlrpc.client.Binary) else bytes(value)
+        return {"$binary": base64.b64encode(data).decode("ascii")}
+    if isinstance(value, (list, tuple)):
+        return [_plain(each, f"{place}[{i}]", depth + 1) for i, each in enumerate(value)]
+    if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
+        found = {k: _plain(each, f"{place}/{k}", depth + 1) for k, each in value.items()}
+        return {"$mapping": found} if any(key.startswith("$") for key in found) else found
+    raise InvalidOption(
+        f"parameter {place or '/'} is a {type(value).__name__}, which no parameter server holds"
+    )
+
+
+def _value(plain: object) -> object:
+    """Return the value that ``_plain`` wrote."""
+    if isinstance(plain, list):
+        return [_value(each) for each in plain]
+    if not isinstance(plain, dict):
+        return plain
+    kind, inner = next(iter(plain.items())) if len(plain) == 1 else ("", "")
+    if kind == "$float":
+        return float(inner)
+    if kind == "$datetime":
+        return xmlrpc.client.DateTime(inner)
+    if kind == "$binary":
+        return xmlrpc.client.Binary(base64.b64decode(inner))
+    mapping = inner if kind == "$mapping" else plain
+    return {key: _value(each) for key, each in mapping.items()}
