@@ -10,6 +10,8 @@ __path__ = extend_path(__path__, __name__)
 _PUBLIC = {
     "Cassandra": "cassandra_ros.store.connection",
     "CassandraTopic": "cassandra_ros.topics.cassandra_topic",
+    "Recorder": "cassandra_ros.nodes.recorder",
+    "RecorderOptions": "cassandra_ros.recording.options",
     "RosCassandra": "cassandra_ros.topics.ros_cassandra",
     "CassandraTopic_": "cassandra_ros.formats.cassandra_topic_",
     "CassandraTopic_binary": "cassandra_ros.formats.binary",

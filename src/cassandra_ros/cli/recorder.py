@@ -27,8 +27,8 @@ from cassandra_ros.errors import InvalidName, UnknownFormat
 from cassandra_ros.formats.table import format_class
 
 if TYPE_CHECKING:
-    from cassandra_ros.nodes.recorder_node import RecorderOptions
     from cassandra_ros.recording.counts import TopicReport
+    from cassandra_ros.recording.options import RecorderOptions
 
 PROGRAM = "recorder"
 
@@ -93,7 +93,7 @@ def megabytes(text: str) -> int:
 
 def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> RecorderOptions:
     """Return what is to be recorded; ends the program where that makes no sense."""
-    from cassandra_ros.nodes.recorder_node import RecorderOptions
+    from cassandra_ros.recording.options import RecorderOptions
 
     if bool(options.topics) == options.all:
         parser.error("give topics to record, or -a for all" + (", not both" * options.all))
@@ -104,7 +104,10 @@ def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -
             (regular_expression if options.regex else check_ros_name)(text)
     except (InvalidName, UnknownFormat, argparse.ArgumentTypeError) as exc:
         parser.error(str(exc))
-    return RecorderOptions(**{f.name: getattr(options, f.name) for f in fields(RecorderOptions)})
+    given = vars(options)
+    return RecorderOptions(
+        **{f.name: given[f.name] for f in fields(RecorderOptions) if f.name in given}
+    )
 
 
 def main() -> int:
