@@ -29,12 +29,13 @@ BELOW = {
     "transforms": {"query", "messages"},
     "topics": {"query", "arrays", "transforms", "formats", "store", "messages"},
     "recording": {"topics", "formats", "store", "messages"},
+    "playing": {"topics", "store", "messages"},
     "bag": {"topics", "formats", "store", "messages"},
     "local_server": set(),
-    "nodes": {"recording", "topics", "query", "formats", "store", "messages"},
+    "nodes": {"recording", "playing", "topics", "query", "formats", "store", "messages"},
     "cli": {
-        *("nodes", "recording", "bag", "topics", "query", "arrays", "formats", "messages"),
-        *("store", "local_server"),
+        *("nodes", "recording", "playing", "bag", "topics", "query", "arrays", "formats"),
+        *("messages", "store", "local_server"),
     },
 }
 

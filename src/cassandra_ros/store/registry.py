@@ -12,7 +12,7 @@ import platform
 from dataclasses import dataclass, field, fields
 from datetime import datetime
 from enum import Enum
-from typing import Mapping, NamedTuple, Sequence
+from typing import Container, Iterator, Mapping, NamedTuple, Sequence
 
 from cassandra_ros.store.connection import CqlRow
 from cassandra_ros.store.run_context import RunContext, decode_context, encode_context
@@ -110,11 +110,39 @@ class Registry:
         if not rows:
             return None
         topic, number, header, offset, *key = rows[0]
+        text = self._definition(key)
+        if text is None:
+            return None
+        return StoredHeader(topic, _unsigned(number), header, offset, key[0], text)
+
+    def headers(self, tables: Container[str]) -> Iterator[tuple[str, int, StoredHeader]]:
+        """Walk through the connection headers of some tables (a scan: connections are few).
+
+        Yields (table, number of the connection in it, header). A definition is read once,
+        however many connections have it.
+        """
+        names = "tbl, conn, topic, number, header, def_offset, md5sum, def_hash"
+        rows = self._tables.select("cr_connection", names, what="listing the connections")
+        texts: dict[tuple[str, bytes], bytes] = {}
+        for table, conn, topic, number, header, offset, md5sum, def_hash in rows:
+            if table not in tables:
+                continue
+            key = (md5sum, def_hash)
+            if key not in texts:
+                found = self._definition(key)
+                if found is None:
+                    continue  # as get_header takes it: changed by hand
+                texts[key] = found
+            yield (
+                table,
+                conn,
+                StoredHeader(topic, _unsigned(number), header, offset, md5sum, texts[key]),
+            )
+
+    def _definition(self, key: Sequence[object]) -> bytes | None:
         what, where = "reading a message definition", "md5sum = ? AND hash = ?"
         texts = self._tables.select("cr_definition", "text", where, key, what=what)
-        if not texts:
-            return None
-        return StoredHeader(topic, _unsigned(number), header, offset, key[0], texts[0][0])
+        return bytes(texts[0][0]) if texts else None
 
     def forget(self, table: str) -> None:
         """Remove the connections of a table that was dropped (a scan: connections are few)."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import hashlib
 from functools import lru_cache
-from typing import Callable
+from typing import Callable, Container, Iterator
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.connection import Connection, cut_definition, join_definition
@@ -43,5 +43,14 @@ class ConnectionCache:
                 f"connection header {conn} of table {table} is missing: the side tables "
                 "cr_connection and cr_definition were changed by hand; import or record again"
             )
-        header = join_definition(row.header, row.def_offset, row.definition)
-        return Connection(row.topic, header, row.number)
+        return _joined(row)
+
+    def of_tables(self, tables: Container[str]) -> Iterator[tuple[str, int, Connection]]:
+        """Walk through the connections of some tables, by their names: (table, number, it)."""
+        for table, conn, row in self._registry.headers(tables):
+            yield table, conn, _joined(row)
+
+
+def _joined(row: StoredHeader) -> Connection:
+    header = join_definition(row.header, row.def_offset, row.definition)
+    return Connection(row.topic, header, row.number)

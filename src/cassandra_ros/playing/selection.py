@@ -1,0 +1,153 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is to be played, and under which names it goes out."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import List, Mapping, Optional, Sequence, Tuple, Union
+
+from cassandra_ros.arguments import check_topics
+from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound
+from cassandra_ros.playing.times import PlayTime
+from cassandra_ros.topics.catalog import Conditions
+from cassandra_ros.topics.finding import Where
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+_LEGAL = re.compile(r"/[A-Za-z]\w*(?:/\w+)*", re.ASCII)
+
+
+@dataclass(frozen=True)
+class PlaySelection:
+    """What is to be played.
+
+    Times are by reception. A number below 10**9 is seconds from the first message of what is
+    chosen, as rosbag's; everything else is a time of the calendar, see playing/times.py.
+
+    Attributes:
+        topics: Their names; None = all.
+        regex: The names are regular expressions, which match whole names.
+        exclude: Topics whose whole name matches this regular expression are left out; '' = none.
+        start, end: First and last time, both included; None = open.
+        duration: Seconds from the start on, instead of end; None = to the end.
+        nodeID: Only messages of this node; None = of all.
+        run: Only messages of this run: its name, or its writer id; None = of all.
+        where: Topic -> condition: of these topics only the messages that satisfy it.
+        prefix: What stands before the names under which topics go out.
+        remap: Stored topic, or it with the prefix -> the name under which it goes out instead.
+        around: 'TOPIC: condition', or (topic, condition): only what lies around the messages of
+            that topic that satisfy it.
+        before, after: How far around, seconds, at least 0.
+        align_start: Play all runs as if their first messages had come at once.
+        node_prefix: Put nodeID, or where nobody said one the run, before the name: /<node>/topic.
+    """
+
+    topics: Optional[Sequence[str]] = None
+    regex: bool = False
+    exclude: str = ""
+    start: PlayTime = None
+    end: PlayTime = None
+    duration: Optional[float] = None
+    nodeID: Optional[str] = None
+    run: Union[None, str, int] = None
+    where: Conditions = None
+    prefix: str = ""
+    remap: Mapping[str, str] = field(default_factory=dict)
+    around: Union[None, str, Tuple[str, Where]] = None
+    before: float = 5.0
+    after: float = 10.0
+    align_start: bool = False
+    node_prefix: bool = False
+
+
+def chosen_topics(ros_cas: RosCassandra, selection: PlaySelection) -> List[str]:
+    """List the names of the topics that are played, sorted.
+
+    Raises:
+        TopicNotFound: A topic is not stored, or nothing is left of what is.
+        InvalidOption: An expression is none.
+    """
+    wanted, names = check_topics(selection.topics), set()
+    if selection.regex and wanted is not None:
+        every = [topic.name for topic in ros_cas.getAllTopics()]
+        for text in wanted:
+            pattern = compiled("topic", text)
+            found = {name for name in every if pattern.fullmatch(name)}
+            if not found:
+                raise TopicNotFound(
+                    f"no stored topic matches {text!r:.80}: an expression must match the whole "
+                    f"name; keyspace {ros_cas.keyspace} holds {len(every)} topics"
+                )
+            names |= found
+    elif wanted is not None:
+        names = {ros_cas.getTopic(name).name for name in wanted}
+    else:
+        names = {topic.name for topic in ros_cas.getAllTopics()}
+    if selection.exclude:
+        pattern = compiled("exclude", selection.exclude)
+        names = {name for name in names if not pattern.fullmatch(name)}
+    if not names:
+        raise TopicNotFound(
+            f"there is no topic to play in keyspace {ros_cas.keyspace}"
+            + (f": exclude {selection.exclude!r:.80} leaves none" if selection.exclude else "")
+        )
+    return sorted(names)
+
+
+def compiled(option: str, text: str) -> re.Pattern[str]:
+    """Compile a regular expression of an option, or raise InvalidOption."""
+    try:
+        return re.compile(text)
+    except (re.error, OverflowError, RecursionError, TypeError) as exc:
+        raise InvalidOption(f"{option} {text!r:.80} is not a regular expression: {exc}") from exc
+
+
+class Names:
+    """Gives stored topics the names under which they go out.
+
+    A name that is remapped is taken as it stands, without the prefix.
+
+    Raises:
+        InvalidName: Prefix or a new name cannot be one in ROS.
+    """
+
+    def __init__(self, prefix: str = "", remap: Optional[Mapping[str, str]] = None) -> None:
+        self._prefix = prefix
+        self._remap = {_rooted(old): _rooted(new) for old, new in (remap or {}).items()}
+        for name in self._remap.values():
+            check_ros_name("a remapped topic", name)
+        if prefix:
+            check_ros_name("the prefix", _rooted(prefix).rstrip("/") + "/x")
+        self._known: dict[Tuple[str, str], str] = {}
+
+    def of(self, topic: str, source: str = "") -> str:
+        """Return the name of a stored topic; source: the name of a robot to stand before it."""
+        key = (topic, source)
+        name = self._known.get(key)
+        if name is None:
+            name = self._known[key] = self._named(_rooted(topic), source)
+        return name
+
+    def _named(self, topic: str, source: str) -> str:
+        robot = f"/{source}" if source else ""
+        full = _rooted(self._prefix + robot + topic)
+        if full in self._remap:
+            return self._remap[full]
+        if topic in self._remap:
+            return robot + self._remap[topic]
+        return full
+
+
+def _rooted(name: str) -> str:
+    return name if name.startswith("/") else "/" + name
+
+
+def check_ros_name(what: str, name: str) -> str:
+    """Return a name that a topic may have in ROS, or raise InvalidName."""
+    if _LEGAL.fullmatch(name):
+        return name
+    raise InvalidName(
+        f"{what} {name!r:.80} is no name in ROS: it begins with a letter, and has letters, "
+        "digits, underscores and slashes"
+    )

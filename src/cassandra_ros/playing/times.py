@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""From when to when is played: times from the beginning, as rosbag's, or of the calendar."""
+
+from __future__ import annotations
+
+import re
+from decimal import Decimal
+from numbers import Real
+from typing import NamedTuple, Optional, Union
+
+from cassandra_ros.errors import InvalidKey, InvalidOption
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.stamps import Stamp, duration_ns, is_time, iso_time, to_ns
+from cassandra_ros.topics.selection import Stretch
+
+PlayTime = Union[None, Stamp, int, float, str]
+"""A time, or seconds from the first message: a text or number below 10**9. None = open."""
+
+RELATIVE_BELOW = 10**9
+"""Seconds from the beginning: 31 years; as seconds since 1970 this was in 2001."""
+NANOSECONDS_FROM = 10**12
+_NUMBER = re.compile(r"\s*([0-9]{1,40}(?:\.[0-9]*)?|\.[0-9]+)\s*")
+
+
+class When(NamedTuple):
+    """A time that was asked for."""
+
+    ns: int
+    """Since 1970, or since the first message."""
+    relative: bool
+
+
+def read_when(name: str, value: PlayTime) -> Optional[When]:
+    """Read a time of an option; None = it is not given.
+
+    Args:
+        name: The option, for errors.
+        value: A number, or a text with one: below 10**9 seconds from the first message, below
+            10**12 or with a fraction seconds since 1970, above whole nanoseconds since 1970;
+            ISO 8601 text; a genpy.Time, a time also below that; a genpy.Duration from the start.
+
+    Raises:
+        InvalidOption: It is none of these, negative, or beyond 2106.
+    """
+    if value is None:
+        return None
+    try:
+        if is_time(value):
+            return When(to_ns(value), False)
+        number = _number(value)
+        if number is None:
+            if isinstance(value, str):
+                return When(to_ns(value), False)
+            return When(duration_ns(value), True)
+        if number < RELATIVE_BELOW:
+            return When(duration_ns(number), True)
+        whole = number == int(number) and number >= NANOSECONDS_FROM
+        return When(to_ns(int(number) if whole else number), False)
+    except (InvalidKey, ValueError, OverflowError) as exc:
+        raise InvalidOption(
+            f"{name} {value!r:.80} is no time to play: write seconds from the first message (12.5)"
+            ", seconds since 1970 (1368021980.25), nanoseconds since 1970 (from 13 digits on) or "
+            "ISO 8601 (2013-05-08T14:06:20Z, no zone means UTC)"
+        ) from exc
+
+
+def _number(value: object) -> Optional[Decimal]:
+    if isinstance(value, str):
+        found = _NUMBER.fullmatch(value)
+        return None if found is None else Decimal(found[1])
+    if isinstance(value, (Real, Decimal)) and not isinstance(value, bool):
+        return Decimal(repr(value)) if isinstance(value, float) else Decimal(value)  # type: ignore[arg-type]
+    return None
+
+
+def resolve_times(
+    known: Stretch, start: Optional[When], end: Optional[When], duration_ns: Optional[int]
+) -> Stretch:
+    """Say what is played of messages that reach from known.low to known.high.
+
+    Returns:
+        From the start on, or from the first message where none is given, to the end or for the
+        duration, or to the last message.
+
+    Raises:
+        InvalidOption: The start lies before the first message or behind the last one, the end
+            before the first one or before the start.
+    """
+    low, high = known
+    if start is not None:
+        low = _placed(known, start)
+        if low < known.low:
+            raise InvalidOption(f"the start, {iso_time(low)}, lies before {_reach(known)}")
+        if low > known.high:
+            raise InvalidOption(f"the start, {_shown(known, start)}, lies behind {_reach(known)}")
+    if end is not None:
+        high = _placed(known, end)
+        if high < known.low:
+            raise InvalidOption(f"the end, {iso_time(high)}, lies before {_reach(known)}")
+        if high < low:
+            raise InvalidOption(
+                f"the end, {iso_time(high)}, lies before the start, {iso_time(low)}: exchange them"
+            )
+    if duration_ns is not None:
+        high = min(high, low + duration_ns)
+    return Stretch(low, min(high, known.high))
+
+
+def _placed(known: Stretch, when: When) -> int:
+    return when.ns + known.low if when.relative else when.ns
+
+
+def _shown(known: Stretch, when: When) -> str:
+    return f"{when.ns / SECOND_NS:g} s" if when.relative else iso_time(when.ns)
+
+
+def _reach(known: Stretch) -> str:
+    seconds = (known.high - known.low) / SECOND_NS
+    return (
+        f"all that is chosen, which reaches from {iso_time(known.low)} to {iso_time(known.high)} "
+        f"({seconds:g} s)"
+    )

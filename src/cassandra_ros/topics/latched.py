@@ -1,0 +1,226 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Latched messages: what a subscriber of a past time would have been sent first.
+
+A connection is latched where its header says ``latching=1``. A late subscriber of such a topic is
+given the last message of each publisher, so whoever plays or exports a window needs those from
+before it, of the runs that the window shows.
+"""
+
+from __future__ import annotations
+
+import logging
+from functools import cached_property
+from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, Optional, Sequence, Tuple
+
+from cassandra_ros.arguments import check_nodes, check_topics
+from cassandra_ros.errors import CorruptMessage, DefinitionError
+from cassandra_ros.keys import split_seq
+from cassandra_ros.messages.connection import Connection
+from cassandra_ros.topics.catalog import Conditions
+from cassandra_ros.topics.finding import Filter
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.selection import LAST_NS, Nodes, Stretch
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.topic_table import TopicTable
+
+_log = logging.getLogger(__name__)
+
+Source = Tuple[str, int]
+"""nodeID and writer id of a run."""
+_Publisher = Tuple[Source, int]
+"""A run, and the number of one of its connections in a table."""
+Tests = Dict[str, Callable[[StoredRow], bool]]
+"""Topic -> whether a message of it is wanted; topics that are not in it are wanted whole."""
+
+
+def latched_before(
+    ros_cas: RosCassandra,
+    t: int,
+    topics: Optional[Iterable[str]] = None,
+    *,
+    to: Optional[int] = None,
+    nodeID: Optional[str] = None,
+    where: Conditions = None,
+) -> List[StoredRow]:
+    """Find the last latched message before a time of each publisher of some topics.
+
+    They are taken only from the runs (recordings, imports) that have messages of any topic in the
+    window that begins at t. Rows of topics that nobody latches are not read.
+
+    Args:
+        t: Time of reception at which the window begins, ns; a message at t itself is in it.
+        topics: Names; None = all.
+        to: Where the window ends, included, ns; None = open.
+        nodeID: Only messages of this node; None = of all.
+        where: Topic -> condition: of these topics the last message that satisfies it.
+
+    Returns:
+        The rows in the order of their reception; their messages are fetched when asked for.
+
+    Raises:
+        TopicNotFound: One of the topics is not stored.
+        InvalidName, InvalidQuery: As readMessages.
+    """
+    names = check_topics(topics)
+    finder = LatchedFinder(
+        ros_cas.parts,
+        tables_of(ros_cas, names),
+        check_nodes(nodeID),
+        tests=tests_of(ros_cas, where, nodeID),
+    )
+    return finder.before(t, LAST_NS if to is None else to)
+
+
+def tables_of(ros_cas: RosCassandra, topics: Optional[Iterable[str]]) -> List[TopicTable]:
+    """List the tables of some topics, None = of all that can be read here."""
+    if topics is not None:
+        named = {topic.name: topic for topic in map(ros_cas.getTopic, topics)}
+        return [table for topic in named.values() for table in topic.tables]
+    found: List[TopicTable] = []
+    for topic in ros_cas.getAllTopics():
+        try:
+            found.extend(topic.tables)
+        except DefinitionError as exc:
+            _log.error("topic %s is left out, it cannot be read here: %s", topic.name, exc)
+    return found
+
+
+def tests_of(ros_cas: RosCassandra, where: Conditions, node: Optional[str]) -> Tests:
+    """Return for each topic that a condition is for what tells whether a row satisfies it."""
+    topics = {ros_cas.getTopic(name): condition for name, condition in (where or {}).items()}
+    return {topic.name: Filter(topic, text, node).test for topic, text in topics.items()}
+
+
+class LatchedFinder:
+    """Finds latched messages of some tables; what it knows of their connections it keeps.
+
+    Args:
+        keyspace: Where they lie.
+        tables: The tables of the topics that are asked for.
+        nodes: Only messages of these nodeIDs; None = of all.
+        writers: Only messages of these writer ids; None = of all.
+        tests: Topic -> whether a message is wanted.
+    """
+
+    def __init__(
+        self,
+        keyspace: Keyspace,
+        tables: Sequence[TopicTable],
+        nodes: Nodes = None,
+        writers: Optional[FrozenSet[int]] = None,
+        tests: Optional[Tests] = None,
+    ) -> None:
+        self._keyspace = keyspace
+        self._tables = tables
+        self._nodes = nodes
+        self._writers = writers
+        self._tests = tests or {}
+
+    @cached_property
+    def _latched(self) -> Dict[str, FrozenSet[int]]:
+        """Table -> numbers of its latched connections."""
+        found: Dict[str, set[int]] = {}
+        names = {table.name for table in self._tables}
+        for table, conn, connection in self._keyspace.connections.of_tables(names):
+            if is_latched(connection):
+                found.setdefault(table, set()).add(conn)
+        return {table: frozenset(conns) for table, conns in found.items()}
+
+    def before(self, t: int, to: int = LAST_NS) -> List[StoredRow]:
+        """Find the last latched message before t of each publisher; see latched_before."""
+        tables = [table for table in self._tables if table.name in self._latched]
+        if not tables or t <= 0:
+            return []
+        sources = self._sources(t, to)
+        found = [row for table in tables for row in self._last(table, t, sources)]
+        return sorted(found, key=lambda row: row.arrival)
+
+    def _sources(self, t: int, to: int) -> FrozenSet[Source]:
+        """List the runs that have messages in [t, to], of whatever topic."""
+        found: set[Source] = set()
+        # What is asked for alone may be a topic that was sent once, long before the window.
+        for name, metadata in sorted(self._keyspace.schema.tables().items()):
+            if metadata.named or metadata.own_time:
+                continue  # their rows do not lie by the time of reception
+            length = metadata.bucket_ns
+            rows = self._keyspace.directory.buckets(
+                name, t // length, to // length, self._nodes, metadata.ttl
+            )
+            found.update(
+                (row.node, row.writer)
+                for row in rows
+                if not row.closed or (row.rows and row.t_min <= to and row.t_max >= t)
+                if self._writers is None or row.writer in self._writers
+            )
+        return frozenset(found)
+
+    def _last(self, table: TopicTable, t: int, sources: FrozenSet[Source]) -> Iterable[StoredRow]:
+        if table.named or table.metadata.own_time:
+            return self._last_of_all(table, t, sources)
+        return self._last_by_time(table, t, sources)
+
+    def _last_by_time(
+        self, table: TopicTable, t: int, sources: FrozenSet[Source]
+    ) -> Iterator[StoredRow]:
+        """Read keys backwards, until every latched connection of every run is found."""
+        # Only of buckets that a run of the window wrote into.
+        length, conns = table.metadata.bucket_ns, self._latched[table.name]
+        buckets = self._keyspace.directory.buckets(
+            table.name, 0, (t - 1) // length, self._nodes, table.metadata.ttl
+        )
+        there = [row for row in buckets if (row.node, row.writer) in sources]
+        if not there:
+            return
+        missing = {((row.node, row.writer), conn) for row in there for conn in conns}
+        stretch = Stretch(min(row.bucket for row in there) * length, t - 1)
+        nodes = sorted({row.node for row in there})
+        for row in self._rows(table, stretch, nodes, reverse=True):
+            publisher = _publisher(row)
+            if publisher in missing and self._wanted(row):
+                missing.discard(publisher)
+                yield row
+                if not missing:
+                    return
+
+    def _last_of_all(
+        self, table: TopicTable, t: int, sources: FrozenSet[Source]
+    ) -> Iterator[StoredRow]:
+        """Look through the keys of a topic whose key is not the time of reception."""
+        last: Dict[_Publisher, StoredRow] = {}
+        conns, every = self._latched[table.name], Stretch()
+        for row in self._rows(table, every, self._nodes):
+            source, conn = publisher = _publisher(row)
+            # Equal messages of key format hash have one row, which names no writer.
+            if row.received >= t or conn not in conns or not (source[1] == 0 or source in sources):
+                continue
+            known = last.get(publisher)
+            if (known is None or known.arrival < row.arrival) and self._wanted(row):
+                last[publisher] = row
+        return iter(last.values())
+
+    def _rows(
+        self, table: TopicTable, stretch: Stretch, nodes: Nodes, reverse: bool = False
+    ) -> Iterator[StoredRow]:
+        # Of most rows the keys are enough; a condition looks into the messages.
+        columns = None if table.metadata.topic in self._tests else lambda table: ()
+        read = self._keyspace.rows.read
+        return read([table], stretch, nodes=nodes, reverse=reverse, columns=columns)
+
+    def _wanted(self, row: StoredRow) -> bool:
+        test = self._tests.get(row.topic)
+        return test is None or test(row)
+
+
+def _publisher(row: StoredRow) -> _Publisher:
+    return (row.node, split_seq(row.seq)[0]), row.conn
+
+
+def is_latched(connection: Connection) -> bool:
+    """Say whether a connection's header has latching=1; one that is no header has not."""
+    try:
+        return connection.latching
+    except CorruptMessage as exc:
+        _log.debug("topic %s is taken as not latched: %s", connection.topic, exc)
+        return False

@@ -1,0 +1,232 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The stream that is played: order, names, times, what is latched before the start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from bag.truth import string_connection, string_wire
+
+from cassandra_ros.errors import (
+    InvalidName,
+    InvalidOption,
+    MessageNotFound,
+    TopicNotFound,
+)
+from cassandra_ros.playing.selection import Names, PlaySelection
+from cassandra_ros.playing.stream import Stream
+from cassandra_ros.store.registry import Run
+from cassandra_ros.topics.latched import latched_before
+
+SEC = 10**9
+T0 = 1_500_000_000 * SEC
+
+
+class Robot:
+    """Writes messages of one run: times in seconds from T0."""
+
+    def __init__(self, rosCas, writer_id, node=""):
+        run = Run(node, writer_id, "recording", name=f"run {writer_id}")
+        self._writer = rosCas.messageWriter(writer_id=writer_id, nodeID=node, run=run)
+        self._count = 0
+        self._handles = {}
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exc_info):
+        self._writer.close()
+
+    def send(self, topic, t, text, caller="/a", latched=False):
+        key = (topic, caller, latched)
+        if key not in self._handles:
+            fields = {"latching": "1"} if latched else {}
+            connection = string_connection(topic, callerid=caller, **fields)
+            self._handles[key] = self._writer.connect(connection, bucket_ns=SEC)
+        t_ns = T0 + round(t * SEC)
+        self._writer.write(self._handles[key], t_ns, self._count, string_wire(text))
+        self._count += 1
+
+
+def text_of(row):
+    return row.wire[4:].decode()
+
+
+def played(stream, t=None):
+    return [(p.topic, (p.t - T0) / SEC, text_of(p.row)) for p in stream.messages(t)]
+
+
+def texts(rows):
+    return [text_of(row) for row in rows]
+
+
+@pytest.fixture(scope="module")
+def filled(fresh):
+    """Two runs: one of robot r1 with latched topics, one of robot r2 a day later."""
+    with fresh() as rosCas:
+        fill(rosCas)
+        yield rosCas
+
+
+def fill(rosCas):
+    with Robot(rosCas, 1, "r1") as r1:
+        r1.send("/static", 0, "s1", "/a", latched=True)
+        r1.send("/static", 0.5, "s2", "/b", latched=True)
+        r1.send("/static", 1, "s3", "/a", latched=True)
+        for n in range(10):
+            r1.send("/tick", n, f"t{n}")
+            r1.send("/tock", n, f"o{n}")
+    with Robot(rosCas, 2, "r2") as r2:
+        r2.send("/static", 86_400, "z1", "/a", latched=True)
+        r2.send("/tick", 86_401, "d1")
+        r2.send("/tick", 86_402, "d2")
+
+
+def test_all_topics_in_one_order(filled):
+    stream = Stream(filled, PlaySelection(end=f"{T0 + 2 * SEC}"))
+    assert played(stream) == [
+        ("/static", 0, "s1"),
+        ("/tick", 0, "t0"),
+        ("/tock", 0, "o0"),
+        ("/static", 0.5, "s2"),
+        ("/static", 1, "s3"),
+        ("/tick", 1, "t1"),
+        ("/tock", 1, "o1"),
+        ("/tick", 2, "t2"),
+        ("/tock", 2, "o2"),
+    ]
+    assert (stream.start_ns, stream.end_ns) == (T0, T0 + 2 * SEC)
+    assert stream.windows == [(T0, T0 + 2 * SEC)]
+    assert played(stream, T0 + 2 * SEC) == [("/tick", 2, "t2"), ("/tock", 2, "o2")]
+    assert played(stream, T0 + 2 * SEC + 1) == []
+
+
+@pytest.mark.parametrize(
+    ("selection", "expected"),
+    [
+        (PlaySelection(["tick"], start=8, nodeID="r1"), ["t8", "t9"]),
+        (PlaySelection(["/t.ck"], regex=True, start="8.5", end="9"), ["t9", "o9"]),
+        (PlaySelection(exclude="/t.*", nodeID="r1"), ["s1", "s2", "s3"]),
+        (PlaySelection(["/tick"], run=2), ["d1", "d2"]),
+        (PlaySelection(["/tick"], run="run 2"), ["d1", "d2"]),
+        (PlaySelection(["/tick"], start=1, duration=1, nodeID="r1"), ["t1", "t2"]),
+        (PlaySelection(["/tick"], start=T0 + 9 * SEC, nodeID="r1"), ["t9"]),
+        (PlaySelection(["/tick"], start=86_401, end="2017-07-15T02:40:01Z"), ["d1"]),
+        # Seconds count from the first message that satisfies the conditions.
+        (
+            PlaySelection(["/tick"], where={"/tick": "data > 't5'"}, start=1, duration=1),
+            ["t7", "t8"],
+        ),
+    ],
+)
+def test_what_is_chosen(filled, selection, expected):
+    assert texts(p.row for p in Stream(filled, selection).messages()) == expected
+
+
+@pytest.mark.parametrize(
+    ("selection", "error", "text"),
+    [
+        (PlaySelection(["/tic"]), TopicNotFound, "did you mean /tick"),
+        (PlaySelection(["/x.*"], regex=True), TopicNotFound, "must match the whole name"),
+        (PlaySelection(["("], regex=True), InvalidOption, "not a regular expression"),
+        (PlaySelection(exclude="("), InvalidOption, "not a regular expression"),
+        (PlaySelection(exclude=".*"), TopicNotFound, "leaves none"),
+        (PlaySelection(nodeID="r3"), MessageNotFound, "of node 'r3'"),
+        (PlaySelection(start="soon"), InvalidOption, "start 'soon' is no time to play"),
+        (PlaySelection(start=-1), InvalidOption, "start -1 is no time to play"),
+        (PlaySelection(start=90_000), InvalidOption, "90000 s, lies behind all"),
+        (PlaySelection(start=T0 - 1), InvalidOption, "lies before all"),
+        (PlaySelection(end=T0 - 1), InvalidOption, "lies before all"),
+        (PlaySelection(start=5, end=4), InvalidOption, "before the start"),
+        (PlaySelection(end=5, duration=4), InvalidOption, "give one of them"),
+        (PlaySelection(remap={"/tick": "/a b"}), InvalidName, "'/a b'"),
+        (PlaySelection(prefix="a b"), InvalidName, "the prefix"),
+        (PlaySelection(where={"/tick": "data > 'z'"}, topics=["/tick"]), MessageNotFound, "satisf"),
+    ],
+)
+def test_bad_input_is_named(filled, selection, error, text):
+    with pytest.raises(error, match=text):
+        Stream(filled, selection)
+
+
+def test_names():
+    names = Names("/p", {"/a": "/b", "p/c": "d"})
+    assert [names.of(topic) for topic in ("/a", "c", "/e")] == ["/b", "/d", "/p/e"]
+    assert names.of("/a", "r1") == "/r1/b"
+    assert names.of("/e", "r1") == "/p/r1/e"
+    assert Names("p_").of("/x") == "/p_/x"
+
+
+def test_channels_come_from_the_connections(filled):
+    channels = Stream(filled, PlaySelection(prefix="/again")).channels()
+    assert [(c.topic, c.type, c.latched) for c in channels] == [
+        ("/again/static", "std_msgs/String", True),
+        ("/again/tick", "std_msgs/String", False),
+        ("/again/tock", "std_msgs/String", False),
+    ]
+    assert {c.definition for c in channels} == {"string data\n"}
+
+
+def test_what_was_latched_before_the_start(filled):
+    stream = Stream(filled, PlaySelection(nodeID="r1", start=2))
+    assert texts(p.row for p in stream.latched(stream.start_ns)) == ["s2", "s3"]
+    assert texts(p.row for p in stream.latched(T0 + SEC)) == ["s1", "s2"]
+    assert texts(p.row for p in stream.latched(T0)) == []
+    # A run that has nothing in the window gives nothing.
+    stream = Stream(filled, PlaySelection(start=86_402))
+    assert texts(p.row for p in stream.latched(stream.start_ns)) == ["z1"]
+    # The topic alone was sent once, long before.
+    stream = Stream(filled, PlaySelection(["/static"], nodeID="r1", start=1))
+    assert texts(p.row for p in stream.latched(T0 + 9 * SEC)) == ["s2", "s3"]
+
+
+def test_the_last_one_that_satisfies_a_condition_is_latched(filled):
+    rows = latched_before(filled, T0 + 5 * SEC, where={"/static": "data <> 's3'"}, nodeID="r1")
+    assert texts(rows) == ["s1", "s2"]
+
+
+def test_topics_that_nobody_latches_are_not_read(filled, monkeypatch):
+    asked = []
+    read = filled.parts.rows.read
+    monkeypatch.setattr(
+        type(filled.parts.rows), "read", lambda self, *a, **k: asked.append(a) or read(*a, **k)
+    )
+    assert latched_before(filled, T0 + 5 * SEC, ["/tick", "/tock"]) == []
+    assert asked == []
+    assert texts(latched_before(filled, T0 + 5 * SEC, nodeID="r1")) == ["s2", "s3"]
+    assert len(asked) == 1
+
+
+@pytest.mark.parametrize("key_format", ["manual", "hash", "msg_part"])
+def test_latched_topics_with_keys_of_their_own(rosCas, key_format):
+    from std_msgs.msg import Header
+
+    kind = "std_msgs/Header" if key_format == "msg_part" else "std_msgs/String"
+    part = "stamp" if key_format == "msg_part" else ""
+    rosCas.addTopic("/map", msg_type=kind, key_format=key_format, key_part=part)
+    with Robot(rosCas, 5) as robot:
+        if kind == "std_msgs/String":
+            for t, text in ((1, "m1"), (2, "m2"), (4, "m4")):
+                robot.send("/map", t, text, latched=True)
+        robot.send("/tick", 3, "t3")
+    if kind == "std_msgs/String":
+        assert texts(latched_before(rosCas, T0 + 3 * SEC))[-1:] == ["m2"]
+        return
+    from cassandra_ros.messages.classes import serialize
+    from cassandra_ros.messages.connection import api_connection, live_connection
+    from cassandra_ros.messages.definition import definition_of
+
+    fields = api_connection("/map", definition_of(Header), "/x").fields
+    connection = live_connection("/map", {**fields, "latching": "1"})
+    with rosCas.messageWriter(writer_id=6) as writer:
+        handle = writer.connect(replace(connection, number=-1), bucket_ns=SEC)
+        for n, (t, stamp) in enumerate(((1, 50), (2, 20), (4, 30))):
+            message = Header(frame_id=f"m{t}")
+            message.stamp.secs = stamp
+            writer.write(handle, T0 + t * SEC, n, serialize(message))
+        other = writer.connect(string_connection("/tick"))
+        writer.write(other, T0 + 3 * SEC, 9, string_wire("t"))
+    rows = latched_before(rosCas, T0 + 3 * SEC)
+    assert [row.message().frame_id for row in rows] == ["m2"]
