@@ -1,0 +1,74 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is stored of one topic while somebody may be writing it."""
+
+from __future__ import annotations
+
+from typing import Iterator, Optional, Union
+
+from cassandra_ros.errors import TopicNotFound
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.stored_row import StoredRow
+
+FRESH_SEC = 25.0
+"""A writer says every 10 s that it lives, while it writes."""
+_LOOK_BACK_NS = 86_400 * SECOND_NS
+"""No bucket is longer."""
+
+
+class Past:
+    """The stored messages of a topic, by the time of reception.
+
+    Args:
+        ros_cas: Where it is stored.
+        topic: Its name.
+        node: Only messages of this nodeID; None = of all.
+        run: Only messages of this run, by name or writer id; None = of all.
+    """
+
+    def __init__(
+        self,
+        ros_cas: RosCassandra,
+        topic: str,
+        node: Optional[str] = None,
+        run: Union[None, str, int] = None,
+    ) -> None:
+        self._rosCas, self._topic, self._node, self._run = ros_cas, topic, node, run
+
+    def exists(self) -> bool:
+        """Say whether the topic is stored at all."""
+        return self._rosCas.existTopic(self._topic)
+
+    def rows(self, low: int, high: Optional[int] = None) -> Iterator[StoredRow]:
+        """Yield what was received in [low, high], ns; nothing of a topic that is not stored."""
+        if high is not None and high < low:
+            return
+        try:
+            yield from self._rosCas.readMessages(
+                [self._topic], low, high, nodeID=self._node, received=True
+            )
+        except TopicNotFound:
+            return
+
+    def is_written(self, now_ns: int) -> bool:
+        """Say whether somebody has written the topic just now."""
+        try:
+            tables = self._rosCas.getTopic(self._topic).tables
+        except TopicNotFound:
+            return False
+        directory = self._rosCas.parts.directory
+        nodes = None if self._node is None else (self._node,)
+        for table in tables:
+            if table.named:
+                continue
+            first = table.bucket_of(max(0, now_ns - _LOOK_BACK_NS))
+            last = table.bucket_of(now_ns + _LOOK_BACK_NS)
+            buckets = directory.buckets(table.name, first, last, nodes)
+            if any(not row.closed and row.age_sec < FRESH_SEC for row in buckets):
+                return True
+        return False
+
+    def may_be_written(self) -> bool:
+        """Say whether a recording has begun in the keyspace that has not ended."""
+        return any(run.kind == "recording" and run.ended is None for run in self._rosCas.runs())
