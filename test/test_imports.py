@@ -30,9 +30,12 @@ BELOW = {
     "topics": {"query", "arrays", "transforms", "formats", "store", "messages"},
     "recording": {"topics", "formats", "store", "messages"},
     "playing": {"topics", "store", "messages"},
+    "history": {"recording", "topics", "messages"},
     "bag": {"topics", "formats", "store", "messages"},
     "local_server": set(),
-    "nodes": {"recording", "playing", "topics", "query", "formats", "store", "messages"},
+    "nodes": {
+        *("recording", "playing", "history", "topics", "query", "formats", "store", "messages"),
+    },
     "cli": {
         *("nodes", "recording", "playing", "bag", "topics", "query", "arrays", "formats"),
         *("messages", "store", "local_server"),

@@ -10,6 +10,7 @@ __path__ = extend_path(__path__, __name__)
 _PUBLIC = {
     "Cassandra": "cassandra_ros.store.connection",
     "CassandraTopic": "cassandra_ros.topics.cassandra_topic",
+    "HistorySubscriber": "cassandra_ros.nodes.history_subscriber",
     "Recorder": "cassandra_ros.nodes.recorder",
     "RecorderOptions": "cassandra_ros.recording.options",
     "RosCassandra": "cassandra_ros.topics.ros_cassandra",

@@ -18,7 +18,7 @@ from typing import Dict, List, NamedTuple, Optional, Sequence
 from cassandra_ros.keys import SECOND_NS
 
 TOLERANCE_NS = SECOND_NS // 2
-"""How far apart two receivers may have received a message that its bytes do not tell from others."""
+"""How far apart two receivers may have received a message that has equals."""
 CERTAIN = 4
 """So many different messages in the same order are no accident, whatever the times say."""
 FEW = 8
@@ -54,9 +54,7 @@ def first_live(stored: Sequence[Mark], live: Sequence[Mark], sure: bool = False)
     if not stored or not live:
         return None
     lengths = _matches(stored, live)
-    valid = [
-        k for k, length in enumerate(lengths) if length == min(len(stored) - k, len(live))
-    ]
+    valid = [k for k, length in enumerate(lengths) if length == min(len(stored) - k, len(live))]
     if valid:
         best = _best_in_time(stored, live, valid)
         count = lengths[best]
@@ -128,7 +126,7 @@ def _all_differ(marks: Sequence[Mark]) -> bool:
 
 
 def _scattered(stored: Sequence[Mark], live: Sequence[Mark], sure: bool) -> Optional[int]:
-    """Find the place where one of the two lacks messages: a filter, a full queue, a batch on its way."""
+    """Find the place where one of the two lacks messages: a filter, a queue that was full."""
     times: Dict[bytes, List[int]] = {}
     for mark in live:
         times.setdefault(mark.digest, []).append(mark.t)

@@ -13,7 +13,7 @@ import logging
 import threading
 import time
 from collections import deque
-from typing import Callable, Deque, Dict, List, Mapping, NamedTuple, Optional, Set
+from typing import Callable, Deque, Dict, List, Mapping, NamedTuple, Optional
 
 from cassandra_ros.errors import ClockNotSet
 from cassandra_ros.history.alignment import Mark, digest_of
@@ -22,6 +22,9 @@ _log = logging.getLogger(__name__)
 
 OVERHEAD_BYTES = 300
 """What a message that waits takes beside its bytes, about."""
+
+MAX_CONNECTIONS = 4096
+"""Connections remembered by their header object; publishers come and go for days."""
 
 
 class Publisher(NamedTuple):
@@ -58,7 +61,7 @@ class Owed(NamedTuple):
     """Messages of a publisher that were forgotten: the first one, and how many."""
 
     first: Mark
-    count: int
+    number: int
 
 
 class Waiting(NamedTuple):
@@ -82,8 +85,7 @@ class LiveQueue:
         self._messages: Deque[LiveMessage] = deque()
         self._bytes = 0
         self._closed = self._joined = False
-        self._connections: Set[int] = set()
-        self._headers: List[Mapping[str, str]] = []
+        self._connections: Dict[int, Mapping[str, str]] = {}
         self._since: Dict[Publisher, float] = {}
         self.recorded = False
         """Whether the store gets what comes: then it may be forgotten here."""
@@ -101,6 +103,15 @@ class LiveQueue:
         except ClockNotSet:
             return 0
 
+    def begin(self) -> bool:
+        """Say whether the time is known; from then on what came before it has it, too."""
+        with self._changed:
+            if not self.began_ns:
+                self.began_ns = self.now_ns()
+                for message in self._messages:
+                    message.t = message.t or self.began_ns
+            return self.began_ns > 0
+
     def put(self, header: Mapping[str, str], wire: bytes) -> None:
         """Take a message; its header is the same object for all of a connection."""
         with self._changed:
@@ -111,8 +122,9 @@ class LiveQueue:
                 return
             first = id(header) not in self._connections
             if first:  # kept, lest another header comes to lie there
-                self._connections.add(id(header))
-                self._headers.append(header)
+                if len(self._connections) >= MAX_CONNECTIONS:
+                    self._connections.pop(next(iter(self._connections)))
+                self._connections[id(header)] = header
             who = Publisher(*(header.get(name, "") for name in ("callerid", "type", "md5sum")))
             repeated = first and header.get("latching") == "1"
             self._messages.append(LiveMessage(self.now_ns(), who, header, wire, repeated))
@@ -140,7 +152,7 @@ class LiveQueue:
         for message in self._messages:
             if not message.repeated:
                 owed = self.owed.get(message.publisher) or Owed(message.mark, 0)
-                self.owed[message.publisher] = owed._replace(count=owed.count + 1)
+                self.owed[message.publisher] = owed._replace(number=owed.number + 1)
         _log.info(
             "%d live messages that waited while the past is read are read from the store",
             len(self._messages),

@@ -34,11 +34,11 @@ class Past:
         node: Optional[str] = None,
         run: Union[None, str, int] = None,
     ) -> None:
-        self._rosCas, self._topic, self._node, self._run = ros_cas, topic, node, run
+        self._rosCas, self.topic, self._node, self._run = ros_cas, topic, node, run
 
     def exists(self) -> bool:
         """Say whether the topic is stored at all."""
-        return self._rosCas.existTopic(self._topic)
+        return self._rosCas.existTopic(self.topic)
 
     def rows(self, low: int, high: Optional[int] = None) -> Iterator[StoredRow]:
         """Yield what was received in [low, high], ns; nothing of a topic that is not stored."""
@@ -46,7 +46,7 @@ class Past:
             return
         try:
             yield from self._rosCas.readMessages(
-                [self._topic], low, high, nodeID=self._node, received=True
+                [self.topic], low, high, nodeID=self._node, received=True
             )
         except TopicNotFound:
             return
@@ -54,7 +54,7 @@ class Past:
     def is_written(self, now_ns: int) -> bool:
         """Say whether somebody has written the topic just now."""
         try:
-            tables = self._rosCas.getTopic(self._topic).tables
+            tables = self._rosCas.getTopic(self.topic).tables
         except TopicNotFound:
             return False
         directory = self._rosCas.parts.directory

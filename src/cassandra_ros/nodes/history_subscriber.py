@@ -1,0 +1,249 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Class HistorySubscriber: a subscriber that gets the stored past of its topic first."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from numbers import Real
+from typing import Any, Callable, Mapping, Optional, Set, Tuple, Union
+
+import rospy
+
+from cassandra_ros.arguments import check_integer, check_node, check_topic
+from cassandra_ros.errors import CorruptMessage, InvalidKey, InvalidName, InvalidOption
+from cassandra_ros.history.join import Heard, History
+from cassandra_ros.history.live_queue import LiveQueue
+from cassandra_ros.history.past import Past
+from cassandra_ros.messages.classes import deserialize
+from cassandra_ros.messages.stamps import duration_ns, is_time, to_ns
+from cassandra_ros.nodes.node import MASTER_ERRORS, now_ns
+from cassandra_ros.nodes.subscription import connected_uris, subscribe
+from cassandra_ros.store.address import from_environment
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.selection import Time
+
+_log = logging.getLogger(__name__)
+
+DEFAULT_BUFFER_BYTES = 256 * 1024 * 1024
+SECONDS_BACK_BELOW = 10**9
+CONNECT_SEC = 5.0
+"""How long publishers that exist are waited for before the past may be taken for complete."""
+CLOSE_SEC = 5.0
+
+
+class HistorySubscriber:
+    """A rospy-like subscriber that gets the stored messages of a topic first, then the live ones.
+
+    Each message comes once, without a gap where one goes over into the other, while a recorder is
+    writing the topic: per publisher in the order in which it was sent, over several publishers by
+    the time of reception. The callback is called from one thread of this subscriber alone, one
+    message at a time. It gets instances of data_class, stored or live; ``_connection_header`` is
+    the publisher's in both cases.
+
+    The live messages are heard from the beginning on, wait, and are compared with the last stored
+    ones by their bytes. Of messages that are all equal the times of reception choose: recorder and
+    subscriber should have the same time to within the publisher's period. A latched message that is
+    stored is not delivered again. When nobody records, the live messages come at once and a warning
+    says where a gap may be. When the callback is slower than the topic, publishers wait, as with
+    rospy.Subscriber without a queue_size, and drop what does not fit into their own queues.
+
+    The process is a ROS node already (``rospy.init_node``). As with rospy, a topic that is first
+    subscribed to here gives any further rospy.Subscriber of this process rospy.AnyMsg.
+
+    Args:
+        topic: Its name, resolved as by rospy (remapping, namespace, ~).
+        data_class: A message class, or rospy.AnyMsg for any type, installed or not.
+        callback: Called with each message, and with callback_args unless they are None.
+        callback_args: Handed to the callback.
+        since: The beginning: genpy.Time, int (ns), float (s since 1970) or ISO 8601 text; or how
+            far back from now: a number of seconds from 0 to 10**9, or a Duration. None = all that
+            is stored. By the time of reception. A time to come: live messages only.
+        rosCas: A RosCassandra connected to a keyspace; it stays the caller's. None = one of its
+            own, opened as the environment says (CASSANDRA_ROS_HOST, _PORT, _KEYSPACE; 'ros').
+        nodeID: Only stored messages of this entity; None = of all.
+        run: Only stored messages of this run, by its name or writer id; None = of all. Where two
+            recorders write one topic, name one: else the past has each message twice.
+        buff_size: Bound of the live messages that wait, bytes. When it is reached while the past is
+            read, and the topic is recorded, they are forgotten and read from the store.
+        tcp_nodelay: As rospy's.
+
+    Raises:
+        ConnectionFailed: No store answers.
+        InvalidName, InvalidKey, InvalidOption: An argument cannot be one.
+        RunNotFound: There is no such run.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        data_class: Any,
+        callback: Callable[..., object],
+        callback_args: Any = None,
+        *,
+        since: Union[None, Time, Any] = None,
+        rosCas: Optional[RosCassandra] = None,
+        nodeID: Optional[str] = None,
+        run: Union[None, str, int] = None,
+        buff_size: int = DEFAULT_BUFFER_BYTES,
+        tcp_nodelay: bool = False,
+    ) -> None:
+        _check(data_class, callback)
+        bound = check_integer("buff_size", buff_size, 1, 2**63 - 1)
+        begin = _beginning(since)
+        self.name = self.resolved_name = _resolved(topic)
+        self.data_class: Any = data_class
+        self._callback, self._args = callback, callback_args
+        self._own = rosCas is None
+        self._rosCas = _opened() if rosCas is None else rosCas
+        self._strange: Set[Tuple[str, str]] = set()
+        self._until = time.monotonic() + CONNECT_SEC
+        self._is_connected = False
+        self.failed = 0
+        """How often the callback has raised, or a message was none of data_class."""
+        node = None if nodeID is None else check_node(nodeID)
+        past = Past(self._rosCas, self.resolved_name, node, run)
+        self._queue = LiveQueue(bound, now_ns)
+        self._history = History(past, self._queue, begin, self._connected)
+        self._subscriber = subscribe(self.resolved_name, self._take, tcp_nodelay)
+        name = f"history of {self.resolved_name}"
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        rospy.on_shutdown(self._queue.close)
+        self._thread.start()
+
+    @property
+    def isLive(self) -> bool:
+        """Whether all of the past was delivered."""
+        return self._history.live
+
+    @property
+    def lost(self) -> int:
+        """Messages that are known to be missing; each was logged with the reason."""
+        return self._history.lost
+
+    def get_num_connections(self) -> int:
+        """Return to how many publishers there is a connection."""
+        return len(connected_uris(self._subscriber))
+
+    def unregister(self) -> None:
+        """End the subscription: when this returns, the callback is not called any more.
+
+        Called from the callback itself, it is not called again.
+        """
+        self._queue.close()
+        self._subscriber.unregister()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(CLOSE_SEC)
+
+    def _take(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
+        self._queue.put(header, wire)
+
+    def _connected(self) -> bool:
+        """Say whether all publishers of the topic are connected, or were waited for."""
+        if not self._is_connected:
+            wanted = _publishers(self.resolved_name)
+            late = time.monotonic() > self._until
+            self._is_connected = late or self.get_num_connections() >= wanted
+        return self._is_connected
+
+    def _run(self) -> None:
+        try:
+            for heard in self._history.messages():
+                if self._queue.closed:
+                    break
+                self._deliver(heard)
+        except Exception:
+            _log.exception("the subscription to %s has ended", self.resolved_name)
+            raise
+        finally:
+            if self._own:
+                self._rosCas.close()
+
+    def _deliver(self, heard: Heard) -> None:
+        msg = self._message(heard)
+        if msg is None:
+            return
+        try:
+            if self._args is None:
+                self._callback(msg)
+            else:
+                self._callback(msg, self._args)
+        except Exception:  # noqa: BLE001 - as rospy does: logged and counted, the next one comes
+            self.failed += 1
+            _log.exception("bad callback of %s: %r", self.resolved_name, self._callback)
+
+    def _message(self, heard: Heard) -> Any:
+        if self.data_class is rospy.AnyMsg:
+            msg = rospy.AnyMsg()
+            msg._buff = heard.wire
+        elif self._is_ours(heard.header):
+            try:
+                msg = deserialize(self.data_class, heard.wire)
+            except CorruptMessage as exc:
+                self.failed += 1
+                _log.error("topic %s: a message is left out: %s", self.resolved_name, exc)
+                return None
+        else:
+            self.failed += 1
+            return None
+        msg._connection_header = heard.header
+        return msg
+
+    def _is_ours(self, header: Mapping[str, str]) -> bool:
+        """Say whether a publisher's messages are of our class; warn once of others."""
+        kind = header.get("type", ""), header.get("md5sum", "")
+        if kind[1] == self.data_class._md5sum:
+            return True
+        if kind not in self._strange:
+            self._strange.add(kind)
+            _log.warning(
+                "topic %s: messages of type %s (md5sum %s) are left out, %s (%s) is subscribed to",
+                self.resolved_name, *kind, self.data_class._type, self.data_class._md5sum,
+            )  # fmt: skip
+        return False
+
+
+def _check(data_class: Any, callback: Any) -> None:
+    if not (isinstance(data_class, type) and issubclass(data_class, rospy.Message)):
+        raise InvalidOption(f"data_class={data_class!r:.80} is no class of messages")
+    if not callable(callback):
+        raise InvalidOption(f"callback={callback!r:.80} cannot be called")
+
+
+def _opened() -> RosCassandra:
+    return RosCassandra(keyspace=from_environment("KEYSPACE") or "ros")
+
+
+def _resolved(topic: str) -> str:
+    try:
+        return str(rospy.resolve_name(check_topic(topic)))
+    except (ValueError, rospy.ROSException) as exc:
+        raise InvalidName(f"{topic!r:.80} is no name of a topic: {exc}") from exc
+
+
+def _beginning(since: Any) -> Callable[[int], int]:
+    """Return what tells from the time of now, ns, from when on stored messages are wanted."""
+    if since is None:
+        return lambda now: 0
+    number = isinstance(since, Real) and not isinstance(since, bool)
+    if isinstance(since, rospy.Duration) or (number and since < SECONDS_BACK_BELOW):
+        try:
+            back = duration_ns(since)
+        except InvalidKey as exc:
+            raise InvalidKey(f"since: {exc}") from exc
+        return lambda now: max(0, now - back)
+    if not (number or is_time(since) or isinstance(since, str)):
+        raise InvalidKey(f"since={since!r:.80} is neither a time nor a number of seconds back")
+    begin = to_ns(since)
+    return lambda now: begin
+
+
+def _publishers(topic: str) -> int:
+    """Return how many nodes publish a topic; 0 also where no master answers."""
+    try:
+        _, _, (publishers, _, _) = rospy.get_master().getSystemState()
+    except MASTER_ERRORS:
+        return 0
+    return sum(len(nodes) for name, nodes in publishers if name == topic)
