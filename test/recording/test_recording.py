@@ -10,6 +10,7 @@ import time
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from nodes.children import await_true
 from nodes.raw_publisher import header_of, message
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header, String
@@ -237,6 +238,39 @@ def test_headers_that_lack_or_lie(rosCas, header):
     rows = list(rosCas.getTopic("/text").rows())
     assert [row.wire for row in rows] == wires
     assert rows[0].connection == live_connection("/text", header)
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("how", ["truncateTopic", "removeTopic"])
+def test_a_topic_that_is_emptied_while_it_is_recorded(rosCas, connect, keyspace, how):
+    """What was not stored before goes on into the topic's next table: nothing lost, or doubled."""
+    recorder = Recording(rosCas)
+    sent, stop = [], threading.Event()
+
+    def publish():
+        pads = (b"", b"", b"x" * 600_000, b"")
+        while not stop.wait(0.002):
+            sent.append(text(len(sent)) + pads[len(sent) % 200 // 50])
+            recorder.received("/text", header_of(String), sent[-1])
+
+    publishing = threading.Thread(target=publish)
+    publishing.start()
+    ended = []
+    with connect(keyspace=keyspace) as other:
+        for _ in range(3):
+            stored = recorder.reports()[0].stored if recorder.reports() else 0
+            await_true(lambda: any(r.stored > stored + 100 for r in recorder.reports()))  # noqa: B023
+            getattr(other, how)("/text")
+            ended.append(len(sent))
+    stop.set()
+    publishing.join()
+    (report,) = recorder.close()
+    assert (report.stored, report.lost) == (len(sent), 0)
+    rosCas.parts.schema.tables(fresh=True)
+    found = [row.wire for row in rosCas.getTopic("/text").rows()]
+    assert len(found) >= len(sent) - ended[-1]
+    assert found == sent[len(sent) - len(found) :]
+    assert rosCas.getTopic("/text").countTopicData() == len(found)
 
 
 def test_a_topic_that_cannot_have_a_table(rosCas):

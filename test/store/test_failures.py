@@ -211,6 +211,65 @@ def test_a_bucket_whose_chunks_are_on_their_way_is_not_closed(far, proxy, rosCas
     assert told(rosCas) == (2, 2, 2)
 
 
+# ------------------------------------------------------------------ the table goes meanwhile
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("how", ["truncateTopic", "removeTopic"])
+@pytest.mark.parametrize("size", ["small", "chunks", "row"])
+def test_what_is_on_its_way_goes_on_in_the_topics_next_table(far, proxy, rosCas, how, size):
+    """Requests that reach a table which was dropped meanwhile: each message lies in the next one.
+
+    What is held is a batch, the pieces of a large message, or the row that follows them.
+    """
+    losses, big = [], "x" * (600_000 if size != "small" else 10)
+    writer = far.messageWriter(writer_id=9, on_loss=lambda *loss: losses.append(loss))
+    write(writer, range(5))
+    writer.flush()
+    if size == "chunks":
+        held = proxy.catch(lambda f: f.opcode == EXECUTE and big[:10_000].encode() in f.body)
+    else:
+        held = proxy.catch(lambda f: f.opcode == BATCH)
+    held.failed = False
+    held.hold()
+    wires = [serialize(String(data=f"{big} {number}")) for number in range(5, 8)]
+    handle = connect(writer, "/a", String)
+    for number, wire in enumerate(wires, 5):
+        writer.write(handle, T0 + number, number, wire)
+    held.wait()
+    getattr(rosCas, how)("/a")
+    held.release()
+    writer.flush()
+    writer.write(handle, T0 + 8, 8, serialize(String(data="behind it")))
+    writer.close()
+    assert losses == []
+    found = [row.wire for row in rosCas.getTopic("/a").rows()]
+    assert found == [*wires, serialize(String(data="behind it"))]
+    assert told(rosCas) == (4, 4, 4)
+    assert (writer.stats()["/a"].stored, writer.stats()["/a"].lost) == (9, 0)
+
+
+@pytest.mark.fault
+def test_one_that_is_added_while_its_topic_goes_lies_in_the_next_table(far, proxy, rosCas):
+    far.addTopic("/a", msg_type="std_msgs/String")
+    topic = far.getTopic("/a")
+    topic.addData(String(data="text 0"), key=T0)
+    held = proxy.catch(text(1), failed=False).hold()
+    keys = []
+    adding = threading.Thread(
+        target=lambda: keys.append(topic.addData(String(data="text 1"), key=T0 + 1))
+    )
+    adding.start()
+    held.wait()
+    rosCas.truncateTopic("/a")
+    held.release()
+    adding.join()
+    assert [m.data for _, m in rosCas.getTopic("/a").items()] == ["text 1"]
+    assert rosCas.getTopic("/a").getData(keys[0]).data == "text 1"
+    (table,) = rosCas.getTopic("/a").tables
+    assert keys[0].table == table.name
+
+
 # ------------------------------------------------------------------ pages
 
 COUNT = 40

@@ -8,7 +8,7 @@ import threading
 import time
 import zlib
 from dataclasses import dataclass, field
-from typing import Sequence
+from typing import Callable, Sequence
 
 from cassandra.query import BatchStatement, BatchType, BoundStatement
 
@@ -29,6 +29,9 @@ BATCH_ROWS = 200
 BATCH_BYTES = 64 * 1024
 _ROW_OVERHEAD = 60
 
+Again = Callable[[], object]
+"""Writes a message anew, into the table that its topic has then."""
+
 
 @dataclass
 class Batch:
@@ -37,6 +40,7 @@ class Batch:
     rows: list[tuple[bool, bytes, Sequence[bytes | None]]] = field(default_factory=list)
     sizes: list[int] = field(default_factory=list)
     times: list[int] = field(default_factory=list)
+    again: list[Again | None] = field(default_factory=list)
     nbytes: int = 0
     odd_rows: int = 0
     since: float = field(default_factory=time.monotonic)
@@ -91,7 +95,7 @@ class OpenBucket:
         """Encode the primary key of a row in this bucket."""
         return (*self._place, encode_long(t), encode_long(seq))
 
-    def add(self, row: NewRow, chunks: int = 0) -> None:
+    def add(self, row: NewRow, again: Again | None, chunks: int = 0) -> None:
         """Add a row to the batch, with its message inside or in so many chunks."""
         columns, odd, wire, batch = row.columns, row.odd, row.wire, self.batch
         if chunks:
@@ -119,6 +123,7 @@ class OpenBucket:
             batch.odd_rows += odd
         batch.sizes.append(len(wire))
         batch.times.append(row.t)
+        batch.again.append(again)
 
     def is_full(self) -> bool:
         """Say whether the batch should be sent now."""

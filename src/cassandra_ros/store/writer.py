@@ -9,7 +9,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
-from typing import Callable
+from typing import Callable, Sequence
 
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound, WriteFailed
 from cassandra_ros.store.connection import Cassandra
@@ -17,7 +17,7 @@ from cassandra_ros.store.counting import recount
 from cassandra_ros.store.directory import HEARTBEAT_SEC, BucketTotals, Directory
 from cassandra_ros.store.driver_errors import is_table_gone, translate
 from cassandra_ros.store.flight import Flight, Outcome
-from cassandra_ros.store.open_bucket import Batch, OpenBucket
+from cassandra_ros.store.open_bucket import Again, Batch, OpenBucket
 from cassandra_ros.store.row_table import CHUNK_BYTES, NewRow, RowTable, bind, encode_int
 from cassandra_ros.store.schema import Schema
 
@@ -81,6 +81,10 @@ class RowWriter:
         """Table name → what became of its rows."""
         self.gone: set[str] = set()
         """Tables that were dropped while they were written to."""
+        self._homeless: deque[tuple[RowTable, Again]] = deque()
+        """Rows that such a table has not taken."""
+        self._moving = threading.Lock()
+        self._moves = 0
         self._counting = threading.Lock()
         self._error: CassandraRosError | None = None
         self._closing = threading.Event()
@@ -89,8 +93,16 @@ class RowWriter:
 
     # ---------------------------------------------------------------- rows in
 
-    def add(self, table: RowTable, node: str, row: NewRow) -> None:
-        """Take one row; blocks while too much is in the air."""
+    def add(self, table: RowTable, node: str, row: NewRow, again: Again | None = None) -> None:
+        """Take one row; blocks while too much is in the air.
+
+        Args:
+            again: Called on another thread where the table is gone before the row is stored, to
+                add it to another one; without it the row is lost.
+
+        Raises:
+            TopicNotFound: The table is gone already; nothing was taken.
+        """
         with self._lock:
             self._raise_error()
             try:
@@ -101,9 +113,9 @@ class RowWriter:
                 if len(row.wire) > CHUNK_BYTES:
                     if bucket.batch.rows:
                         self._send(bucket)
-                    self._send_large(bucket, row)
+                    self._send_large(bucket, row, again)
                     return
-                bucket.add(row)
+                bucket.add(row, again)
                 if table.named or bucket.is_full():
                     self._send(bucket)
             except TopicNotFound:
@@ -153,11 +165,11 @@ class RowWriter:
                 self._count(bucket.table, batch)
             else:
                 bucket.failed()
-                self._lost(bucket.table, len(batch.rows), exc)
+                self._failed(bucket.table, batch.again, exc)
 
         self._flight.submit(statement, batch.nbytes, outcome)
 
-    def _send_large(self, bucket: OpenBucket, new: NewRow) -> None:
+    def _send_large(self, bucket: OpenBucket, new: NewRow, again: Again | None) -> None:
         """Send the chunks of a message; its row follows when all of them are acknowledged."""
         table = bucket.table
         if not table.has_chunks:
@@ -165,7 +177,7 @@ class RowWriter:
             table.has_chunks = True
         statement = table.insert_chunk()  # before anything is counted: it may fail
         chunks, told = -(-len(new.wire) // CHUNK_BYTES), 0
-        outcome = self._chunk_outcome(bucket, new, chunks)
+        outcome = self._chunk_outcome(bucket, new, again, chunks)
         with bucket.mutex:
             bucket.in_air += 1
         try:
@@ -180,8 +192,11 @@ class RowWriter:
             raise
         self._commit()
 
-    def _chunk_outcome(self, bucket: OpenBucket, new: NewRow, chunks: int) -> Outcome:
-        left, failures, mutex = [chunks], [], threading.Lock()
+    def _chunk_outcome(
+        self, bucket: OpenBucket, new: NewRow, again: Again | None, chunks: int
+    ) -> Outcome:
+        left, mutex = [chunks], threading.Lock()
+        failures: list[BaseException] = []
 
         def outcome(exc: BaseException | None) -> None:
             with mutex:
@@ -192,21 +207,21 @@ class RowWriter:
                     return
             if failures:
                 bucket.failed()
-                self._lost(bucket.table, 1, failures[0])
+                self._failed(bucket.table, [again], max(failures, key=is_table_gone))
             else:
                 # Not sent from here: this is the driver's thread, and sending may block.
-                self._ready.append(lambda: self._send_row(bucket, new, chunks))
+                self._ready.append(lambda: self._send_row(bucket, new, again, chunks))
 
         return outcome
 
-    def _send_row(self, bucket: OpenBucket, new: NewRow, chunks: int) -> None:
+    def _send_row(self, bucket: OpenBucket, new: NewRow, again: Again | None, chunks: int) -> None:
         """Send the row of a large message."""
         # Alone in its batch: its size is not one of a row with the message inside.
         if bucket.batch.rows:
             self._send(bucket)
         with bucket.mutex:
             bucket.in_air -= 1
-        bucket.add(new, chunks)
+        bucket.add(new, again, chunks)
         self._send(bucket, large=True)
 
     def _commit(self) -> None:
@@ -222,6 +237,34 @@ class RowWriter:
             stats.stored += len(batch.sizes)
             stats.bytes += sum(batch.sizes)
 
+    def _failed(self, table: RowTable, rows: Sequence[Again | None], exc: BaseException) -> None:
+        """Count rows as lost, or note that they go on in another table where theirs is gone."""
+        lost = len(rows)
+        if is_table_gone(exc):
+            # Nothing of them is left there, so nothing is doubled.
+            self.gone.add(table.name)
+            homeless = [(table, again) for again in rows if again is not None]
+            self._homeless.extend(homeless)
+            lost -= len(homeless)
+        if lost:
+            self._lost(table, lost, exc)
+
+    def _move_on(self) -> int:
+        """Give the rows whose table is gone to those who know a better one.
+
+        Returns:
+            How often that was done so far, by any thread.
+        """
+        with self._moving:
+            while self._homeless:
+                table, again = self._homeless.popleft()
+                try:
+                    again()
+                except CassandraRosError as exc:
+                    self._lost(table, 1, exc)
+                self._moves += 1
+            return self._moves
+
     def _lost(self, table: RowTable, rows: int, exc: BaseException) -> None:
         topic = table.metadata.topic
         error = WriteFailed(
@@ -232,8 +275,6 @@ class RowWriter:
             stats = self.stats[table.name]
             stats.lost += rows
             stats.reason = stats.reason or str(error)
-            if is_table_gone(exc):
-                self.gone.add(table.name)
         if self._on_loss is not None:
             self._on_loss(topic, rows, error)
         elif self._error is None:
@@ -251,6 +292,7 @@ class RowWriter:
         while not self._closing.wait(TICK_SEC):
             try:
                 now = time.monotonic()
+                self._move_on()
                 with self._lock:
                     self._commit()
                     self._send_old(now)
@@ -297,14 +339,16 @@ class RowWriter:
 
     def flush(self) -> None:
         """Return when every row that was taken is acknowledged or counted as lost."""
-        with self._lock:
-            self._flight.wait()  # for chunks, whose rows are sent next
-            self._commit()
-            for bucket in self._buckets.values():
-                if bucket.batch.rows:
-                    self._send(bucket)
-            self._flight.wait()
-            self._raise_error()
+        moves = -1
+        while moves != (moves := self._move_on()):
+            with self._lock:
+                self._flight.wait()  # for chunks, whose rows are sent next
+                self._commit()
+                for bucket in self._buckets.values():
+                    if bucket.batch.rows:
+                        self._send(bucket)
+                self._flight.wait()
+        self._raise_error()
 
     def close(self) -> None:
         """Flush, close the buckets in the directory, end the thread. Twice is harmless."""

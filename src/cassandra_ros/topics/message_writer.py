@@ -11,6 +11,7 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from types import ModuleType
 from typing import Callable, Mapping, Optional
 
@@ -22,7 +23,6 @@ from cassandra_ros.errors import (
     DefinitionError,
     InvalidKey,
     TopicNotFound,
-    WriteFailed,
 )
 from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, Position, RowName, new_writer_id
@@ -41,6 +41,9 @@ from cassandra_ros.topics.topic_table import TopicTable
 
 _log = logging.getLogger(__name__)
 
+MAX_COUNTER = (1 << COUNTER_BITS) - 1
+MAX_REMOVALS = 5
+"""A message is given up when its topic was removed so often while it was being written."""
 MAX_HANDLES = 1024
 """Connections whose handles are kept: anonymous publishers come without end."""
 
@@ -226,10 +229,13 @@ class MessageWriter:
             )
         seq = self._high | counter
         try:
-            try:
-                return self._put(self.current(handle), t_ns, seq, wire, name)
-            except TopicNotFound:  # another client removed it; it goes on in a new table
-                return self._put(self.current(handle), t_ns, seq, wire, name)
+            for left in reversed(range(MAX_REMOVALS)):
+                try:
+                    return self._put(self.current(handle), t_ns, seq, wire, name)
+                except TopicNotFound:  # another client removed it; it goes on in a new table
+                    if not left:
+                        raise
+            raise AssertionError("the loop above returns or raises")
         except CassandraRosError as exc:
             if self._on_loss is None:
                 raise
@@ -242,7 +248,8 @@ class MessageWriter:
 
     def _put(self, handle: Handle, t_ns: int, seq: int, wire: bytes, name: str) -> NewRow:
         row = handle.table.make_row(t_ns, seq, handle.conn, wire, name)
-        self._rows.add(handle.table, handle.node, row)
+        again = partial(self.write, handle, t_ns, seq & MAX_COUNTER, wire, name)
+        self._rows.add(handle.table, handle.node, row, again)
         return row
 
     def stats(self) -> dict[str, WriteStats]:
@@ -345,17 +352,13 @@ class Adder:
             handle = writer.connect(connection, format=table.metadata.format, node=node)
             counter = next(self._counter)
             row = writer.write(handle, t, counter, wire, name)
-            try:
-                writer.flush()
-            except WriteFailed:
-                if writer.current(handle) is handle:
-                    raise
-                # Another client removed the topic while this was on its way.
-                row = writer.write(handle, t, counter, wire, name)
-                writer.flush()
-            stored = writer.current(handle).table
+            writer.flush()
+            now = writer.current(handle)
         if row is None:
             raise AssertionError("a writer without on_loss raises what it refuses")
+        stored = now.table
+        if now is not handle:  # another client removed the topic while this was on its way
+            row = stored.make_row(t, row.seq, now.conn, wire, name)
         if stored.named:
             seq = writer.writer_id << COUNTER_BITS | counter  # the row's is 0 of equal messages
             return RowName.of(Position(t, node, seq, stored.name, row.name))
