@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 from bag.truth import string_connection, string_wire
+from playing.robots import SEC, T0, Robot, played, texts
 
 from cassandra_ros.errors import (
     InvalidName,
@@ -17,49 +18,7 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.playing.selection import Names, PlaySelection
 from cassandra_ros.playing.stream import Stream
-from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.latched import latched_before
-
-SEC = 10**9
-T0 = 1_500_000_000 * SEC
-
-
-class Robot:
-    """Writes messages of one run: times in seconds from T0."""
-
-    def __init__(self, rosCas, writer_id, node=""):
-        run = Run(node, writer_id, "recording", name=f"run {writer_id}")
-        self._writer = rosCas.messageWriter(writer_id=writer_id, nodeID=node, run=run)
-        self._count = 0
-        self._handles = {}
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *exc_info):
-        self._writer.close()
-
-    def send(self, topic, t, text, caller="/a", latched=False):
-        key = (topic, caller, latched)
-        if key not in self._handles:
-            fields = {"latching": "1"} if latched else {}
-            connection = string_connection(topic, callerid=caller, **fields)
-            self._handles[key] = self._writer.connect(connection, bucket_ns=SEC)
-        t_ns = T0 + round(t * SEC)
-        self._writer.write(self._handles[key], t_ns, self._count, string_wire(text))
-        self._count += 1
-
-
-def text_of(row):
-    return row.wire[4:].decode()
-
-
-def played(stream, t=None):
-    return [(p.topic, (p.t - T0) / SEC, text_of(p.row)) for p in stream.messages(t)]
-
-
-def texts(rows):
-    return [text_of(row) for row in rows]
 
 
 @pytest.fixture(scope="module")
@@ -172,14 +131,16 @@ def test_channels_come_from_the_connections(filled):
 def test_what_was_latched_before_the_start(filled):
     stream = Stream(filled, PlaySelection(nodeID="r1", start=2))
     assert texts(p.row for p in stream.latched(stream.start_ns)) == ["s2", "s3"]
+    # Before its start nothing is played.
+    assert texts(p.row for p in stream.latched(T0 + SEC)) == ["s2", "s3"]
+    stream = Stream(filled, PlaySelection(nodeID="r1"))
     assert texts(p.row for p in stream.latched(T0 + SEC)) == ["s1", "s2"]
     assert texts(p.row for p in stream.latched(T0)) == []
     # A run that has nothing in the window gives nothing.
     stream = Stream(filled, PlaySelection(start=86_402))
     assert texts(p.row for p in stream.latched(stream.start_ns)) == ["z1"]
     # The topic alone was sent once, long before.
-    stream = Stream(filled, PlaySelection(["/static"], nodeID="r1", start=1))
-    assert texts(p.row for p in stream.latched(T0 + 9 * SEC)) == ["s2", "s3"]
+    assert texts(latched_before(filled, T0 + 9 * SEC, ["/static"], run="run 1")) == ["s2", "s3"]
 
 
 def test_the_last_one_that_satisfies_a_condition_is_latched(filled):

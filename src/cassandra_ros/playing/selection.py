@@ -15,6 +15,8 @@ from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.finding import Where
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 
+AlignStart = Union[bool, str]
+"""True or 'run', 'node', False = not aligned."""
 _LEGAL = re.compile(r"/[A-Za-z]\w*(?:/\w+)*", re.ASCII)
 
 
@@ -39,8 +41,11 @@ class PlaySelection:
         around: 'TOPIC: condition', or (topic, condition): only what lies around the messages of
             that topic that satisfy it.
         before, after: How far around, seconds, at least 0.
-        align_start: Play all runs as if their first messages had come at once.
-        node_prefix: Put nodeID, or where nobody said one the run, before the name: /<node>/topic.
+        align_start: Play runs of different days as if at once: the first chosen message of each
+            lies where the earliest one does. True or 'run': each run; 'node': each nodeID, and
+            each run without one. Times of the calendar choose messages by their reception;
+            others, and around, mean the common time line.
+        node_prefix: Put nodeID, or the run where nobody said one, before the name: /<node>/topic.
     """
 
     topics: Optional[Sequence[str]] = None
@@ -57,7 +62,7 @@ class PlaySelection:
     around: Union[None, str, Tuple[str, Where]] = None
     before: float = 5.0
     after: float = 10.0
-    align_start: bool = False
+    align_start: AlignStart = False
     node_prefix: bool = False
 
 

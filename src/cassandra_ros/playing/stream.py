@@ -4,19 +4,33 @@
 
 from __future__ import annotations
 
-from typing import Dict, FrozenSet, Iterable, Iterator, List, NamedTuple, Optional, Tuple
+import heapq
+from dataclasses import replace
+from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import InvalidOption, MessageNotFound
-from cassandra_ros.keys import split_seq
-from cassandra_ros.messages.stamps import duration_ns
+from cassandra_ros.keys import MAX_NS, split_seq
+from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.playing.alignment import (
+    aligned,
+    check_alignment,
+    source_names,
+    split_parts,
+    valid_name,
+)
 from cassandra_ros.playing.extent import Extent, extents
+from cassandra_ros.playing.part import Part, Sent, begun
 from cassandra_ros.playing.selection import Names, PlaySelection, chosen_topics
-from cassandra_ros.playing.times import read_when, resolve_times
-from cassandra_ros.topics.latched import LatchedFinder, is_latched, tables_of, tests_of
+from cassandra_ros.playing.times import When, check_length, read_when, resolve_times
+from cassandra_ros.playing.windows import PIECE_NS, Around, Piece, joined, merge_windows
+from cassandra_ros.topics.latched import Source, is_latched, tables_of
 from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.runs import Runs
 from cassandra_ros.topics.selection import Stretch
 from cassandra_ros.topics.stored_row import StoredRow
+
+_Timed = Tuple[int, StoredRow]
 
 
 class Played(NamedTuple):
@@ -28,8 +42,9 @@ class Played(NamedTuple):
     topic: str
     """Name under which it goes out."""
     window: Stretch
-    """The stretch of the replay's time line that it belongs to; what lies between two stretches
-    is jumped over."""
+    """The stretch of the replay's time line that it belongs to. Where its low end is another one
+    than the last message's, what lies between the two stretches is jumped over; the high end of a
+    long one may grow from message to message."""
 
 
 class Channel(NamedTuple):
@@ -46,17 +61,18 @@ class Channel(NamedTuple):
 
 
 class Stream:
-    """The messages of a selection, merged into one order.
+    """The messages of a selection, merged into one order: by time, node, counter and table.
 
     Attributes:
         selection: What was asked for.
         topics: The stored topics that are played, sorted.
         start_ns, end_ns: First and last time of the replay's time line, both included, ns. It is
-            that of the times of reception.
+            that of the times of reception; with align_start, of the run that was the first. With
+            around the first window begins at the start; the last one may end before the end.
 
     Raises:
         TopicNotFound, RunNotFound: What was asked for is not stored.
-        MessageNotFound: Topics, nodeID and run leave no message.
+        MessageNotFound: Topics, nodeID, run, times or conditions leave no message.
         InvalidOption: A time is none, before or behind all that is chosen, or reversed; or options
             do not go together.
         InvalidName, InvalidQuery: A name or a condition is none.
@@ -66,103 +82,179 @@ class Stream:
         self._ros_cas = ros_cas
         self.selection = selection
         self._names = Names(selection.prefix, selection.remap)
+        self._align = check_alignment(selection.align_start)
         start, end = read_when("start", selection.start), read_when("end", selection.end)
         if end is not None and selection.duration is not None:
             raise InvalidOption("an end and a duration were given: give one of them")
-        length = None if selection.duration is None else duration_ns(selection.duration)
+        length = check_length("duration", selection.duration)
+        self._around = Around.of(selection.around, selection.before, selection.after)
         self.topics = chosen_topics(ros_cas, selection)
-        tables = tables_of(ros_cas, self.topics)
-        nodes, writers = check_nodes(selection.nodeID), self._writers()
-        self._extents = extents(ros_cas.parts, tables, nodes, writers)
-        if not self._extents:
-            raise MessageNotFound(self._nothing())
-        known = Stretch(min(e.first for e in self._extents), max(e.last for e in self._extents))
-        tests = tests_of(ros_cas, selection.where, selection.nodeID)
-        if selection.where:
-            known = Stretch(self._first(known), known.high)
-        self._stretch = resolve_times(known, start, end, length)
+        self._extents = self._find_extents()
+        self._parts = self._find_parts(start, end)
+        if self._align:
+            # Times of the calendar have chosen the messages; on a common line they mean nothing.
+            start, end = (when if when and when.relative else None for when in (start, end))
+        self._stretch = resolve_times(_known(self._parts), start, end, length)
         self.start_ns, self.end_ns = self._stretch
-        self._latched = LatchedFinder(ros_cas.parts, tables, nodes, writers, tests)
+        if self._around is not None:
+            self.start_ns = self._first_window(self._around)
+        self._sources = self._source_names() if selection.node_prefix else {}
 
-    def _writers(self) -> Optional[FrozenSet[int]]:
-        run = self.selection.run
-        if run is None:
-            return None
-        every = self._ros_cas.runs()
-        named = frozenset(each.writer for each in every if each.name and each.name == run)
-        return named or frozenset(each.writer for each in every if str(each.writer) == str(run))
-
-    def _nothing(self) -> str:
-        asked = self.selection
+    def _find_extents(self) -> List[Extent]:
+        asked, ros_cas = self.selection, self._ros_cas
+        self._writers = Runs(ros_cas.parts).writers(asked.run)
+        tables, nodes = tables_of(ros_cas, self.topics), check_nodes(asked.nodeID)
+        found = extents(ros_cas.parts, tables, nodes, self._writers)
+        if found:
+            return found
         node = "" if asked.nodeID is None else f" of node {asked.nodeID!r}"
         run = "" if asked.run is None else f" of run {asked.run!r}"
         topics = ", ".join(self.topics)
-        return f"there is no message{node}{run} on {topics:.500}; cassandra_bag info lists them"
-
-    def _first(self, known: Stretch) -> int:
-        """Return when the first message came that satisfies the conditions."""
-        row = next(self._rows(known), None)
-        if row is None:
-            raise MessageNotFound("no message satisfies the conditions")
-        return row.received
-
-    def _rows(self, stretch: Stretch) -> Iterator[StoredRow]:
-        selection, writers = self.selection, self._writers()
-        rows = self._ros_cas.readMessages(
-            self.topics,
-            stretch.low,
-            stretch.high,
-            nodeID=selection.nodeID,
-            received=True,
-            where=selection.where,
+        raise MessageNotFound(
+            f"there is no message{node}{run} on {topics:.500}; cassandra_bag info lists what "
+            "is stored"
         )
-        if writers is None:
-            return rows
-        return (row for row in rows if split_seq(row.seq)[0] in writers)
+
+    def _find_parts(self, start: Optional[When], end: Optional[When]) -> List[Part]:
+        asked = self.selection
+        whole = Part(
+            self._ros_cas, self.topics, asked.nodeID, self._writers, asked.where, self._extents
+        )
+        if not self._align:
+            return self._begun([whole])
+        first, last = (None if when is None or when.relative else when for when in (start, end))
+        resolve_times(_known(self._begun([whole])), first, last, None)  # checked as for all
+        chosen = Stretch(0 if first is None else first.ns, MAX_NS if last is None else last.ns)
+        return aligned(self._begun(split_parts(replace(whole, chosen=chosen), self._align)))
+
+    def _begun(self, parts: Sequence[Part]) -> List[Part]:
+        found = begun(parts)
+        if found:
+            return found
+        where = "; ".join(
+            f"{topic}: {text}" for topic, text in (self.selection.where or {}).items()
+        )
+        raise MessageNotFound(
+            f"nothing is left of what was asked for: no message satisfies {where}"
+        )
+
+    def _source_names(self) -> Dict[Source, str]:
+        run_names = {run.writer: run.name for run in self._ros_cas.runs()}
+        return source_names(self._extents, run_names, self._align)
+
+    def _name_of(self, topic: str, node: str, writer: int) -> str:
+        if not self.selection.node_prefix:
+            return self._names.of(topic)
+        # A recorder may have begun since the stream was made.
+        default = valid_name(node or f"run_{writer}")
+        return self._names.of(topic, self._sources.get((node, writer), default))
 
     @property
     def windows(self) -> List[Stretch]:
-        """The stretches of the replay's time line that are played, in order, without overlap."""
-        return [self._stretch]
+        """The stretches of the replay's time line that are played, in order, without overlap.
+
+        With around all hits are looked for; messages() does not need them beforehand.
+        """
+        return list(joined(self._pieces(self._stretch.low)))
+
+    def _pieces(self, low: int) -> Iterator[Piece]:
+        """Walk through the windows from a time on: of the first one what lies before is cut off."""
+        bounds, around = self._stretch, self._around
+        low = max(low, bounds.low)
+        if around is None:
+            if low <= bounds.high:
+                yield Piece(low, low, bounds.high)
+            return
+        reach = Stretch(max(bounds.low, low - around.after), bounds.high)
+        hits = heapq.merge(*(p.hits(around.topic, around.condition, reach) for p in self._parts))
+        for piece in merge_windows(hits, around.before, around.after, bounds, PIECE_NS):
+            if piece.high >= low:
+                yield Piece(max(piece.window, low), max(piece.low, low), piece.high)
+
+    def _first_window(self, around: Around) -> int:
+        first = next(self._pieces(self._stretch.low), None)
+        if first is None:
+            low, high = map(iso_time, self._stretch)
+            raise MessageNotFound(
+                f"no message of {around.topic} satisfies {around.condition!r:.200} between {low} "
+                f"and {high}"
+            )
+        return first.low
 
     def channels(self) -> List[Channel]:
         """List what is to be advertised: by the stored connections, without reading a row."""
-        found: Dict[Tuple[str, str, str], Channel] = {}
         by_table: Dict[str, List[Extent]] = {}
         for extent in self._extents:
             by_table.setdefault(extent.table.name, []).append(extent)
+        found: Dict[Tuple[str, str, str], Channel] = {}
         for name, _, connection in self._ros_cas.parts.connections.of_tables(by_table):
-            metadata = by_table[name][0].table.metadata
-            channel = Channel(
-                self._names.of(metadata.topic),
-                connection.type or metadata.msg_type,
-                metadata.md5sum,
-                connection.definition_text or metadata.definition,
-                is_latched(connection),
-            )
-            key = channel[:3]
-            if key not in found or (channel.latched and not found[key].latched):
-                found[key] = found.get(key, channel)._replace(latched=channel.latched)
+            metadata, latched = by_table[name][0].table.metadata, is_latched(connection)
+            kind = connection.type or metadata.msg_type
+            text = connection.definition_text or metadata.definition
+            for each in by_table[name]:
+                topic = self._name_of(metadata.topic, each.node, each.writer)
+                key = (topic, kind, metadata.md5sum)
+                known = found.get(key, Channel(*key, text, latched))
+                found[key] = known._replace(latched=known.latched or latched)
         return sorted(found.values())
 
     def latched(self, t: int) -> List[Played]:
         """List the latched messages from before t, in the order of their reception.
 
         They are to be published first where playing begins at t, or jumps there: the last of each
-        publisher, of the runs that have messages between t and the end.
+        publisher, of the runs that have messages in what is played from then on. Their times are
+        those at which they were received.
         """
-        rows = self._latched.before(t, max(t, self._stretch.high))
-        return list(self._played(rows, self._stretch))
+        piece = next(self._pieces(t), None)
+        if piece is None:
+            return []
+        window = Stretch(piece.low, piece.high)
+        rows = _merged([part.latched(window) for part in self._parts])
+        return [self._played(t, row, window) for t, row in rows]
 
     def messages(self, t: Optional[int] = None) -> Iterator[Played]:
         """Walk lazily through the messages from t on, ns, included; None = from the start.
 
-        Memory: some pages of rows for all topics together.
+        With around, the latched messages that changed in a gap come first in the window behind it,
+        with the time at which it begins; those before the first window are left to ``latched``.
+
+        Memory: some pages of rows for all topics of a run together.
         """
         low = self.start_ns if t is None else max(t, self.start_ns)
-        if low > self.end_ns:
-            return iter(())
-        return self._played(self._rows(Stretch(low, self.end_ns)), self._stretch)
+        sent = [Sent() for _ in self._parts] if self._around else None
+        last: Optional[int] = None
+        for piece in self._pieces(low):
+            window = Stretch(piece.window, piece.high)
+            reach = Stretch(piece.low, piece.high)
+            if sent is not None and piece.window != last:
+                changed = [p.latched(reach, s) for p, s in zip(self._parts, sent)]
+                if last is not None:
+                    for _, row in _merged(changed):
+                        yield self._played(piece.low, row, window)
+                last = piece.window
+            for at, row in self._rows(reach, sent):
+                yield self._played(at, row, window)
 
-    def _played(self, rows: Iterable[StoredRow], window: Stretch) -> Iterator[Played]:
-        return (Played(row.received, row, self._names.of(row.topic), window) for row in rows)
+    def _rows(self, stretch: Stretch, sent: Optional[Sequence[Sent]]) -> Iterator[_Timed]:
+        if sent is None:
+            return heapq.merge(*(part.rows(stretch) for part in self._parts), key=_order)
+        pairs = zip(self._parts, sent)
+        return heapq.merge(*(part.noted(stretch, each) for part, each in pairs), key=_order)
+
+    def _played(self, t: int, row: StoredRow, window: Stretch) -> Played:
+        name = self._name_of(row.topic, row.node, split_seq(row.seq)[0])
+        return Played(t, row, name, window)
+
+
+def _known(parts: Sequence[Part]) -> Stretch:
+    """Return from when to when some parts reach, on the replay's time line."""
+    return Stretch(min(p.known.low for p in parts), max(p.known.high for p in parts))
+
+
+def _merged(parts: Sequence[Sequence[_Timed]]) -> Iterator[_Timed]:
+    return heapq.merge(*parts, key=_order)
+
+
+def _order(timed: _Timed) -> Tuple[int, str, int, str]:
+    t, row = timed
+    return t, row.node, row.seq, row.table.name

@@ -65,6 +65,16 @@ def read_when(name: str, value: PlayTime) -> Optional[When]:
         ) from exc
 
 
+def check_length(name: str, seconds: object) -> Optional[int]:
+    """Return the ns of an option in seconds, None = not given, or raise InvalidOption."""
+    if seconds is None:
+        return None
+    try:
+        return duration_ns(_number(seconds) if isinstance(seconds, str) else seconds)
+    except InvalidKey as exc:
+        raise InvalidOption(f"{name} {seconds!r:.80} is no number of seconds from 0 on") from exc
+
+
 def _number(value: object) -> Optional[Decimal]:
     if isinstance(value, str):
         found = _NUMBER.fullmatch(value)

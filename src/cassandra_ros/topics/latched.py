@@ -21,6 +21,7 @@ from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.finding import Filter
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.runs import RunName, Runs
 from cassandra_ros.topics.selection import LAST_NS, Nodes, Stretch
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -29,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 Source = Tuple[str, int]
 """nodeID and writer id of a run."""
-_Publisher = Tuple[Source, int]
+Publisher = Tuple[Source, int]
 """A run, and the number of one of its connections in a table."""
 Tests = Dict[str, Callable[[StoredRow], bool]]
 """Topic -> whether a message of it is wanted; topics that are not in it are wanted whole."""
@@ -42,6 +43,7 @@ def latched_before(
     *,
     to: Optional[int] = None,
     nodeID: Optional[str] = None,
+    run: RunName = None,
     where: Conditions = None,
 ) -> List[StoredRow]:
     """Find the last latched message before a time of each publisher of some topics.
@@ -54,13 +56,14 @@ def latched_before(
         topics: Names; None = all.
         to: Where the window ends, included, ns; None = open.
         nodeID: Only messages of this node; None = of all.
+        run: Only messages of this run, by name or writer id; None = of all.
         where: Topic -> condition: of these topics the last message that satisfies it.
 
     Returns:
         The rows in the order of their reception; their messages are fetched when asked for.
 
     Raises:
-        TopicNotFound: One of the topics is not stored.
+        TopicNotFound, RunNotFound: One of the topics, or the run, is not stored.
         InvalidName, InvalidQuery: As readMessages.
     """
     names = check_topics(topics)
@@ -68,6 +71,7 @@ def latched_before(
         ros_cas.parts,
         tables_of(ros_cas, names),
         check_nodes(nodeID),
+        Runs(ros_cas.parts).writers(run),
         tests=tests_of(ros_cas, where, nodeID),
     )
     return finder.before(t, LAST_NS if to is None else to)
@@ -128,16 +132,26 @@ class LatchedFinder:
                 found.setdefault(table, set()).add(conn)
         return {table: frozenset(conns) for table, conns in found.items()}
 
+    @property
+    def latches(self) -> bool:
+        """Whether somebody latched a message of the tables."""
+        return bool(self._latched)
+
+    def is_latched(self, row: StoredRow) -> bool:
+        """Say whether a message came over a latched connection."""
+        return row.conn in self._latched.get(row.table.name, ())
+
     def before(self, t: int, to: int = LAST_NS) -> List[StoredRow]:
         """Find the last latched message before t of each publisher; see latched_before."""
+        return self.of_sources(self.sources(t, to), t) if self.latches and t > 0 else []
+
+    def of_sources(self, sources: FrozenSet[Source], t: int, since: int = 0) -> List[StoredRow]:
+        """Find the last latched message in [since, t) of each publisher of some runs."""
         tables = [table for table in self._tables if table.name in self._latched]
-        if not tables or t <= 0:
-            return []
-        sources = self._sources(t, to)
-        found = [row for table in tables for row in self._last(table, t, sources)]
+        found = [row for table in tables for row in self._last(table, t, since, sources)]
         return sorted(found, key=lambda row: row.arrival)
 
-    def _sources(self, t: int, to: int) -> FrozenSet[Source]:
+    def sources(self, t: int, to: int) -> FrozenSet[Source]:
         """List the runs that have messages in [t, to], of whatever topic."""
         found: set[Source] = set()
         # What is asked for alone may be a topic that was sent once, long before the window.
@@ -156,28 +170,30 @@ class LatchedFinder:
             )
         return frozenset(found)
 
-    def _last(self, table: TopicTable, t: int, sources: FrozenSet[Source]) -> Iterable[StoredRow]:
+    def _last(
+        self, table: TopicTable, t: int, since: int, sources: FrozenSet[Source]
+    ) -> Iterable[StoredRow]:
         if table.named or table.metadata.own_time:
-            return self._last_of_all(table, t, sources)
-        return self._last_by_time(table, t, sources)
+            return self._last_of_all(table, t, since, sources)
+        return self._last_by_time(table, t, since, sources)
 
     def _last_by_time(
-        self, table: TopicTable, t: int, sources: FrozenSet[Source]
+        self, table: TopicTable, t: int, since: int, sources: FrozenSet[Source]
     ) -> Iterator[StoredRow]:
         """Read keys backwards, until every latched connection of every run is found."""
         # Only of buckets that a run of the window wrote into.
         length, conns = table.metadata.bucket_ns, self._latched[table.name]
         buckets = self._keyspace.directory.buckets(
-            table.name, 0, (t - 1) // length, self._nodes, table.metadata.ttl
+            table.name, since // length, (t - 1) // length, self._nodes, table.metadata.ttl
         )
         there = [row for row in buckets if (row.node, row.writer) in sources]
         if not there:
             return
         missing = {((row.node, row.writer), conn) for row in there for conn in conns}
-        stretch = Stretch(min(row.bucket for row in there) * length, t - 1)
+        stretch = Stretch(max(since, min(row.bucket for row in there) * length), t - 1)
         nodes = sorted({row.node for row in there})
         for row in self._rows(table, stretch, nodes, reverse=True):
-            publisher = _publisher(row)
+            publisher = publisher_of(row)
             if publisher in missing and self._wanted(row):
                 missing.discard(publisher)
                 yield row
@@ -185,15 +201,17 @@ class LatchedFinder:
                     return
 
     def _last_of_all(
-        self, table: TopicTable, t: int, sources: FrozenSet[Source]
+        self, table: TopicTable, t: int, since: int, sources: FrozenSet[Source]
     ) -> Iterator[StoredRow]:
         """Look through the keys of a topic whose key is not the time of reception."""
-        last: Dict[_Publisher, StoredRow] = {}
+        last: Dict[Publisher, StoredRow] = {}
         conns, every = self._latched[table.name], Stretch()
         for row in self._rows(table, every, self._nodes):
-            source, conn = publisher = _publisher(row)
+            source, conn = publisher = publisher_of(row)
             # Equal messages of key format hash have one row, which names no writer.
-            if row.received >= t or conn not in conns or not (source[1] == 0 or source in sources):
+            if not since <= row.received < t or conn not in conns:
+                continue
+            if source[1] and source not in sources:
                 continue
             known = last.get(publisher)
             if (known is None or known.arrival < row.arrival) and self._wanted(row):
@@ -213,7 +231,8 @@ class LatchedFinder:
         return test is None or test(row)
 
 
-def _publisher(row: StoredRow) -> _Publisher:
+def publisher_of(row: StoredRow) -> Publisher:
+    """Return who sent a message: its run, and the number of its connection in the table."""
     return (row.node, split_seq(row.seq)[0]), row.conn
 
 

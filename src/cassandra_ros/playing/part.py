@@ -1,0 +1,160 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rows of one source of a stream: of everybody, of one node, or of one run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import FrozenSet, Iterable, Iterator, List, Optional, Sequence, Set, Tuple
+
+from cassandra_ros.arguments import check_nodes
+from cassandra_ros.keys import MAX_NS, split_seq
+from cassandra_ros.playing.extent import Extent
+from cassandra_ros.topics.catalog import Conditions
+from cassandra_ros.topics.finding import Filter, Where
+from cassandra_ros.topics.latched import LatchedFinder, Publisher, Source, publisher_of, tests_of
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.selection import Stretch
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.topic_table import TopicTable
+
+Writers = Optional[FrozenSet[int]]
+
+
+@dataclass(frozen=True)
+class Part:
+    """What one source has of the chosen topics; its times are shifted onto those of the replay.
+
+    Stretches that its methods take, and times that they return, are the replay's.
+    """
+
+    ros_cas: RosCassandra
+    topics: Sequence[str]
+    node: Optional[str]
+    """None = of all nodes."""
+    writers: Writers
+    """Writer ids; None = all, {0} = rows that name none."""
+    where: Conditions
+    extents: Sequence[Extent]
+    """From when to when it has messages, by their times of reception."""
+    chosen: Stretch = Stretch(0, MAX_NS)
+    """Only messages that were received in it."""
+    begin: int = 0
+    """When its first chosen message was received, ns; ``begun`` finds it."""
+    shift: int = 0
+    """What is added to times of reception, ns."""
+
+    @property
+    def known(self) -> Stretch:
+        """From its first chosen message to its last one, which may satisfy no condition."""
+        high = min(self.chosen.high, max(extent.last for extent in self.extents))
+        return Stretch(self.begin + self.shift, high + self.shift)
+
+    def first(self) -> Optional[int]:
+        """Return when its first chosen message was received, None where there is none."""
+        first = min(extent.first for extent in self.extents)
+        if not self.where and self.chosen.low <= first <= self.chosen.high:
+            return first
+        row = next(self._stored(self.chosen), None)
+        return None if row is None else row.received
+
+    def rows(self, stretch: Stretch) -> Iterator[Tuple[int, StoredRow]]:
+        """Walk lazily through its rows in a stretch: time and row."""
+        inner = self._received(stretch)
+        return ((row.received + self.shift, row) for row in self._stored(inner))
+
+    def noted(self, stretch: Stretch, sent: Sent) -> Iterator[Tuple[int, StoredRow]]:
+        """Walk through the rows as ``rows`` does, and note which latched ones are played."""
+        for t, row in self.rows(stretch):
+            if self._finder.is_latched(row):
+                sent.played(row)
+            yield t, row
+
+    def _received(self, stretch: Stretch) -> Stretch:
+        """Return the times of reception that a stretch means."""
+        low, high = stretch.low - self.shift, stretch.high - self.shift
+        return Stretch(max(0, low, self.chosen.low), min(high, self.chosen.high))
+
+    def _stored(self, stretch: Stretch) -> Iterator[StoredRow]:
+        if stretch.low > stretch.high:
+            return iter(())
+        rows = self.ros_cas.readMessages(
+            self.topics, *stretch, nodeID=self.node, received=True, where=self.where
+        )
+        return self._of_writers(rows)
+
+    def _of_writers(self, rows: Iterator[StoredRow]) -> Iterator[StoredRow]:
+        writers = self.writers
+        if writers is None:
+            return rows
+        return (row for row in rows if split_seq(row.seq)[0] in writers)
+
+    def hits(self, topic: str, condition: Where, stretch: Stretch) -> Iterator[int]:
+        """Walk lazily through the times of the messages of a topic that satisfy a condition."""
+        inner, found = self._received(stretch), self.ros_cas.getTopic(topic)
+        if inner.low > inner.high:
+            return iter(())
+        if any(table.metadata.own_time or table.named for table in found.tables):
+            rows = self.ros_cas.readMessages(
+                [topic], *inner, nodeID=self.node, received=True, where={topic: condition}
+            )
+        else:
+            rows = Filter(found, condition, self.node).rows(inner, bare=True)
+        return (row.received + self.shift for row in self._of_writers(rows))
+
+    @cached_property
+    def _tables(self) -> List[TopicTable]:
+        return list({e.table.name: e.table for e in self.extents}.values())
+
+    @cached_property
+    def _finder(self) -> LatchedFinder:
+        tests = tests_of(self.ros_cas, self.where, self.node)
+        nodes = check_nodes(self.node)
+        return LatchedFinder(self.ros_cas.parts, self._tables, nodes, self.writers, tests)
+
+    def latched(self, window: Stretch, sent: Optional[Sent] = None) -> List[Tuple[int, StoredRow]]:
+        """List what was latched before a window, in the order of reception: time and row."""
+        low, high = window.low - self.shift, window.high - self.shift
+        if sent is None:
+            found = self._finder.before(low, high)
+        else:
+            found = sent.changes(self._finder, low, high)
+        return [(row.received + self.shift, row) for row in found]
+
+
+def begun(parts: Iterable[Part]) -> List[Part]:
+    """Find when the first chosen message of each part was received; those without are left out."""
+    firsts = ((part, part.first()) for part in parts)
+    return [replace(part, begin=first) for part, first in firsts if first is not None]
+
+
+class Sent:
+    """What of latched messages was played already, of one part: only what is newer is new."""
+
+    def __init__(self) -> None:
+        self._sources: Set[Source] = set()
+        self._last: dict[Tuple[str, Publisher], Tuple[int, str, int, str]] = {}
+        self._until = 0
+
+    def changes(self, finder: LatchedFinder, low: int, high: int) -> List[StoredRow]:
+        """List what was latched before low and not played, and note it as played."""
+        if not finder.latches:
+            return []
+        sources = finder.sources(low, high)
+        # What the runs of the windows before this one latched until then is out already.
+        since = self._until if sources <= self._sources else 0
+        found = [row for row in finder.of_sources(sources, low, since) if self._is_new(row)]
+        for row in found:
+            self.played(row)
+        self._sources |= sources
+        self._until = low
+        return found
+
+    def _is_new(self, row: StoredRow) -> bool:
+        last = self._last.get((row.table.name, publisher_of(row)))
+        return last is None or last < row.arrival
+
+    def played(self, row: StoredRow) -> None:
+        """Note a message as played."""
+        self._last[row.table.name, publisher_of(row)] = row.arrival

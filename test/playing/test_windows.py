@@ -1,0 +1,140 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Windows around hits: how they merge, and what is played in them."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from playing.robots import SEC, T0, Robot, played, texts
+
+from cassandra_ros.errors import InvalidOption, InvalidQuery, MessageNotFound, TopicNotFound
+from cassandra_ros.playing.selection import PlaySelection
+from cassandra_ros.playing.stream import Stream
+from cassandra_ros.playing.windows import joined, merge_windows
+from cassandra_ros.topics.selection import Stretch
+
+TIMES = st.integers(0, 60)
+
+
+@given(st.lists(TIMES), TIMES, TIMES, TIMES, TIMES, st.integers(1, 30))
+def test_windows_cover_just_what_is_near_a_hit(hits, before, after, low, high, longest):
+    bounds = Stretch(min(low, high), max(low, high))
+    inside = sorted(hit for hit in hits if bounds.low <= hit <= bounds.high)
+    pieces = list(merge_windows(inside, before, after, bounds, longest))
+    covered = [t for piece in pieces for t in range(piece.low, piece.high + 1)]
+    near = {t for hit in inside for t in range(hit - before, hit + after + 1)}
+    assert covered == [t for t in range(bounds.low, bounds.high + 1) if t in near]
+    for one, two in zip(pieces, pieces[1:]):
+        # A window begins anew only behind a gap.
+        assert (one.high + 1 == two.low) == (one.window == two.window)
+    whole = list(joined(pieces))
+    assert all(one.high + 1 < two.low for one, two in zip(whole, whole[1:]))
+    assert [t for each in whole for t in range(each.low, each.high + 1)] == covered
+
+
+@given(st.integers(0, 20), st.integers(0, 20), st.integers(1, 10))
+def test_windows_come_while_the_hits_come(before, after, step):
+    taken = itertools.count()
+    hits = (n * step for n in taken)  # without end
+    pieces = merge_windows(hits, before, after, Stretch(), longest=50)
+    assert len(list(itertools.islice(pieces, 5))) == 5
+    assert next(taken) * step <= 5 * (50 + before + after + 2 * step) + step
+
+
+@pytest.fixture(scope="module")
+def filled(fresh):
+    """A battery that falls at 20, 23 and 60 s, a tick each second, latched maps between."""
+    with fresh() as rosCas:
+        with Robot(rosCas, 1, "r1") as robot:
+            for n in range(100):
+                robot.send("/battery", n, "low" if n in (20, 23, 60) else "high")
+                robot.send("/tick", n + 0.5, f"t{n}")
+                if n in (0, 24, 40, 45, 80):
+                    robot.send("/map", n + 0.25, f"m{n}", latched=True)
+            robot.send("/once", 99, "o", latched=True)
+        yield rosCas
+
+
+AROUND = PlaySelection(around="/battery: data = 'low'", before=2, after=1.5)
+
+
+def test_only_what_is_near_a_hit_is_played(filled):
+    stream = Stream(filled, AROUND)
+    wanted = [(T0 + 18 * SEC, T0 + 24 * SEC + SEC // 2), (T0 + 58 * SEC, T0 + 61 * SEC + SEC // 2)]
+    assert stream.windows == wanted
+    assert stream.start_ns == wanted[0][0]
+    found = played(stream)
+    ticks = [text for topic, _, text in found if topic == "/tick"]
+    assert ticks == ["t18", "t19", "t20", "t21", "t22", "t23", "t24", "t58", "t59", "t60", "t61"]
+    assert [t for topic, t, _ in found if topic == "/battery"][-5:] == [24, 58, 59, 60, 61]
+    lows = [p.window.low for p in stream.messages()]
+    assert sorted(set(lows)) == [low for low, _ in wanted] and lows == sorted(lows)
+
+
+def test_a_window_begins_with_what_was_latched_in_the_gap(filled):
+    stream = Stream(filled, AROUND)
+    assert texts(p.row for p in stream.latched(stream.start_ns)) == ["m0"]
+    maps = [(t, text) for topic, t, text in played(stream) if topic == "/map"]
+    # m24 was played in the first window; of the gap's two the last, as the window begins.
+    assert maps == [(24.25, "m24"), (58, "m45")]
+    # Who jumps into the gap begins with the next window.
+    gap = T0 + 30 * SEC
+    assert texts(p.row for p in stream.latched(gap)) == ["m45"]
+    assert played(stream, gap)[0] == ("/battery", 58, "high")
+    assert stream.latched(T0 + 70 * SEC) == played(stream, T0 + 70 * SEC) == []
+
+
+def test_nothing_is_latched_anew_where_nothing_changed(filled):
+    again = PlaySelection(
+        ["/map", "/tick"], around=("/tick", ("data IN (?, ?)", ["t24", "t30"])), before=1, after=0
+    )
+    assert played(Stream(filled, again)) == [
+        ("/tick", 23.5, "t23"),
+        ("/map", 24.25, "m24"),
+        ("/tick", 24.5, "t24"),
+        ("/tick", 29.5, "t29"),
+        ("/tick", 30.5, "t30"),
+    ]
+
+
+def test_start_and_end_bound_the_windows(filled):
+    selection = PlaySelection(["/tick"], around=AROUND.around, before=2, after=2, start=21, end=60)
+    # Seconds count from the first tick, at 0.5.
+    stream = Stream(filled, selection)
+    assert stream.windows == [
+        (T0 + 21 * SEC + SEC // 2, T0 + 25 * SEC),
+        (T0 + 58 * SEC, T0 + 60 * SEC + SEC // 2),
+    ]
+
+
+def test_long_windows_are_played_in_pieces(filled, monkeypatch):
+    whole = Stream(filled, PlaySelection(around="/battery: data > 'a'", before=0.5, after=0.5))
+    wanted = played(Stream(filled, PlaySelection()))
+    monkeypatch.setattr("cassandra_ros.playing.stream.PIECE_NS", 3 * SEC)
+    assert played(whole) == wanted
+    assert len({p.window.low for p in whole.messages()}) == 1
+    assert len({p.window.high for p in whole.messages()}) > 20
+    assert len(whole.windows) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "text"),
+    [
+        ({"around": "/battery"}, InvalidOption, "names no hits"),
+        ({"around": ": x = 1"}, InvalidOption, "names no hits"),
+        ({"around": "/batery: data = 'low'"}, TopicNotFound, "/battery"),
+        ({"around": "/battery: data ="}, InvalidQuery, "data ="),
+        ({"around": "/battery: voltage < 11"}, InvalidQuery, "voltage"),
+        ({"around": "/battery: data = 'none'"}, MessageNotFound, "satisfies \"data = 'none'\""),
+        ({"before": -1}, InvalidOption, "before -1"),
+        ({"after": "soon"}, InvalidOption, "after 'soon'"),
+    ],
+)
+def test_bad_input_is_named(filled, changes, error, text):
+    selection = PlaySelection(**{"around": AROUND.around, **changes})
+    with pytest.raises(error, match=text):
+        Stream(filled, selection)
