@@ -135,6 +135,11 @@ def _failures(reports: Sequence[TopicReport]) -> list[str]:
     lost = sum(report.lost for report in reports)
     found = [f"{lost} messages were lost"] if lost else []
     for report in reports:
+        if report.unheard_sec:
+            found.append(
+                f"for {report.unheard_sec:.0f} s new publishers of {shown(report.topic)} were not "
+                "heard, for the ROS master was started anew"
+            )
         if not report.published:
             found.append(f"nothing came on {shown(report.topic)}: nobody published it")
     if not reports:

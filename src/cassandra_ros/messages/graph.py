@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The one question asked of a ROS master without rospy: what type a topic has."""
+"""A ROS master asked without rospy: it is given up after some seconds."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import http.client
 import logging
 import socket
 import xmlrpc.client
-from typing import Any, cast
+from typing import Any
 
 import rosgraph
 
@@ -18,12 +18,22 @@ _log = logging.getLogger(__name__)
 
 
 class _Transport(xmlrpc.client.Transport):
-    """HTTP that gives up after TIMEOUT_SEC."""
+    """HTTP that gives up after some seconds."""
+
+    def __init__(self, timeout_sec: float) -> None:
+        super().__init__()
+        self._timeout_sec = timeout_sec
 
     def make_connection(self, host: str | tuple[str, dict[str, str]]) -> http.client.HTTPConnection:
         connection = super().make_connection(host)
-        connection.timeout = TIMEOUT_SEC
+        connection.timeout = self._timeout_sec
         return connection
+
+
+def master_proxy(timeout_sec: float = TIMEOUT_SEC) -> Any:
+    """Return the master's API; a call raises an error after so many seconds without an answer."""
+    transport = _Transport(timeout_sec)
+    return xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=transport)
 
 
 def topic_type(topic: str) -> str | None:
@@ -34,8 +44,7 @@ def topic_type(topic: str) -> str | None:
     uri = rosgraph.get_master_uri()
     name = topic if topic.startswith("/") else "/" + topic
     try:
-        master = xmlrpc.client.ServerProxy(uri, transport=_Transport())
-        code, status, pairs = cast(Any, master.getTopicTypes("/cassandra_ros"))
+        code, status, pairs = master_proxy().getTopicTypes("/cassandra_ros")
         types = {str(key): str(value) for key, value in pairs}
     except (OSError, socket.timeout, xmlrpc.client.Error, http.client.HTTPException) as exc:
         _log.info("no ROS master at %s (%s): type of %s left open", uri, exc, name)

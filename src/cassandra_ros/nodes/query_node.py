@@ -24,6 +24,7 @@ from cassandra_ros.messages.classes import to_yaml
 from cassandra_ros.messages.stamps import iso_time, to_ns
 from cassandra_ros.msg import Row, StoredMessage
 from cassandra_ros.nodes.node import forward_logging, own_name
+from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.query.json_values import from_json, to_json
 from cassandra_ros.query.parse import parse_statement
 from cassandra_ros.query.run import Condition
@@ -93,6 +94,7 @@ def serve(ros_cas: RosCassandra, say: Callable[[str], None], allow_writes: bool 
         ("~lookupTransform", LookupTransform, LookupTransformResponse, services.lookup_transform),
     ):
         rospy.Service(name, kind, partial(_answer, handler, response_class))
+    Registration().start()
     absence = ros_cas.parts.side_tables.absence()
     if absence:
         _log.warning("%s; until then no topic is found", absence)

@@ -13,6 +13,7 @@ from typing import Callable, Mapping, Optional
 import rospy
 
 from cassandra_ros.nodes.node import MASTER_ERRORS, now_ns
+from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.subscriptions import Subscriptions, published_topics
 from cassandra_ros.recording.counts import TopicReport
 from cassandra_ros.recording.options import RecorderOptions
@@ -46,6 +47,7 @@ class Recorder:
         self._options = options
         self._say: Say = _log.info if say is None else say
         self._subscriptions = Subscriptions(self._received, options.tcpnodelay)
+        self._registration = Registration(self._unheard)
         self._recording: Optional[Recording] = None
         self._left: set[str] = set()
         """Topics that are recorded no more."""
@@ -72,6 +74,7 @@ class Recorder:
         if self._options.duration:
             self._ends = time.monotonic() + self._options.duration
         self._poller.start()
+        self._registration.start()
 
     def wait(self, timeout_sec: Optional[float] = None) -> bool:
         """Wait until duration or limit has ended the recording; say whether that is so."""
@@ -85,6 +88,7 @@ class Recorder:
     def close(self) -> list[TopicReport]:
         """Read what is on its way, store it, and report on each topic."""
         self._done.set()
+        self._registration.stop()
         if self._poller.is_alive():
             self._poller.join(JOIN_SEC)
         recording = self._recording
@@ -131,6 +135,11 @@ class Recorder:
         if recording is not None:
             recording.received(topic, header, wire)
 
+    def _unheard(self, topic: str, first_ns: int, last_ns: int) -> None:
+        recording = self._recording
+        if recording is not None:
+            recording.unheard(topic, first_ns, last_ns)
+
     def _subscribe(self, topic: str) -> None:
         if self._recording is not None:
             self._recording.expect(topic)
@@ -148,7 +157,7 @@ class Recorder:
         try:
             published = published_topics()
         except MASTER_ERRORS as exc:
-            _log.warning("the master does not answer; new topics are not seen: %s", exc)
+            _log.debug("new topics are not seen: %s", exc)  # the registration warns
             self._done.wait(1.0)
             return
         known = self._left.union(self._subscriptions.topics)

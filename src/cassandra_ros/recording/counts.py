@@ -49,6 +49,8 @@ class TopicReport:
     bytes: int
     """Serialised bytes received."""
     rate_hz: float
+    unheard_sec: float = 0.0
+    """How long publishers may have sent what never came here, for the master had forgotten us."""
     published: bool = True
     """Whether something came, or a publisher was connected at some time."""
 
@@ -63,6 +65,7 @@ class _Topic:
     lost: dict[str, int] = field(default_factory=dict)
     warned: float = -REPORT_SEC
     sequences: dict[str, _Sequence] = field(default_factory=dict)
+    unheard: float = 0.0
     past_gaps: int = 0
     """Gaps of publishers that are not remembered any more."""
 
@@ -121,6 +124,11 @@ class Counts:
         """List a topic from which nothing may come."""
         with self._mutex:
             self._topics[topic]  # makes its line
+
+    def unheard(self, topic: str, seconds: float) -> None:
+        """Note that publishers of a topic may have been missed for so long."""
+        with self._mutex:
+            self._topics[topic].unheard += seconds
 
     def received(self, topic: str, wire: bytes) -> None:
         """Count a message that arrived."""
@@ -187,5 +195,6 @@ def _report(name: str, counted: _Topic, stored: int, final: bool) -> TopicReport
         reasons=reasons,
         gaps=counted.past_gaps + sum(gaps) if gaps else None,
         bytes=counted.nbytes,
+        unheard_sec=counted.unheard,
         rate_hz=(counted.received - 1) / span if span > 0 else 0.0,
     )

@@ -20,11 +20,11 @@ from functools import partial
 from typing import Callable, Mapping, Optional
 
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, SchemaConflict, StoreUnavailable
-from cassandra_ros.keys import COUNTER_BITS, new_writer_id
+from cassandra_ros.keys import COUNTER_BITS, SECOND_NS, new_writer_id
 from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.recording.buffer import Buffer, Feed, Item, Source
 from cassandra_ros.recording.counts import Counts, TopicReport
-from cassandra_ros.store.registry import Run
+from cassandra_ros.store.registry import Loss, LossKind, Run
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 
@@ -102,6 +102,20 @@ class Recording:
     def expect(self, topic: str) -> None:
         """Let a topic appear in the reports even if nothing ever comes."""
         self._counts.expect(topic)
+
+    def unheard(self, topic: str, first_ns: int, last_ns: int) -> None:
+        """Note that publishers of a topic may have sent what never came here; waits for the store.
+
+        Args:
+            first_ns, last_ns: When that may have been, ns, both included.
+        """
+        self._counts.unheard(topic, (last_ns - first_ns) / SECOND_NS)
+        writer, kind = self._writers[0].writer_id, LossKind.UNHEARD
+        loss = Loss(topic, self._node, writer, kind, first_ns, last_ns, 0)
+        try:
+            self._rosCas.parts.registry.put_loss(loss)
+        except CassandraRosError as exc:
+            _log.error("a loss of topic %s could not be noted in the store: %s", topic, exc)
 
     def received(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
         """Take one serialised message that has just arrived. Never waits for the store.

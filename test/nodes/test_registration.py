@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A master that goes away and comes back as another one: nodes register again, and go on."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import time
+import xmlrpc.client
+from types import SimpleNamespace
+
+import pytest
+from nodes.children import Child, await_true, start_node, start_recorder
+from nodes.raw_publisher import RawPublisher, header_of, message
+from std_msgs.msg import String
+
+from cassandra_ros.local_server import free_port
+from cassandra_ros.store.registry import LossKind
+
+
+def text(n):
+    return message(String(str(n)))
+
+
+@pytest.fixture
+def master(ros_env):
+    """A master that can be stopped and started anew: .uri, .env, .start(), .stop()."""
+    port, running = free_port(), []
+    uri = f"http://127.0.0.1:{port}"
+    env = dict(ros_env, ROS_MASTER_URI=uri)
+
+    def answers():
+        with contextlib.suppress(OSError, xmlrpc.client.Error):
+            return xmlrpc.client.ServerProxy(uri).getPid("/test")[0] == 1
+        return False
+
+    def start():
+        running.append(Child(["rosmaster", "--core", "-p", str(port)], env))
+        await_true(answers)
+
+    def stop():
+        running.pop().end(signal.SIGKILL)
+
+    start()
+    yield SimpleNamespace(uri=uri, env=env, start=start, stop=stop)
+    while running:
+        stop()
+
+
+def listed(master, service):
+    code, _, uri = xmlrpc.client.ServerProxy(master.uri).lookupService("/test", service)
+    return code == 1 and uri
+
+
+@pytest.mark.fault
+def test_a_master_that_is_started_anew(master, cassandra, keyspace, rosCas):
+    """New publishers are heard again, services found, and what was missed is told."""
+    where = ("--host", cassandra.host, "--port", cassandra.port, "--keyspace", keyspace)
+    with start_recorder(master, cassandra, keyspace, "/a", "/b") as child, start_node(
+        master, "query_server", *where
+    ) as server:
+        child.await_line("recording 2 topics")
+        server.await_line("serving keyspace")
+        service = listed(master, "/cassandra_ros/getData")
+        old = RawPublisher(master.uri, "/a", header_of(String, "/old"), "/old")
+        other = RawPublisher(master.uri, "/b", header_of(String, "/other"), "/other")
+        old.await_subscribers().publish(text(1))
+        other.await_subscribers().publish(text(1))
+        master.stop()
+        child.await_line("the ROS master does not answer")
+        old.publish(text(2))  # what stands goes on
+        before = time.time_ns()
+        master.start()
+        new = RawPublisher(master.uri, "/a", header_of(String, "/new"), "/new")
+        new.await_subscribers().publish(text(3))
+        old.publish(text(4))
+        await_true(lambda: listed(master, "/cassandra_ros/getData") == service)
+        await_true(lambda: listed(master, "/recorder/get_loggers"))
+        child.await_line("publishers of /a that came since")
+        for one in (new, old, other):
+            one.close()
+        assert child.end() == 1, child.output
+        assert server.end() in (0, 130), server.output
+    assert sorted(row.wire for row in rosCas.getTopic("/a").rows()) == [
+        text(n) for n in (1, 2, 3, 4)
+    ]
+    assert "new publishers of /a were not heard" in child.lines[-1]
+    assert child.output.count("the ROS master does not answer") == 1
+    assert child.output.count("the ROS master does not know this node any more") == 1
+    (loss,) = rosCas.parts.registry.losses()
+    assert (loss.topic, loss.kind, loss.count) == ("/a", LossKind.UNHEARD, 0)
+    assert loss.first_ns < before < loss.last_ns
+
+
+@pytest.mark.long
+@pytest.mark.fault
+def test_a_master_that_stood_still_is_no_loss(master, cassandra, keyspace, rosCas):
+    with start_recorder(master, cassandra, keyspace, "/a") as child:
+        child.await_line("recording 1 topic")
+        one = RawPublisher(master.uri, "/a", header_of(String))
+        one.await_subscribers().publish(text(1))
+        pid = xmlrpc.client.ServerProxy(master.uri).getPid("/test")[2]
+        subprocess.run(["kill", "-STOP", str(pid)], check=True)
+        child.await_line("the ROS master does not answer")
+        one.publish(text(2))
+        subprocess.run(["kill", "-CONT", str(pid)], check=True)
+        child.await_line("the ROS master answers again")
+        one.publish(text(3))
+        one.close()
+        assert "does not know this node" not in child.output
+        assert child.end() == 0, child.output
+    assert [row.wire for row in rosCas.getTopic("/a").rows()] == [text(n) for n in (1, 2, 3)]
+    assert rosCas.parts.registry.losses() == []
