@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The clock of a replay: which stored time it is now, at which rate it goes, why it stands."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from typing import Callable, NamedTuple, Optional
+
+from cassandra_ros.errors import InvalidOption
+
+MAX_RATE = 1e6
+
+
+class _State(NamedTuple):
+    at: int
+    """Reading of the monotonic clock, ns, at which it was ``t``."""
+    t: int
+    rate: float
+    holds: frozenset[str]
+    """Why it stands; empty = it runs."""
+
+
+class Pace:
+    """Maps the monotonic clock to the time of a replay. Thread-safe; nobody waits in here.
+
+    Args:
+        t: Where it begins, ns. It stands there until its first ``release``.
+        rate: Factor of speed.
+        clock: Reads a monotonic clock, ns.
+    """
+
+    BEGIN = "begin"
+    """The hold under which it begins."""
+
+    def __init__(
+        self, t: int, rate: float = 1.0, clock: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._state = _State(clock(), t, check_rate(rate), frozenset((self.BEGIN,)))
+
+    @property
+    def rate(self) -> float:
+        """Factor of speed: 2.0 goes twice as fast as was recorded."""
+        return self._state.rate
+
+    def now(self) -> int:
+        """Return the time of the replay, ns."""
+        return self._at(self._state, self._clock())
+
+    def holds(self, reason: str) -> bool:
+        """Say whether it stands for this reason, perhaps beside others."""
+        return reason in self._state.holds
+
+    @property
+    def stands(self) -> bool:
+        """Whether it stands."""
+        return bool(self._state.holds)
+
+    def due_in(self, t: int) -> Optional[float]:
+        """Return in how many seconds it will be ``t``, at most 0 when it is; None = it stands."""
+        state, clock = self._state, self._clock()
+        if state.holds:
+            return None
+        return (state.at - clock + (t - state.t) / state.rate) / 1e9
+
+    def jump(self, t: int) -> None:
+        """Let it be ``t`` now; what stands goes on standing."""
+        with self._lock:
+            self._state = self._state._replace(at=self._clock(), t=t)
+
+    def set_rate(self, rate: float) -> None:
+        """Go on from now at another rate; InvalidOption: it is not above 0 and up to MAX_RATE."""
+        self._change(rate=check_rate(rate))
+
+    def hold(self, reason: str) -> None:
+        """Stand from now on, until every reason is released."""
+        self._change(add=reason)
+
+    def release(self, reason: str) -> None:
+        """Take a reason back; one that there is not is no mistake."""
+        self._change(remove=reason)
+
+    def _change(
+        self, rate: Optional[float] = None, add: Optional[str] = None, remove: Optional[str] = None
+    ) -> None:
+        with self._lock:
+            state, clock = self._state, self._clock()
+            holds = (state.holds | ({add} if add else set())) - ({remove} if remove else set())
+            t = self._at(state, clock)
+            self._state = _State(clock, t, state.rate if rate is None else rate, holds)
+
+    @staticmethod
+    def _at(state: _State, clock: int) -> int:
+        if state.holds:
+            return state.t
+        return state.t + int((clock - state.at) * state.rate)
+
+
+def check_rate(rate: float) -> float:
+    """Return a factor of speed, above 0 and up to MAX_RATE, or raise InvalidOption."""
+    number = isinstance(rate, (int, float)) and not isinstance(rate, bool)
+    if number and math.isfinite(rate) and 0 < rate <= MAX_RATE:
+        return float(rate)
+    raise InvalidOption(
+        f"rate={rate!r:.80} is no factor of speed: give more than 0, up to {MAX_RATE:.0f}; "
+        "1.0 is as recorded, 2.0 twice as fast"
+    )

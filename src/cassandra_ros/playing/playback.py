@@ -1,0 +1,378 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Plays a stream at its pace: one thread hands out messages, others steer it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from dataclasses import dataclass
+from typing import Callable, Collection, Iterator, Optional, Protocol, Sequence
+
+from cassandra_ros.errors import InvalidOption, MessageNotFound
+from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.playing.pace import Pace
+from cassandra_ros.playing.read_ahead import BUDGET_BYTES, ReadAhead, Skipped
+from cassandra_ros.playing.stream import Played
+from cassandra_ros.topics.selection import Stretch
+
+_log = logging.getLogger(__name__)
+
+STALL_SEC = 0.2
+"""How long what is read ahead may be empty until the clock of the replay stands."""
+SAY_SEC = 2.0
+"""And until that is said."""
+WAKE_SEC = 0.5
+COMMAND_SEC = 10.0
+"""How long a command waits for being carried out."""
+
+PAUSED, DELAYED, STALLED, ENDED, AT_ONCE = "paused", "delayed", "stalled", "ended", "at once"
+
+
+class PlayedStream(Protocol):
+    """What is played: a Stream."""
+
+    start_ns: int
+    end_ns: int
+
+    def latched(self, t: int) -> Sequence[Played]:
+        """List what is published first where playing begins at a time."""
+
+    def messages(self, t: Optional[int] = None) -> Iterator[Played]:
+        """Walk through the messages from a time on."""
+
+
+class Output(Protocol):
+    """Where the messages go. Called on the thread that plays."""
+
+    def begin(self) -> None:
+        """Forget what was latched: playing begins, or begins again elsewhere."""
+
+    def clock(self, t: int) -> None:
+        """Say the time, for the message that follows was not waited for."""
+
+    def publish(self, played: Played) -> None:
+        """Publish a message."""
+
+
+@dataclass(frozen=True)
+class PlayOptions:
+    """How a stream is played.
+
+    Attributes:
+        rate: Factor of speed.
+        immediate: Do not wait between messages.
+        paused: Begin paused.
+        loop: Begin anew at the end.
+        keep_alive: Wait at the end for what steers, or for ``stop``.
+        skip_empty_sec: Jump over stretches without a message that are longer; None = none.
+        pause_topics: Pause before each message of these topics, by their stored names or those
+            under which they go out.
+        budget_bytes: How much is read ahead.
+    """
+
+    rate: float = 1.0
+    immediate: bool = False
+    paused: bool = False
+    loop: bool = False
+    keep_alive: bool = False
+    skip_empty_sec: Optional[float] = None
+    pause_topics: Collection[str] = ()
+    budget_bytes: int = BUDGET_BYTES
+
+
+class Playback:
+    """One replay. ``run`` plays it; everything else may be called from other threads.
+
+    Args:
+        stream: What is played.
+        output: Where it goes.
+        options: How.
+        lags: Says of a time of the replay whether who consumes it lags behind, so that it waits.
+        skipped: Called with a message that cannot be read, and why; on another thread.
+    """
+
+    def __init__(
+        self,
+        stream: PlayedStream,
+        output: Output,
+        options: PlayOptions,
+        lags: Callable[[int], bool],
+        skipped: Skipped,
+    ) -> None:
+        self._stream, self._output, self._options = stream, output, options
+        self._lags, self._skipped = lags, skipped
+        self.pace = Pace(stream.start_ns, options.rate)
+        if options.immediate:
+            self.pace.hold(AT_ONCE)
+        if options.paused:
+            self.pace.hold(PAUSED)
+        self.pauses_for_topics = bool(options.pause_topics)
+        """Whether it pauses before messages of the topics that are given for that."""
+        self._changed = threading.Condition()
+        self._steps = 0
+        self._goto: Optional[int] = stream.start_ns
+        self._stopped = False
+        self._finished = False
+        self._reader: Optional[ReadAhead] = None
+        self._window: Optional[Stretch] = None
+        self._skip_ns = (
+            None if options.skip_empty_sec is None else int(options.skip_empty_sec * 1e9)
+        )
+
+    # ---------------------------------------------------------------- what steers
+
+    @property
+    def state(self) -> str:
+        """What it does: 'waiting', 'running', 'paused', 'delayed' or 'ended'."""
+        if self._finished or self.pace.holds(ENDED):
+            return ENDED
+        if self.pace.holds(PAUSED):
+            return PAUSED
+        if self.pace.holds(DELAYED) or self.pace.holds(STALLED):
+            return DELAYED
+        return "waiting" if self.pace.holds(Pace.BEGIN) else "running"
+
+    @property
+    def read_ahead_bytes(self) -> int:
+        """How many bytes are read and not yet played."""
+        return 0 if self._reader is None else self._reader.held_bytes
+
+    def pause(self) -> bool:
+        """Stand still; return whether it did not before."""
+        return self._set(PAUSED, True)
+
+    def resume(self) -> bool:
+        """Go on; return whether it stood."""
+        return self._set(PAUSED, False)
+
+    def set_rate(self, rate: float) -> None:
+        """Go on faster or slower; InvalidOption: it is no rate."""
+        with self._changed:
+            self.pace.set_rate(rate)
+            self._changed.notify_all()
+
+    def step(self, count: int) -> None:
+        """Publish the next messages while it is paused, and wait until they are.
+
+        Raises:
+            InvalidOption: It is not paused, or so many messages do not follow.
+        """
+        with self._changed:
+            if not self.pace.holds(PAUSED) or self._finished:
+                raise InvalidOption(f"only what is paused can be stepped; it is {self.state}")
+            self._steps += count
+            self._changed.notify_all()
+            self._changed.wait_for(self._has_stepped, COMMAND_SEC)
+            left, self._steps = self._steps, 0
+        if left:
+            raise InvalidOption(
+                f"{count - left} of {count} messages were published: no other follows"
+            )
+
+    def seek(self, t: int) -> int:
+        """Go on at another time, ns; return it, or the start or end where it lies outside."""
+        t = max(self._stream.start_ns, min(t, self._stream.end_ns))
+        with self._changed:
+            if self._finished:
+                raise InvalidOption("the replay has ended: keep_alive keeps it for going on")
+            self._goto, self._steps = t, 0
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: self._goto != t or self._finished, COMMAND_SEC)
+        return t
+
+    def stop(self) -> None:
+        """Let ``run`` return behind the message that is being published."""
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
+
+    def wake(self) -> None:
+        """Look again whether the consumer lags behind."""
+        with self._changed:
+            self._changed.notify_all()
+
+    def _set(self, hold: str, on: bool) -> bool:
+        with self._changed:
+            changed = self.pace.holds(hold) != on
+            (self.pace.hold if on else self.pace.release)(hold)
+            self._changed.notify_all()
+        return changed
+
+    def _has_stepped(self) -> bool:
+        return not self._steps or self._finished or self.pace.holds(ENDED)
+
+    # ---------------------------------------------------------------- what plays
+
+    def run(self) -> None:
+        """Play until the end, or until it is stopped.
+
+        Raises:
+            MessageNotFound: There is nothing to play.
+            CassandraRosError: The store does not give what is to be played.
+        """
+        try:
+            while True:
+                begun = time.monotonic()
+                if not self._pass() or not self._goes_on():
+                    return
+                if time.monotonic() < begun + 0.01:
+                    time.sleep(0.01)  # a loop of a single message
+        finally:
+            with self._changed:
+                self._finished = True
+                self._changed.notify_all()
+
+    def _pass(self) -> bool:
+        """Play from the time that is asked for until the end, a seek or a stop; False: stopped."""
+        with self._changed:
+            t = self._stream.start_ns if self._goto is None else self._goto
+            self.pace.release(ENDED)
+            self.pace.hold(Pace.BEGIN)  # until the first message is there
+            self.pace.jump(t)
+            budget = self._options.budget_bytes
+            begin = self._stream.messages
+            reader = ReadAhead(begin, t, budget, self._changed, self._skipped)
+            self._reader, self._window = reader, None
+        try:
+            first = self._stream.latched(t)
+            self._output.begin()
+            for played in first:
+                self._output.publish(played)
+            with self._changed:
+                if self._goto == t:
+                    self._goto = None
+                    self._changed.notify_all()
+            found = self._play(reader, t == self._stream.start_ns)
+            if not (found or first or self._is_broken()) and t == self._stream.start_ns:
+                raise MessageNotFound(
+                    "there is nothing to play: no message that is asked for was received from "
+                    f"{iso_time(t)} to {iso_time(self._stream.end_ns)}"
+                )
+            return not self._stopped
+        finally:
+            reader.close()
+
+    def _play(self, reader: ReadAhead, fresh: bool) -> bool:
+        """Play what a reader gives; return whether there was any."""
+        found = False
+        while True:
+            played = self._next(reader)
+            if played is None:
+                return found
+            if fresh and not found:
+                self.pace.jump(played.t)  # as rosbag: time begins with the first message
+            found = True
+            if not self._await(played):
+                return True
+            if played.window != self._window:
+                self._enter(played.window)
+            self._output.publish(played)
+            if self._steps:
+                self._count_step()
+
+    def _enter(self, window: Stretch) -> None:
+        """Begin a stretch; publish what was latched since the end of the one before."""
+        last, self._window = self._window, window
+        if last is not None:
+            for played in self._stream.latched(window.low):
+                if played.t > last.high:
+                    self._output.publish(played)
+
+    def _count_step(self) -> None:
+        with self._changed:
+            if self._steps and self.pace.holds(PAUSED):
+                self._steps -= 1
+                self._changed.notify_all()
+
+    def _goes_on(self) -> bool:
+        """Say, at the end of a pass, whether there is another; wait for one that is asked for."""
+        with self._changed:
+            if self._goto is not None or self._stopped:
+                return not self._stopped
+            if self._options.loop:
+                self._changed.notify_all()
+                return True
+            if not self._options.keep_alive:
+                return False
+            self.pace.hold(ENDED)
+            self._changed.notify_all()
+            self._changed.wait_for(self._is_broken)
+            return not self._stopped
+
+    def _is_broken(self) -> bool:
+        """Say whether something else than the next message is asked for."""
+        return self._stopped or self._goto is not None
+
+    def _next(self, reader: ReadAhead) -> Optional[Played]:
+        """Return the next message, None at the end, or when something else is asked for."""
+        since = time.monotonic()
+        said = False
+        with self._changed:
+            while not self._is_broken() and not reader.await_next(STALL_SEC):
+                waited = time.monotonic() - since
+                if waited >= STALL_SEC:
+                    self.pace.hold(STALLED)
+                if waited >= SAY_SEC and not said:
+                    said = True
+                    _log.warning(
+                        "the store has given no message for %.0f s; the replay stands until it does",
+                        SAY_SEC,
+                    )
+            if said:
+                _log.warning("the replay stood for %.1f s", time.monotonic() - since)
+            self.pace.release(STALLED)
+            if self._is_broken():
+                return None
+            self.pace.release(Pace.BEGIN)
+            return reader.take()
+
+    def _await(self, played: Played) -> bool:
+        """Wait until a message may go out; False: something else is asked for."""
+        due, pauses = False, self._pauses(played)
+        with self._changed:
+            while not self._is_broken():
+                if self.pace.holds(PAUSED):
+                    if self._steps:
+                        self._jump(played.t)
+                        return True
+                    self._changed.wait(WAKE_SEC)
+                elif not due:
+                    due = self._await_time(played)
+                elif pauses and self.pauses_for_topics:
+                    pauses = False
+                    self.pace.hold(PAUSED)
+                elif self._lags(played.t):
+                    self.pace.hold(DELAYED)
+                    self._changed.wait(WAKE_SEC)
+                else:
+                    self.pace.release(DELAYED)
+                    return True
+            self.pace.release(DELAYED)
+        return False
+
+    def _await_time(self, played: Played) -> bool:
+        """Wait until it is a message's time, or until something changes; say whether it is."""
+        t, window, now = played.t, played.window, self.pace.now()
+        if self._options.immediate:
+            self._jump(t)
+            return True
+        if self._window not in (None, window) and now < window.low:
+            self.pace.jump(window.low)
+        elif self._skip_ns is not None and t - now > self._skip_ns:
+            self._jump(t)
+            return True
+        left = self.pace.due_in(t)
+        if left is not None and left <= 0:
+            return True
+        self._changed.wait(WAKE_SEC if left is None else min(left, WAKE_SEC))
+        return False
+
+    def _jump(self, t: int) -> None:
+        self.pace.jump(t)
+        self._output.clock(t)
+
+    def _pauses(self, played: Played) -> bool:
+        topics = self._options.pause_topics
+        return bool(topics) and (played.topic in topics or played.row.topic in topics)
