@@ -7,13 +7,13 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from dataclasses import dataclass
-from typing import Callable, Collection, Iterator, Optional, Protocol, Sequence
+from typing import Callable, Iterator, Optional, Protocol, Sequence
 
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.playing.options import PlayerOptions
 from cassandra_ros.playing.pace import Pace
-from cassandra_ros.playing.read_ahead import BUDGET_BYTES, ReadAhead, Skipped
+from cassandra_ros.playing.read_ahead import ReadAhead, Skipped
 from cassandra_ros.playing.stream import Played
 from cassandra_ros.topics.selection import Stretch
 
@@ -46,40 +46,14 @@ class PlayedStream(Protocol):
 class Output(Protocol):
     """Where the messages go. Called on the thread that plays."""
 
-    def begin(self) -> None:
-        """Forget what was latched: playing begins, or begins again elsewhere."""
+    def begin(self, t: int) -> None:
+        """Forget what was latched: playing begins at a time, or begins again there."""
 
     def clock(self, t: int) -> None:
         """Say the time, for the message that follows was not waited for."""
 
     def publish(self, played: Played) -> None:
         """Publish a message."""
-
-
-@dataclass(frozen=True)
-class PlayOptions:
-    """How a stream is played.
-
-    Attributes:
-        rate: Factor of speed.
-        immediate: Do not wait between messages.
-        paused: Begin paused.
-        loop: Begin anew at the end.
-        keep_alive: Wait at the end for what steers, or for ``stop``.
-        skip_empty_sec: Jump over stretches without a message that are longer; None = none.
-        pause_topics: Pause before each message of these topics, by their stored names or those
-            under which they go out.
-        budget_bytes: How much is read ahead.
-    """
-
-    rate: float = 1.0
-    immediate: bool = False
-    paused: bool = False
-    loop: bool = False
-    keep_alive: bool = False
-    skip_empty_sec: Optional[float] = None
-    pause_topics: Collection[str] = ()
-    budget_bytes: int = BUDGET_BYTES
 
 
 class Playback:
@@ -97,7 +71,7 @@ class Playback:
         self,
         stream: PlayedStream,
         output: Output,
-        options: PlayOptions,
+        options: PlayerOptions,
         lags: Callable[[int], bool],
         skipped: Skipped,
     ) -> None:
@@ -118,7 +92,7 @@ class Playback:
         self._reader: Optional[ReadAhead] = None
         self._window: Optional[Stretch] = None
         self._skip_ns = (
-            None if options.skip_empty_sec is None else int(options.skip_empty_sec * 1e9)
+            None if options.skip_empty is None else int(options.skip_empty * 1e9)
         )
 
     # ---------------------------------------------------------------- what steers
@@ -231,13 +205,13 @@ class Playback:
             self.pace.release(ENDED)
             self.pace.hold(Pace.BEGIN)  # until the first message is there
             self.pace.jump(t)
-            budget = self._options.budget_bytes
+            budget = self._options.read_ahead
             begin = self._stream.messages
             reader = ReadAhead(begin, t, budget, self._changed, self._skipped)
             self._reader, self._window = reader, None
         try:
             first = self._stream.latched(t)
-            self._output.begin()
+            self._output.begin(t)
             for played in first:
                 self._output.publish(played)
             with self._changed:

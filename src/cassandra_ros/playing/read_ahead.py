@@ -21,7 +21,7 @@ from cassandra_ros.playing.stream import Played
 
 _log = logging.getLogger(__name__)
 
-BUDGET_BYTES = 64 * 1024 * 1024
+
 ITEM_BYTES = 500
 """What a message takes besides its bytes."""
 RETRY_SEC = 1.0

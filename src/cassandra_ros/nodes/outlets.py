@@ -1,0 +1,192 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The topics of a replay and its /clock: where played messages go out."""
+
+from __future__ import annotations
+
+import logging
+import struct
+import threading
+import time
+from collections import Counter
+from typing import Callable, Hashable, NamedTuple, Optional, Sequence
+
+import rospy
+from rosgraph_msgs.msg import Clock
+
+from cassandra_ros.errors import CassandraRosError, CorruptMessage, TypeMismatch
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.nodes.publishing import AnyPublication, MessageKind, advertise
+from cassandra_ros.playing.pace import Pace
+from cassandra_ros.playing.stream import Channel, Played
+
+_log = logging.getLogger(__name__)
+
+CLOCK = "/clock"
+STALLED_SEC = 1.0
+"""A subscriber that takes nothing for so long is not waited for any more."""
+
+_stamp = struct.Struct("<II").pack
+
+
+class PlayedTopic(NamedTuple):
+    """What was published on a topic."""
+
+    topic: str
+    """Name under which it goes out."""
+    type: str
+    latched: bool
+    subscribers: int
+    """How many there are now."""
+    published: int
+    missed: int
+    """By slow subscribers, the sum over all of them."""
+    left_out: int
+    """Of another type than the topic, or not readable."""
+
+
+class Outlets:
+    """Publishes what is played.
+
+    Args:
+        channels: What is advertised.
+        queue: How many messages may wait for each subscriber; 0 = any number.
+        waits: Wait for subscribers whose queue is full, instead of dropping the oldest message.
+        clock: Whether /clock is published; what was stored of it is left out then.
+    """
+
+    def __init__(self, channels: Sequence[Channel], queue: int, waits: bool, clock: bool) -> None:
+        self._waits = waits
+        self._stopping = threading.Event()
+        self._publications: dict[str, AnyPublication] = {}
+        self._left_out: Counter[str] = Counter()
+        self._said: set[Hashable] = set()
+        self._ways: dict[Hashable, tuple[Optional[AnyPublication], Optional[Hashable]]] = {}
+        self._clock: Optional[AnyPublication] = None
+        self._clock_lock = threading.Lock()
+        if clock:
+            kind = MessageKind.of(Clock._type, Clock._md5sum, Clock._full_text)
+            self._clock = advertise(CLOCK, kind, latched=False, queue_size=1)
+        latched = {channel.topic for channel in channels if channel.latched}
+        for channel in channels:
+            self._advertise(channel, channel.topic in latched, queue)
+
+    def _advertise(self, channel: Channel, latched: bool, queue: int) -> None:
+        topic = channel.topic
+        if self._clock is not None and rospy.resolve_name(topic) == self._clock.topic:
+            self._say(topic, "%s is not played as stored: --clock publishes it", topic)
+            return
+        kind = MessageKind.of(channel.type, channel.md5sum, channel.definition)
+        known = self._publications.get(topic)
+        if known is not None:
+            if known.kind._md5sum != channel.md5sum:
+                self._say(
+                    (topic, kind),
+                    "topic %s was stored with several types; only %s is played, %s is left out",
+                    *(topic, known.kind._type, channel.type),
+                )
+            return
+        try:
+            self._publications[topic] = advertise(topic, kind, latched, queue)
+        except (TypeMismatch, ValueError) as exc:  # rospy: a name that ROS does not allow
+            self._say(topic, "topic %s is not played: %s", topic, exc)
+            return
+        if not channel.definition:
+            _log.warning("topic %s is played without its definition: none is stored", topic)
+
+    def _say(self, key: Hashable, text: str, *values: object) -> None:
+        """Warn once."""
+        if key not in self._said:
+            self._said.add(key)
+            _log.warning(text, *values)
+
+    def begin(self, t: int) -> None:
+        """Forget what was latched."""
+        for publication in self._publications.values():
+            publication.forget_latched()
+
+    def publish(self, played: Played) -> None:
+        """Publish a message, on its topic as it was advertised."""
+        row = played.row
+        key = (played.topic, row.table.name, row.conn, row.node)
+        way = self._ways.get(key)
+        if way is None:
+            way = self._ways[key] = self._way(played, key)
+        publication, source = way
+        if publication is None:
+            self._left_out[played.topic] += 1
+            return
+        publication.publish_wire(row.wire, source)
+        if self._waits:
+            publication.await_room(self._stopping.is_set, STALLED_SEC)
+
+    def _way(
+        self, played: Played, key: Hashable
+    ) -> tuple[Optional[AnyPublication], Optional[Hashable]]:
+        """Find where the messages of a connection go, and by whom they are latched."""
+        publication, row = self._publications.get(played.topic), played.row
+        if publication is None or publication.kind._md5sum != row.md5sum:
+            return None, None
+        try:
+            return publication, key if row.connection.latching else None
+        except CorruptMessage as exc:
+            _log.warning("messages of topic %s are not latched again: %s", played.topic, exc)
+            return publication, None
+
+    def skipped(self, played: Played, error: CassandraRosError) -> None:
+        """Count a message that cannot be read."""
+        self._left_out[played.topic] += 1
+        self._say((played.topic, "unreadable"), "a message is left out: %s", error)
+
+    def clock(self, t: int) -> None:
+        """Say the time before a message that was not waited for."""
+        if self._clock is not None:
+            with self._clock_lock:
+                self._clock.publish_wire(_stamp(*divmod(t, SECOND_NS)))
+
+    def run_clock(self, pace: Pace, hz: float, ended: Callable[[], bool]) -> None:
+        """Publish the time until the replay has ended."""
+        following = time.monotonic()
+        while self._clock is not None and not ended():
+            with self._clock_lock:  # time must not go backwards beside ``clock``
+                self._clock.publish_wire(_stamp(*divmod(pace.now(), SECOND_NS)))
+            following = max(following + 1 / hz, time.monotonic())
+            self._stopping.wait(following - time.monotonic())
+
+    def without_subscriber(self) -> list[str]:
+        """List the topics that nobody listens to."""
+        return sorted(topic for topic, p in self._publications.items() if not p.subscribers)
+
+    def topics(self) -> list[PlayedTopic]:
+        """Say what was published, by topic."""
+        found = [
+            PlayedTopic(
+                p.topic,
+                p.kind._type,
+                p.is_latch,
+                p.subscribers,
+                p.published,
+                p.missed,
+                self._left_out[topic],
+            )
+            for topic, p in self._publications.items()
+        ]
+        found += [
+            PlayedTopic(topic, "", False, 0, 0, 0, count)
+            for topic, count in list(self._left_out.items())
+            if topic not in self._publications
+        ]
+        return sorted(found)
+
+    def stop(self) -> None:
+        """Wait for no subscriber any more while it is published."""
+        self._stopping.set()
+
+    def close(self, stop: Callable[[], bool]) -> None:
+        """Let subscribers take what waits for them, then leave the topics."""
+        for publication in self._publications.values():
+            publication.drain(stop, STALLED_SEC)
+        self._stopping.set()
+        clock = [] if self._clock is None else [self._clock]
+        for publication in [*self._publications.values(), *clock]:
+            publication.unregister()

@@ -1,0 +1,274 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Class Player: plays what is stored, in a process that is a node already."""
+
+from __future__ import annotations
+
+import logging
+import struct
+import threading
+import time
+from dataclasses import dataclass
+from typing import Mapping, Optional
+
+import rospy
+
+from cassandra_ros.errors import CassandraRosError, InvalidOption
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.nodes.outlets import Outlets, PlayedTopic
+from cassandra_ros.nodes.subscription import subscribe
+from cassandra_ros.playing.options import PlayerOptions
+from cassandra_ros.playing.playback import ENDED, Playback
+from cassandra_ros.playing.selection import PlaySelection
+from cassandra_ros.playing.stream import Played, Stream
+from cassandra_ros.playing.times import PlayTime, read_when
+from cassandra_ros.recording.buffer import starts_with_header
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+_log = logging.getLogger(__name__)
+
+SAY_SEC = 5.0
+"""How often it is said which topics are waited for."""
+_SEQ_AND_STAMP = struct.Struct("<III")
+
+
+@dataclass(frozen=True)
+class PlayerState:
+    """What a player does now. Times in ns of the replay."""
+
+    state: str
+    """'waiting', 'running', 'paused', 'delayed' or 'ended'."""
+    time: int
+    start: int
+    end: int
+    rate: float
+    read_ahead: int
+    """Bytes that are read and not yet played."""
+    topics: list[PlayedTopic]
+
+
+class Player:
+    """Plays what is stored on the topics from which it came, as the stored bytes.
+
+    The process is a node already: call rospy.init_node first. Its remappings hold. Signals and the
+    node's end are yours; ``stop`` ends a player.
+
+    Args:
+        rosCas: Where it is stored. Stays yours: close it after the player.
+        selection: What is played; default everything.
+        options: How.
+
+    Raises:
+        TopicNotFound, RunNotFound, MessageNotFound: There is nothing of what is selected.
+        InvalidOption, InvalidName, InvalidQuery: The selection makes no sense.
+    """
+
+    def __init__(
+        self,
+        rosCas: RosCassandra,
+        selection: Optional[PlaySelection] = None,
+        options: Optional[PlayerOptions] = None,
+    ) -> None:
+        self._options = options = options or PlayerOptions()
+        self._stream = Stream(rosCas, selection or PlaySelection())
+        self._outlets: Optional[Outlets] = None
+        self._control: Optional[rospy.Subscriber] = None
+        self._control_ns = self._stream.start_ns
+        self._playback = Playback(self._stream, self, options, self._lags, self._skipped)
+        self._stopping = threading.Event()
+        self._abandoned = threading.Event()
+        self._done = threading.Event()
+        self._error: Optional[Exception] = None
+
+    @property
+    def stream(self) -> Stream:
+        """What is played."""
+        return self._stream
+
+    def start(self) -> None:
+        """Advertise the topics and begin to play, on a thread of its own."""
+        if self._outlets is not None:
+            raise InvalidOption("this player was started already: make another one")
+        options = self._options
+        channels = self._stream.channels()
+        clock = options.clock_hz > 0
+        self._outlets = Outlets(channels, options.queue, options.immediate, clock)
+        if options.rate_control_topic:
+            topic = rospy.resolve_name(options.rate_control_topic)
+            self._control = subscribe(topic, self._take_control)
+        threading.Thread(target=self._run, daemon=True, name="player").start()
+
+    def pause(self) -> bool:
+        """Stand still; return whether it did not before."""
+        return self._playback.pause()
+
+    def resume(self) -> bool:
+        """Go on; return whether it stood."""
+        return self._playback.resume()
+
+    def step(self, count: int = 1) -> int:
+        """Publish the next messages of a paused player; return the time of the last one, ns.
+
+        Raises:
+            InvalidOption: It is not paused, or not so many messages follow.
+        """
+        self._playback.step(count)
+        return self._playback.pace.now()
+
+    def seek(self, time: PlayTime) -> int:
+        """Go on at another time; the last latched messages before it are published first.
+
+        Args:
+            time: As PlaySelection takes it: below 10**9 seconds from the start of the replay, else
+                a time of the calendar. One outside of the replay means its start or end.
+
+        Returns:
+            Where it goes on, ns.
+
+        Raises:
+            InvalidOption: It is no time, or the player has ended.
+        """
+        when = read_when("time", time)
+        if when is None:
+            raise InvalidOption("seek needs a time; 0.0 is the start")
+        return self._playback.seek(when.ns + self._stream.start_ns if when.relative else when.ns)
+
+    def setRate(self, rate: float) -> None:
+        """Play faster or slower from now on; InvalidOption: the rate is not above 0."""
+        self._playback.set_rate(rate)
+
+    def togglePauseTopics(self) -> bool:
+        """Pause before messages of the pause topics, or do no more; return whether it does."""
+        self._playback.pauses_for_topics = not self._playback.pauses_for_topics
+        return self._playback.pauses_for_topics
+
+    def stop(self, abandon: bool = False) -> None:
+        """End playing; what was published reaches the subscribers, unless it is abandoned."""
+        self._stopping.set()
+        if abandon:
+            self._abandoned.set()
+        if self._outlets is not None:
+            self._outlets.stop()
+        self._playback.stop()
+
+    def wait(self, timeout_sec: Optional[float] = None) -> bool:
+        """Wait until the player has ended; return whether it has.
+
+        Raises:
+            CassandraRosError: What ended it before its time.
+        """
+        ended = self._done.wait(timeout_sec)
+        if ended and self._error is not None:
+            raise self._error
+        return ended
+
+    def status(self) -> PlayerState:
+        """Say what it does now."""
+        playback, stream = self._playback, self._stream
+        return PlayerState(
+            ENDED if self._done.is_set() else playback.state,
+            playback.pace.now(),
+            stream.start_ns,
+            stream.end_ns,
+            playback.pace.rate,
+            playback.read_ahead_bytes,
+            [] if self._outlets is None else self._outlets.topics(),
+        )
+
+    def __enter__(self) -> Player:
+        self.start()
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.stop()
+        self._done.wait()
+
+    # ---------------------------------------------------------------- the thread that plays
+
+    def _run(self) -> None:
+        outlets = self._outlets
+        assert outlets is not None
+        try:
+            if self._stopping.wait(self._options.delay) or not self._await_subscribers(outlets):
+                return
+            if self._options.clock_hz > 0:
+                ticks = (self._playback.pace, self._options.clock_hz, self._done.is_set)
+                threading.Thread(target=outlets.run_clock, args=ticks, daemon=True).start()
+            self._playback.run()
+        except Exception as exc:  # raised by wait
+            self._error = exc
+        finally:
+            self._close(outlets)
+
+    def _close(self, outlets: Outlets) -> None:
+        try:
+            if self._control is not None:
+                self._control.unregister()
+            outlets.close(self._abandoned.is_set)
+            for topic in outlets.topics():
+                if topic.missed:
+                    _log.warning(
+                        "subscribers of %s missed %d messages: they were slower than the playing; "
+                        "--queue N lets more wait, a lower --rate gives them time",
+                        *(topic.topic, topic.missed),
+                    )
+                if topic.left_out:
+                    _log.warning(
+                        "%d messages of %s were left out: they are of another type, or not readable",
+                        *(topic.left_out, topic.topic),
+                    )
+        finally:
+            self._done.set()
+
+    def _await_subscribers(self, outlets: Outlets) -> bool:
+        """Wait where that is asked for; False: it was stopped."""
+        following = time.monotonic() + SAY_SEC
+        while self._options.wait_for_subscribers and not self._stopping.is_set():
+            missing = outlets.without_subscriber()
+            if not missing:
+                break
+            if time.monotonic() >= following:
+                following += SAY_SEC
+                _log.info("waiting for subscribers of %s", ", ".join(missing))
+            self._stopping.wait(0.05)
+        return not self._stopping.is_set()
+
+    def begin(self, t: int) -> None:
+        """Begin at a time; for the playback."""
+        self._control_ns = t
+        if self._outlets is not None:
+            self._outlets.begin(t)
+
+    def clock(self, t: int) -> None:
+        """Say the time; for the playback."""
+        if self._outlets is not None:
+            self._outlets.clock(t)
+
+    def publish(self, played: Played) -> None:
+        """Publish a message; for the playback."""
+        if self._outlets is not None:
+            self._outlets.publish(played)
+
+    def _skipped(self, played: Played, error: CassandraRosError) -> None:
+        if self._outlets is not None:
+            self._outlets.skipped(played, error)
+
+    # ---------------------------------------------------------------- who consumes
+
+    def _lags(self, t: int) -> bool:
+        if self._control is None:
+            return False
+        return t - self._control_ns > self._options.rate_control_max_delay * SECOND_NS
+
+    def _take_control(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
+        definition = header.get("message_definition", "")
+        if not starts_with_header(definition) or len(wire) < _SEQ_AND_STAMP.size:
+            _log.warning(
+                "the rate control topic %s has no Header as its first field: it controls nothing",
+                topic,
+            )
+            self._control_ns = 2**63
+            return
+        _, secs, nsecs = _SEQ_AND_STAMP.unpack_from(wire)
+        self._control_ns = secs * SECOND_NS + nsecs
+        self._playback.wake()
