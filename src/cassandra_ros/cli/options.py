@@ -148,7 +148,7 @@ def _time_ns(option: str, text: str | None) -> int | None:
         ) from exc
 
 
-def add_where_option(parser: argparse.ArgumentParser) -> None:
+def add_where_option(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
     """Add --where; read_where reads it."""
     parser.add_argument(
         "--where",
@@ -183,7 +183,8 @@ def strip_remappings(argv: Sequence[str] | None) -> list[str]:
     """Drop what rosrun and roslaunch add: ``__name:=x``, ``_param:=y``, ``from:=to``.
 
     Like rospy.myargv without rospy, but a word that is more than names, as a statement with a text
-    in it, stays. So does what follows --map, topics of a bag, and --where, a condition.
+    in it, stays. So does what follows --map, topics of a bag, and --where and --around,
+    conditions.
 
     Args:
         argv: Arguments without the program's name; None = those of the process.
@@ -192,5 +193,5 @@ def strip_remappings(argv: Sequence[str] | None) -> list[str]:
     return [
         word
         for previous, word in zip(["", *words], words)
-        if not _REMAPPING.match(word) or previous in ("--map", "--where")
+        if not _REMAPPING.match(word) or previous in ("--map", "--where", "--around")
     ]

@@ -9,7 +9,6 @@ The exit status is 1 when messages were lost, or nobody published a topic that w
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from dataclasses import fields
 from typing import TYPE_CHECKING, Sequence
@@ -22,6 +21,7 @@ from cassandra_ros.cli.options import (
     program_parser,
     strip_remappings,
 )
+from cassandra_ros.cli.readers import duration, megabytes, regular_expression, whole_number
 from cassandra_ros.cli.text import format_bytes, format_table, shown
 from cassandra_ros.errors import InvalidName, UnknownFormat
 from cassandra_ros.formats.table import format_class
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from cassandra_ros.recording.options import RecorderOptions
 
 PROGRAM = "recorder"
-
-_UNITS = {"": 1, "s": 1, "m": 60, "h": 3600}
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -60,35 +58,6 @@ def make_parser() -> argparse.ArgumentParser:
     add("--tcpnodelay", action="store_true", help=text)
     add_store_options(parser)
     return parser
-
-
-def regular_expression(text: str) -> str:
-    """Check a regular expression, for argparse."""
-    try:
-        re.compile(text)
-    except re.error as exc:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a regular expression: {exc}") from exc
-    return text
-
-
-def duration(text: str) -> float:
-    """Read a duration as rosbag does, in seconds: 30, 90s, 1.5m, 2h."""
-    match = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)([smh]?)", text)
-    if match is None or not float(match[1]):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a duration, like 30, 5m or 2h")
-    return float(match[1]) * _UNITS[match[2]]
-
-
-def whole_number(text: str) -> int:
-    """Read a number of 0 or more, for argparse."""
-    if not (text.isascii() and text.isdigit() and len(text) < 10):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 0 or more")
-    return int(text)
-
-
-def megabytes(text: str) -> int:
-    """Read a number of MB as bytes, for argparse."""
-    return whole_number(text) << 20
 
 
 def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> RecorderOptions:

@@ -69,7 +69,8 @@ class Player:
         selection: Optional[PlaySelection] = None,
         options: Optional[PlayerOptions] = None,
     ) -> None:
-        self._options = options = options or PlayerOptions()
+        self.options = options = options or PlayerOptions()
+        """How it is played."""
         self._stream = Stream(rosCas, selection or PlaySelection())
         self._outlets: Optional[Outlets] = None
         self._control: Optional[rospy.Subscriber] = None
@@ -89,14 +90,14 @@ class Player:
         """Advertise the topics and begin to play, on a thread of its own."""
         if self._outlets is not None:
             raise InvalidOption("this player was started already: make another one")
-        options = self._options
+        options = self.options
         channels = self._stream.channels()
         clock = options.clock_hz > 0
-        self._outlets = Outlets(channels, options.queue, options.immediate, clock)
+        outlets = self._outlets = Outlets(channels, options.queue, options.immediate, clock)
         if options.rate_control_topic:
             topic = rospy.resolve_name(options.rate_control_topic)
             self._control = subscribe(topic, self._take_control)
-        threading.Thread(target=self._run, daemon=True, name="player").start()
+        threading.Thread(target=self._run, args=(outlets,), daemon=True, name="player").start()
 
     def pause(self) -> bool:
         """Stand still; return whether it did not before."""
@@ -185,17 +186,15 @@ class Player:
 
     # ---------------------------------------------------------------- the thread that plays
 
-    def _run(self) -> None:
-        outlets = self._outlets
-        assert outlets is not None
+    def _run(self, outlets: Outlets) -> None:
         try:
-            if self._stopping.wait(self._options.delay) or not self._await_subscribers(outlets):
+            if self._stopping.wait(self.options.delay) or not self._await_subscribers(outlets):
                 return
-            if self._options.clock_hz > 0:
-                ticks = (self._playback.pace, self._options.clock_hz, self._done.is_set)
+            if self.options.clock_hz > 0:
+                ticks = (self._playback.pace, self.options.clock_hz, self._done.is_set)
                 threading.Thread(target=outlets.run_clock, args=ticks, daemon=True).start()
             self._playback.run()
-        except Exception as exc:  # raised by wait
+        except Exception as exc:  # noqa: BLE001 - raised by wait
             self._error = exc
         finally:
             self._close(outlets)
@@ -214,7 +213,7 @@ class Player:
                     )
                 if topic.left_out:
                     _log.warning(
-                        "%d messages of %s were left out: they are of another type, or not readable",
+                        "%d messages of %s were left out: of another type, or not readable",
                         *(topic.left_out, topic.topic),
                     )
         finally:
@@ -223,7 +222,7 @@ class Player:
     def _await_subscribers(self, outlets: Outlets) -> bool:
         """Wait where that is asked for; False: it was stopped."""
         following = time.monotonic() + SAY_SEC
-        while self._options.wait_for_subscribers and not self._stopping.is_set():
+        while self.options.wait_for_subscribers and not self._stopping.is_set():
             missing = outlets.without_subscriber()
             if not missing:
                 break
@@ -258,7 +257,7 @@ class Player:
     def _lags(self, t: int) -> bool:
         if self._control is None:
             return False
-        return t - self._control_ns > self._options.rate_control_max_delay * SECOND_NS
+        return t - self._control_ns > self.options.rate_control_max_delay * SECOND_NS
 
     def _take_control(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
         definition = header.get("message_definition", "")

@@ -260,7 +260,7 @@ class Publication(_PublisherImpl):
     @property
     def missed(self) -> int:
         """How many messages slow subscribers missed, in all."""
-        return self._missed + sum(link.missed for link in list(self.connections))
+        return self._missed + sum(int(link.missed) for link in list(self.connections))
 
     def await_room(self, stop: Callable[[], bool], stalled_sec: float) -> None:
         """Wait until no subscriber's queue is full; not for one that takes nothing for a while."""

@@ -91,9 +91,7 @@ class Playback:
         self._finished = False
         self._reader: Optional[ReadAhead] = None
         self._window: Optional[Stretch] = None
-        self._skip_ns = (
-            None if options.skip_empty is None else int(options.skip_empty * 1e9)
-        )
+        self._skip_ns = None if options.skip_empty is None else int(options.skip_empty * 1e9)
 
     # ---------------------------------------------------------------- what steers
 
@@ -291,7 +289,7 @@ class Playback:
                 if waited >= SAY_SEC and not said:
                     said = True
                     _log.warning(
-                        "the store has given no message for %.0f s; the replay stands until it does",
+                        "the store has given no message for %.0f s: the replay stands",
                         SAY_SEC,
                     )
             if said:

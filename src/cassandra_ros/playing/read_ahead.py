@@ -73,7 +73,7 @@ class ReadAhead:
         return self._held
 
     def await_next(self, timeout_sec: float) -> bool:
-        """Wait, holding the lock of ``changed``, for ``take``; False: it was woken or has waited."""
+        """Wait, under the lock of ``changed``, for ``take``; False: it was woken, or waited."""
         if not (self._items or self._ended):
             self._wanted = True
             self._changed.wait(timeout_sec)
@@ -106,7 +106,7 @@ class ReadAhead:
         error: Optional[BaseException] = None
         try:
             self._read(t)
-        except BaseException as exc:  # handed on to who takes
+        except BaseException as exc:  # noqa: BLE001 - raised by who takes
             error = exc
         with self._changed:
             self._error, self._ended = error, True

@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Keys that are pressed on a terminal, one by one."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import termios
+from typing import Any, Optional
+
+
+class Keyboard:
+    """Reads keys as they are pressed, where standard input is a terminal and we own it.
+
+    A context manager: the terminal is afterwards as it was.
+    """
+
+    def __init__(self) -> None:
+        self._fd = -1
+        self._before: Optional[list[Any]] = None
+
+    @property
+    def is_there(self) -> bool:
+        """Whether keys can be read."""
+        return self._before is not None
+
+    def __enter__(self) -> Keyboard:
+        try:
+            self._fd = sys.stdin.fileno()
+            # In the background a change of the terminal would stop us.
+            if os.isatty(self._fd) and os.tcgetpgrp(self._fd) == os.getpgrp():
+                self._before = termios.tcgetattr(self._fd)
+                wanted = termios.tcgetattr(self._fd)
+                wanted[3] &= ~(termios.ICANON | termios.ECHO)
+                wanted[6][termios.VMIN], wanted[6][termios.VTIME] = 0, 0
+                termios.tcsetattr(self._fd, termios.TCSANOW, wanted)
+        except (OSError, ValueError, AttributeError, termios.error):
+            self._before = None  # no standard input, or none that can be changed
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        if self._before is not None:
+            before, self._before = self._before, None
+            try:
+                termios.tcsetattr(self._fd, termios.TCSANOW, before)
+            except termios.error:
+                pass  # the terminal is gone
+
+    def pressed(self) -> str:
+        """Return the keys that were pressed since it was last asked."""
+        if self._before is None or not select.select([self._fd], [], [], 0)[0]:
+            return ""
+        try:
+            return os.read(self._fd, 64).decode("utf-8", "replace")
+        except OSError:
+            self._before = None  # the terminal is gone
+            return ""

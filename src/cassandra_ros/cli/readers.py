@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What recorder and player read from their command lines: durations, numbers, expressions."""
+
+from __future__ import annotations
+
+import argparse
+import re
+
+_UNITS = {"": 1, "s": 1, "m": 60, "h": 3600}
+
+
+def regular_expression(text: str) -> str:
+    """Check a regular expression, for argparse."""
+    try:
+        re.compile(text)
+    except re.error as exc:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a regular expression: {exc}") from exc
+    return text
+
+
+def duration(text: str) -> float:
+    """Read a duration as rosbag does, in seconds: 30, 90s, 1.5m, 2h."""
+    match = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)([smh]?)", text)
+    if match is None or not float(match[1]):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a duration, like 30, 5m or 2h")
+    return float(match[1]) * _UNITS[match[2]]
+
+
+def whole_number(text: str) -> int:
+    """Read a number of 0 or more, for argparse."""
+    if not (text.isascii() and text.isdigit() and len(text) < 10):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 0 or more")
+    return int(text)
+
+
+def megabytes(text: str) -> int:
+    """Read a number of MB as bytes, for argparse."""
+    return whole_number(text) << 20
+
+
+def seconds(text: str) -> float:
+    """Read seconds of 0 or more, for argparse; as rosbag does, or with m or h."""
+    try:
+        return 0.0 if text.strip("0") in ("", ".") and text != "." else duration(text)
+    except argparse.ArgumentTypeError:
+        known = f"{text!r} is no number of seconds: give 0 or more, like 0.2 or 5m"
+        raise argparse.ArgumentTypeError(known) from None
+
+
+def factor(text: str) -> float:
+    """Read a number above 0, for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
+    return value

@@ -1,0 +1,228 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Node player: its name, its services, its signals; class Player does the work."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+from types import FrameType
+from typing import Callable, Optional, Sequence
+
+import rospy
+from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger, TriggerResponse
+
+from cassandra_ros.errors import CassandraRosError
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.msg import PlayedTopic
+from cassandra_ros.nodes.node import REMAP, forward_logging, own_name
+from cassandra_ros.nodes.player import Player, PlayerState
+from cassandra_ros.nodes.registering import MasterWatch
+from cassandra_ros.playing.options import PlayerOptions
+from cassandra_ros.playing.selection import PlaySelection
+from cassandra_ros.srv import (
+    PlayerStatus,
+    PlayerStatusRequest,
+    PlayerStatusResponse,
+    Seek,
+    SeekRequest,
+    SeekResponse,
+    SetRate,
+    SetRateRequest,
+    SetRateResponse,
+    Step,
+    StepRequest,
+    StepResponse,
+)
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+_log = logging.getLogger(__name__)
+
+POLL_SEC = 0.05
+SWITCH_SEC = 0.0005
+"""How long the thread that reads ahead may keep the one that publishes waiting."""
+
+Say = Callable[[str], None]
+Show = Callable[[PlayerState], None]
+Keys = Callable[[], str]
+
+
+def play(
+    ros_cas: RosCassandra,
+    selection: PlaySelection,
+    options: PlayerOptions,
+    argv: Sequence[str],
+    say: Say,
+    show: Show,
+    keys: Keys,
+) -> PlayerState:
+    """Play until the end, a signal or the master ends it; say what was played.
+
+    Args:
+        ros_cas: Where it is stored.
+        selection, options: What is played, and how.
+        argv: The command line, with remappings.
+        say: Shows a line.
+        show: Shows what the player does now; called many times a second.
+        keys: Returns the keys that were pressed since.
+    """
+    signals: list[int] = []
+
+    def signalled(number: int, frame: Optional[FrameType]) -> None:
+        signals.append(number)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signalled)
+    player = Player(ros_cas, selection, options)  # before there is a node: it may make no sense
+    sys.setswitchinterval(SWITCH_SEC)
+    if not _start_node(argv, signals):
+        return player.status()
+    watch = MasterWatch()
+    try:
+        Services(player).advertise()
+        say(f"services under {rospy.get_name()}")
+        player.start()
+        _say_what(player, say)
+        stopped = 0
+        while not player.wait(POLL_SEC):
+            if len(signals) > stopped or (rospy.is_shutdown() and not stopped):
+                stopped += 1
+                player.stop(abandon=stopped > 1)
+            for key in keys():
+                press(player, key)
+            show(player.status())
+        show(player.status())
+        return player.status()
+    finally:
+        player.stop(abandon=True)
+        watch.close()
+        rospy.signal_shutdown("the replay has ended")
+
+
+def _start_node(argv: Sequence[str], signals: Sequence[int]) -> bool:
+    """Become /player where that name is free, else a node of an anonymous name.
+
+    It lives in wall time, also where /use_sim_time says otherwise: it may be what gives the time.
+    """
+    name, full_name, taken = own_name("player", argv)
+    # A name that is given forbids an anonymous one.
+    words = [word for word in argv if not (taken and word.startswith(REMAP))]
+    rospy.init_node(name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True)
+    forward_logging()
+    if taken:
+        _log.warning("a node %s runs already; this one is %s", full_name, rospy.get_name())
+    return not signals
+
+
+def _say_what(player: Player, say: Say) -> None:
+    stream, topics = player.stream, player.status().topics
+    seconds = (stream.end_ns - stream.start_ns) / SECOND_NS
+    latched = sum(topic.latched for topic in topics)
+    say(
+        f"playing {len(topics)} topic{'' if len(topics) == 1 else 's'}, {seconds:.1f} s"
+        + (f"; {latched} latched" if latched else "")
+    )
+
+
+def press(player: Player, key: str) -> None:
+    """Do what a key of rosbag play does; others do nothing."""
+    if key == " ":
+        _ = player.pause() or player.resume()
+    elif key == "t":
+        player.togglePauseTopics()
+    elif key == "s" and player.status().state == PlayerStatusResponse.PAUSED:
+        try:
+            player.step()
+        except CassandraRosError as exc:
+            _log.warning("%s", exc)
+
+
+class Services:
+    """The services of a player. A handler unpacks, calls the player, packs."""
+
+    def __init__(self, player: Player) -> None:
+        self._player = player
+
+    def advertise(self) -> None:
+        """Offer them; the node must have been made."""
+        for name, kind, handler in (
+            ("~pause", Trigger, self.pause),
+            ("~resume", Trigger, self.resume),
+            ("~pause_playback", SetBool, self.pause_playback),
+            ("~step", Step, self.step),
+            ("~seek", Seek, self.seek),
+            ("~setRate", SetRate, self.set_rate),
+            ("~stop", Trigger, self.stop),
+            ("~status", PlayerStatus, self.status),
+        ):
+            rospy.Service(name, kind, handler)
+
+    def pause(self, request: object) -> TriggerResponse:
+        """Stand still."""
+        changed = self._player.pause()
+        return TriggerResponse(True, "" if changed else "it was paused already")
+
+    def resume(self, request: object) -> TriggerResponse:
+        """Go on."""
+        changed = self._player.resume()
+        return TriggerResponse(True, "" if changed else "it was not paused")
+
+    def pause_playback(self, request: SetBoolRequest) -> SetBoolResponse:
+        """Pause or resume, answering as rosbag play does."""
+        changed = self._player.pause() if request.data else self._player.resume()
+        state = "paused" if request.data else "resumed" if changed else "running"
+        text = f"Playback is now {state}" if changed else f"Playback is already {state}."
+        return SetBoolResponse(changed, text)
+
+    def step(self, request: StepRequest) -> StepResponse:
+        """Publish the next messages."""
+        try:
+            now = self._player.step(request.count or 1)
+        except CassandraRosError as exc:
+            return StepResponse(False, str(exc), _time(self._player.status().time))
+        return StepResponse(True, "", _time(now))
+
+    def seek(self, request: SeekRequest) -> SeekResponse:
+        """Go on at another time."""
+        text = request.text.strip()
+        try:
+            found = self._player.seek(text if text else request.time)
+        except CassandraRosError as exc:
+            return SeekResponse(False, str(exc), _time(self._player.status().time))
+        return SeekResponse(True, "", _time(found))
+
+    def set_rate(self, request: SetRateRequest) -> SetRateResponse:
+        """Play faster or slower."""
+        try:
+            self._player.setRate(request.rate)
+        except CassandraRosError as exc:
+            return SetRateResponse(False, str(exc), self._player.status().rate)
+        return SetRateResponse(True, "", request.rate)
+
+    def stop(self, request: object) -> TriggerResponse:
+        """End playing."""
+        self._player.stop()
+        return TriggerResponse(True, "")
+
+    def status(self, request: PlayerStatusRequest) -> PlayerStatusResponse:
+        """Say what the player does."""
+        now = self._player.status()
+        return PlayerStatusResponse(
+            success=True,
+            state=now.state,
+            time=_time(now.time),
+            start=_time(now.start),
+            end=_time(now.end),
+            rate=now.rate,
+            loop=self._player.options.loop,
+            published=sum(topic.published for topic in now.topics),
+            missed=sum(topic.missed for topic in now.topics),
+            left_out=sum(topic.left_out for topic in now.topics),
+            read_ahead=now.read_ahead,
+            topics=[PlayedTopic(**topic._asdict()) for topic in now.topics],
+        )
+
+
+def _time(ns: int) -> rospy.Time:
+    return rospy.Time(*divmod(max(0, ns), SECOND_NS))
