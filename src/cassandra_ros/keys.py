@@ -63,6 +63,11 @@ def new_writer_id() -> int:
     return secrets.randbelow(MAX_WRITER) + 1
 
 
+def writer_of(seq: int) -> int:
+    """Return the writer id in a ``_seq``."""
+    return seq >> COUNTER_BITS
+
+
 def split_seq(seq: int) -> tuple[int, int]:
     """Return (writer id, counter) of a ``_seq``."""
     return seq >> COUNTER_BITS, seq & (2**COUNTER_BITS - 1)

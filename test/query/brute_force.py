@@ -21,7 +21,9 @@ import genpy
 import genpy.dynamic
 
 MISSING = type("Missing", (), {"__repr__": lambda self: "MISSING"})()
-KEY, NODE = "KEY", "NODE"
+KEY, NODE, RUN = "KEY", "NODE", "RUN"
+RUN_NAMES = {1: "dawn", 2: "noon's"}
+"""By writer; another writer's run has no name, or there is none."""
 PARTS = {"time": "uint32", "duration": "int32"}
 FIELD_KINDS = {"bool": "bool", "string": "text", "time": "time", "duration": "duration"}
 
@@ -214,6 +216,8 @@ class Row:
             return self.message.t
         if operand == NODE:
             return self.message.node
+        if operand == RUN:
+            return RUN_NAMES.get(self.message.seq[0], str(self.message.seq[0]))
         if self.message.value is None or operand.kind(self.message.types) is None:
             return MISSING
         found = inside(self.message.value, operand.steps, self.chosen)
@@ -224,7 +228,7 @@ class Row:
         return plain(found)
 
     def kind(self, operand):
-        if operand in (KEY, NODE):
+        if operand in (KEY, NODE, RUN):
             return "time" if operand == KEY else "text"
         return (operand.kind(self.message.types) or (None,))[0]
 
@@ -504,7 +508,7 @@ class Writer:
         return f"{self._word(function)}({self._gap(inner)})"
 
     def _operand(self, operand):
-        if operand in (KEY, NODE):
+        if operand in (KEY, NODE, RUN):
             return operand
         shown = [(name, "" if index is None else f"[{index}]") for name, index in operand.steps]
         if operand.part:

@@ -23,11 +23,12 @@ import sensor_msgs.msg
 import std_msgs.msg
 import tf2_msgs.msg
 from messages.random_wire import SEPARATOR, WireMaker
-from query.brute_force import Message, Types
+from query.brute_force import RUN_NAMES, Message, Types
 
 from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.store.registry import Run
 
 SECOND = 10**9
 T0 = 1_400_000_040 * SECOND
@@ -319,7 +320,9 @@ class Stored:
         """
         writer = None
         for number in range(3):
-            writer = store.messageWriter(writer_id=number + 1, format=format)
+            name = RUN_NAMES.get(number + 1)
+            run = None if name is None else Run("", number + 1, "recording", name=name)
+            writer = store.messageWriter(writer_id=number + 1, format=format, run=run)
             for message, wire in self._rows:
                 if message.seq[0] == number + 1:
                     handle = self._connect(writer, message, format)

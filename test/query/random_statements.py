@@ -16,6 +16,7 @@ from query.brute_force import (
     KEY,
     MISSING,
     NODE,
+    RUN,
     Joined,
     Leaf,
     Not,
@@ -217,12 +218,14 @@ class Asker:
         operands = st.one_of(
             *[st.sampled_from(paths)] * 2,
             *[st.sampled_from(indexed)] * 3 if indexed else (),
-            st.sampled_from([KEY, KEY, NODE]),
+            st.sampled_from([KEY, KEY, NODE, RUN]),
         )
         tree = self._trees(operands)
         plain = st.builds(
             Statement,
-            st.lists(st.sampled_from(paths), max_size=2).map(lambda found: (KEY, NODE, *found)),
+            st.lists(st.sampled_from(paths), max_size=2).map(
+                lambda found: (KEY, NODE, *found, RUN)
+            ),
             tree,
             st.booleans(),
             st.none() | st.none() | st.sampled_from([1, 2, 7, 1000]),
@@ -249,7 +252,7 @@ class Asker:
         single = [p for p in paths if len(self._kinds(p)) == 1 and not self._isArray(p)]
         made = [
             st.just(("count", None)),
-            self._pairs(("min", "max", "count"), [*single, KEY, NODE]),
+            self._pairs(("min", "max", "count"), [*single, KEY, NODE, RUN]),
         ]
         if numbers:
             made.append(self._pairs(("sum", "avg", "min", "max"), numbers))
@@ -302,7 +305,7 @@ class Asker:
         return st.one_of(made)
 
     def _kinds(self, operand):
-        if operand in (KEY, NODE):
+        if operand in (KEY, NODE, RUN):
             return {("time" if operand == KEY else "text", False)}
         return {kind for kind in map(operand.kind, self._types) if kind}
 

@@ -25,7 +25,7 @@ FIELDS = {
     "fix": {
         "number": "latitude status.status header.seq header.stamp.secs position_covariance[0]",
         "time": "header.stamp KEY",
-        "text": "header.frame_id NODE",
+        "text": "header.frame_id NODE RUN",
         "array": "position_covariance",
         "wrong": "header position_covariance[9] nothing",
     },
@@ -38,7 +38,7 @@ FIELDS = {
     "scan": {
         "number": "ranges[1] ranges[7] angle_min scan_time header.stamp.nsecs",
         "time": "KEY",
-        "text": "NODE",
+        "text": "NODE RUN",
         "array": "ranges intensities",
         "wrong": "scan.ranges",
     },
@@ -74,7 +74,7 @@ BROKEN = st.lists(
     st.sampled_from(
         "= <> < like contains in between and or not ( ) is null , . ; -- /* */ min max( count( ' "
         "[0] [99999999999999999999] order by KEY desc limit 3 as where from allow filtering 'a' 1 "
-        'x " KEY NODE drop index truncate table if exists on create index data fix'.split()
+        'x " KEY NODE RUN drop index truncate table if exists on create index data fix'.split()
     ),
     max_size=8,
 ).map(lambda words: (" ".join(words), []))

@@ -7,8 +7,13 @@ from __future__ import annotations
 import xmlrpc.client
 
 import pytest
+from geometry_msgs.msg import PointStamped
 
-from cassandra_ros.errors import InvalidName, InvalidOption, RunNotFound
+from cassandra_ros.errors import InvalidName, InvalidOption, MessageNotFound, RunNotFound
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.query.pushdown import PLANS
 from cassandra_ros.store.registry import Loss, LossKind, Run
 from cassandra_ros.store.run_context import NodeGraph, RunContext, decode_context, encode_context
 
@@ -81,3 +86,201 @@ def test_losses_are_kept_beside_the_data(connect, keyspace):
         assert [loss.topic for loss in store.losses(key=41)] == ["tf"]
         assert [loss.topic for loss in store.losses(["/tf", "nowhere"], to_key=5)] == ["tf"]
         assert store.losses(key=91) == store.losses(to_key=4) == []
+
+
+# -------------------------------------------------------------------- reads of one run
+
+T0 = 1_500_000_000 * SECOND_NS
+NAMES = ("morning", "evening", "")
+"""Of three writers at once; the last has no name, a fourth no run."""
+
+
+class Recorded:
+    """Messages of one topic, of four writers, which share some buckets."""
+
+    def __init__(self, store, format):
+        self.store = store
+        self.rows = []
+        connection = connection_of("/point", PointStamped)
+        for number, name in enumerate([*NAMES, None]):
+            writer = 100 + number
+            run = None if name is None else Run("r", writer, "recording", name=name)
+            with store.messageWriter(writer_id=writer, format=format, run=run) as each:
+                handle = each.connect(connection, bucket_ns=10 * SECOND_NS)
+                # The first has the first minute for itself, and its last second is everybody's.
+                for n in range(40 if number else 100):
+                    t = T0 + (n if not number else n + 80) * SECOND_NS
+                    msg = PointStamped()
+                    msg.point.x, msg.header.frame_id = float(n % 10), f"w{writer}"
+                    each.write(handle, t, n, serialize(msg))
+                    self.rows.append((t, writer, n % 10))
+        self.rows.sort()
+
+    def of(self, *writers):
+        return [row for row in self.rows if row[1] in writers]
+
+
+def connection_of(topic, kind):
+    header = {"type": kind._type, "md5sum": kind._md5sum, "message_definition": kind._full_text}
+    return live_connection(topic, header)
+
+
+RUNS = {"morning": 100, "evening": 101, 102: 102, "103": 103}
+
+
+@pytest.fixture(scope="module", params=["ros", "binary"])
+def recorded(request, connect, keyspaces):
+    with keyspaces.lend() as name, connect(keyspace=name) as store:
+        made = Recorded(store, request.param)
+        store.getTopic("/point").createIndex("point.x")
+        yield made
+
+
+@pytest.mark.parametrize("run", RUNS)
+def test_every_read_tells_runs_apart(recorded, run):
+    store, topic = recorded.store, recorded.store.getTopic("point")
+    own = recorded.of(RUNS[run])
+    times = [t for t, _, _ in own]
+    first, last = times[0], times[-1]
+
+    def found(rows):
+        return [(row.t, row.seq >> 32) for row in rows]
+
+    expected = [row[:2] for row in own]
+    assert found(topic.rows(run=run)) == found(store.readMessages(run=run)) == expected
+    assert found(topic.rows(run=run, reverse=True)) == expected[::-1]
+    assert found(store.readMessages("/point", received=True, run=run)) == expected
+    assert [key.to_nsec() for key, _ in topic.items(run=run)] == times
+    assert (topic.first(run=run).ns, topic.last(run=run).ns) == (first, last)
+    assert {m.header.frame_id for m in topic.getData(0, T0 * 2, run=run)} == {f"w{RUNS[run]}"}
+    shared = T0 + 85 * SECOND_NS
+    assert topic.getData(shared, run=run).header.frame_id == f"w{RUNS[run]}"
+    assert topic.getRow(shared + 1, nearest="before", run=run).seq >> 32 == RUNS[run]
+    third = [row[:2] for row in own if row[2] == 3]
+    where = {"/point": "point.x = 3"}
+    assert found(store.readMessages(where=where, run=run)) == third
+    assert topic.countTopicData(run=run) == len(own)
+    assert topic.countTopicData(first + 1, last - 1, run=run) == len(own) - 2
+    assert topic.countTopicData(where="point.x = 3", run=run) == len(third)
+    arrays = topic.getArrays(["KEY", "RUN", "point.x"], run=run)
+    assert arrays["KEY"].tolist() == times and set(arrays["RUN"]) == {str(run)}
+    assert len(topic.toDataFrame("point.x", where="point.x = 3", run=run)) == len(third)
+    pairs = list(store.nearestMessages("point", "point", 0.0, run=run))
+    assert found(a for a, _ in pairs) == found(b for _, b in pairs) == expected
+    (info,) = store.info(run=run)
+    assert (info.count, info.first_ns, info.last_ns) == (len(own), first, last)
+    for plan in PLANS:
+        select = store.statements.select
+        text = "SELECT KEY, RUN FROM point WHERE point.x = 3"
+        rows = [(t, str(run)) for t, _ in third]
+        assert [(k.ns, r) for k, r in select(text, plan=plan, run=run)] == rows
+        text += " AND RUN = ?"
+        assert [(k.ns, r) for k, r in select(text, [str(run)], plan=plan)] == rows
+    assert store.executeCQL("SELECT count(*) FROM point", run=run) == [(len(own),)]
+    assert store.iterCQL("SELECT count(*) FROM point WHERE RUN = ?", [str(run)]).counted
+
+
+def test_buckets_of_other_runs_are_not_read(recorded):
+    store = recorded.store
+    text = "SELECT point.y FROM point WHERE RUN = ?"
+    assert store.explainCQL(text, ["evening"]).rows_returned == 40
+    # Only the buckets in which it is listed, as the counter of the pages' rows says.
+    whole = store.explainCQL("SELECT point.x FROM point WHERE point.z = 0", run="evening")
+    assert (whole.filtered + whole.whole, whole.buckets) == (4, 12)
+
+
+def test_RUN_in_conditions(recorded):
+    store, topic = recorded.store, recorded.store.getTopic("point")
+    names = {100: "morning", 101: "evening", 102: "102", 103: "103"}
+    for text, test in {
+        "RUN != 'morning'": lambda w, x: names[w] != "morning",
+        "NOT RUN = 'morning'": lambda w, x: names[w] != "morning",
+        "RUN IN ('morning', '103')": lambda w, x: names[w] in ("morning", "103"),
+        "RUN LIKE '%ning' AND point.x = 3": lambda w, x: names[w].endswith("ning") and x == 3,
+        "RUN = '102' OR point.x = 3": lambda w, x: w == 102 or x == 3,
+        "RUN = '100'": lambda w, x: False,
+        "RUN = 'morning' AND RUN = 'evening'": lambda w, x: False,
+        "RUN > '10' AND RUN < '103'": lambda w, x: w == 102,
+        "RUN IS NULL": lambda w, x: False,
+    }.items():
+        expected = [t for t, w, x in recorded.rows if test(w, x)]
+        assert [k.to_nsec() for k, _ in topic.items(where=text)] == expected, text
+        assert topic.countTopicData(where=text) == len(expected)
+    found = store.executeCQL("SELECT min(RUN), max(RUN), count(RUN) FROM point")
+    assert found == [("102", "morning", len(recorded.rows))]
+    assert store.executeCQL("SELECT KEY FROM point WHERE RUN = 'morning'", run="evening") == []
+
+
+def test_unknown_runs(recorded):
+    store, topic = recorded.store, recorded.store.getTopic("point")
+    for ask in (
+        lambda: store.readMessages(run="evenin"),
+        lambda: topic.countTopicData(run="evenin"),
+        lambda: topic.removeData(run="evenin"),
+        lambda: store.executeCQL("SELECT KEY FROM point", run="evenin"),
+        lambda: store.info(run="evenin"),
+    ):
+        with pytest.raises(RunNotFound, match="did you mean evening"):
+            ask()
+    with pytest.raises(RunNotFound, match="no run 104"):
+        topic.getData(1, 2, run=104)
+    with pytest.raises(InvalidName):
+        topic.rows(run=1.5)
+    with pytest.raises(MessageNotFound, match="of this run"):
+        topic.getData(T0 + 1, run="morning")
+
+
+@pytest.mark.parametrize("how", ["remove", "between", "where", "statement", "argument"])
+def test_a_delete_of_a_run_removes_its_rows_alone(rosCas, how):
+    made = Recorded(rosCas, "ros")
+    topic = rosCas.getTopic("point")
+    gone = made.of(101)
+    if how == "remove":
+        assert topic.removeData(run="evening") == len(gone)
+    elif how == "between":
+        low, high = T0 + 85 * SECOND_NS, T0 + 99 * SECOND_NS
+        gone = [row for row in gone if low <= row[0] <= high]
+        assert topic.removeData(low, high, run="evening") == len(gone) == 15
+    elif how == "where":
+        gone = [row for row in gone if row[2] == 3]
+        assert topic.removeData(where="point.x = 3", run="evening") == len(gone) == 4
+    elif how == "statement":
+        text = "DELETE FROM point WHERE RUN = 'evening'"
+        assert rosCas.executeCQL(text) == [(len(gone),)]
+    else:
+        text = "DELETE FROM point WHERE KEY > 0"
+        assert rosCas.executeCQL(text, run="evening") == [(len(gone),)]
+    left = [row for row in made.rows if row not in gone]
+    assert [(row.t, row.seq >> 32) for row in topic.rows()] == [row[:2] for row in left]
+    assert topic.countTopicData() == len(left)
+    assert topic.countTopicData(run="evening") == 40 - len(gone)
+    assert topic.removeData(run="morning") == 100
+    assert topic.countTopicData() == len(left) - 100
+
+
+@pytest.mark.parametrize("key_format", ["manual", "hash", "msg_part"])
+def test_runs_of_topics_with_other_keys(rosCas, key_format):
+    part = {"key_part": "header.frame_id"} if key_format == "msg_part" else {}
+    topic = rosCas.addTopic(
+        "/map", msg_type="geometry_msgs/PointStamped", key_format=key_format, **part
+    )
+    for number, name in enumerate(NAMES):
+        run = Run("", 100 + number, "recording", name=name)
+        with rosCas.messageWriter(writer_id=100 + number, run=run) as writer:
+            handle = writer.connect(connection_of("/map", PointStamped))
+            for n in range(3):
+                msg = PointStamped()
+                msg.header.frame_id, msg.point.x = f"frame{n}", number
+                writer.write(handle, T0 + n, n, serialize(msg), f"frame{n}")
+    for number, run in enumerate(("morning", "evening", 102)):
+        assert [m.point.x for _, m in topic.items(run=run)] == [number] * 3
+        assert topic.countTopicData(run=run) == 3
+        where = f"RUN = '{run}' AND point.y = 0"
+        assert [m.point.x for _, m in topic.items(where=where)] == [number] * 3
+        if key_format != "hash":
+            assert [m.point.x for _, m in topic.items("frame1", run=run)] == [number]
+            assert topic.getData("frame1", run=run).point.x == number
+        (info,) = rosCas.info(run=run)
+        assert info.count == 3
+    assert topic.removeData(run="evening") == 3
+    assert {m.point.x for _, m in topic.items()} == {0, 2}

@@ -47,7 +47,7 @@ def gather_fields(
     """Gather fields from the rows of a topic.
 
     Args:
-        fields: As a SELECT statement names them, KEY and NODE included; None = all fields.
+        fields: As a SELECT statement names them, KEY, NODE and RUN included; None = all fields.
         where: Which messages ``read`` gives, and which elements of the arrays that are unnested.
 
     Raises:

@@ -54,7 +54,7 @@ class Origin(NamedTuple):
 
 
 class TableValues:
-    """Gathers the values of a statement's columns (fields, KEY, NODE) from the rows of one table.
+    """Gathers the values of a statement's columns (fields, KEY, …) from the rows of one table.
 
     It takes undecoded columns from rows, or else cuts them out of the serialised message; where
     one of the fields lies in no column, all are decoded. ``groups`` are name and type of the
@@ -144,7 +144,7 @@ class TableValues:
 
     def _clear(self) -> None:
         self._numbers: list[int] = []
-        self._own: list[tuple[Union[int, str], str]] = []
+        self._own: list[tuple[Union[int, str], str, str]] = []
         self._raws: list[Sequence[Optional[bytes]]] = []
         self._hits: list[list[bool]] = []
         self._decoded: list[Sequence[object]] = []
@@ -158,7 +158,7 @@ class TableValues:
             if raws is None:
                 return
             self._numbers.append(number)
-            self._own.append((row.name if projection.named else row.t, row.node))
+            self._own.append(projection.own(row))
             self._raws.append(raws)
             if self._tester is not None:
                 self._hits.append(list(self._tester.hits(row)))

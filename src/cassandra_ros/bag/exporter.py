@@ -16,6 +16,7 @@ from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.runs import RunName
 from cassandra_ros.topics.selection import Time
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -46,6 +47,7 @@ def export_bag(
     progress: Progress | None = None,
     where: Conditions = None,
     empty: bool = False,
+    run: RunName = None,
 ) -> ExportReport:
     """Write stored messages into a bag of format 2.0.
 
@@ -65,11 +67,12 @@ def export_bag(
         where: Topic -> condition, as readMessages takes it: of these topics only the messages
             that satisfy it; the others are written whole.
         empty: Write a bag also where there is no message for it.
+        run: Only what the recordings or imports of this name, or of a writer id, stored.
 
     Raises:
         MessageNotFound: There is no message for it; a file that was there before stays.
         BagError: The file exists, or cannot be written.
-        TopicNotFound: One of the topics is not stored.
+        TopicNotFound, RunNotFound: One of the topics is not stored, or there is no such run.
         InvalidOption, InvalidQuery: where is none.
         StoreUnavailable: The store stopped answering; no bag is left behind.
     """
@@ -77,7 +80,9 @@ def export_bag(
         raise BagError(f"{os.fspath(path)} exists; choose another name, or replace it with --force")
     # One topic may have been asked for in two spellings.
     names = None if topics is None else sorted({ros_cas.getTopic(name).name for name in topics})
-    rows = ros_cas.readMessages(names, start, end, nodeID=nodeID, received=True, where=where)
+    rows = ros_cas.readMessages(
+        names, start, end, nodeID=nodeID, received=True, where=where, run=run
+    )
     report = ExportReport(os.fspath(path))
     with BagWriter(path, compression) as writer:
         numbers = ConnectionNumbers(writer)
@@ -90,12 +95,16 @@ def export_bag(
             if progress is not None:
                 progress(1, len(wire))
         if not report.messages and not empty:
-            raise MessageNotFound(_nothing(ros_cas, report.path, names, nodeID))
+            raise MessageNotFound(_nothing(ros_cas, report.path, names, nodeID, run))
     return report
 
 
 def _nothing(
-    ros_cas: RosCassandra, path: str, topics: Sequence[str] | None, node: str | None
+    ros_cas: RosCassandra,
+    path: str,
+    topics: Sequence[str] | None,
+    node: str | None,
+    run: RunName,
 ) -> str:
     """Say why there is nothing to write."""
     text, infos = f"{path} is not written, for there is no such message: ", ros_cas.info(topics)
@@ -104,6 +113,10 @@ def _nothing(
     nodes = sorted({info.node for info in infos})
     if node is not None and node not in nodes:
         return text + f"none is of node {node!r}, but of {', '.join(map(repr, nodes))}"
+    if run is not None:
+        infos = ros_cas.info(topics, run=run)
+        if not infos:
+            return text + f"run {run!r} stored none in these topics"
     times = [ns for info in infos for ns in (info.first_ns, info.last_ns) if ns is not None]
     if not times:
         return text + "these topics are empty"

@@ -19,6 +19,7 @@ from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.runs import RunName, Writers
 from cassandra_ros.topics.selection import Time
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -71,6 +72,7 @@ def verify_bag(
     nodeID: str | None = None,
     progress: Progress | None = None,
     reading: Progress | None = None,
+    run: RunName = None,
 ) -> VerifyReport:
     """Compare a bag with the store, message by message, in the order in which rosbag reads.
 
@@ -84,18 +86,22 @@ def verify_bag(
         nodeID: Compare what is stored for this node; None = whichever node it is.
         progress: Told which messages of the bag were compared.
         reading: Told how far the pass over the bag is that finds its import.
+        run: Compare what this recording or import stored, by its name or writer id.
 
     Raises:
         BagError: The bag cannot be read to its end.
         TopicNotFound: The bag has no such topic.
+        RunNotFound: The store has no such run.
         InvalidKey: The bag was imported for several nodes, and nodeID does not choose.
     """
     with BagReader(path) as reader:
         numbers = chosen_connections(reader, topics)
         chosen = {n: reader.connections[n].topic for n in numbers}
         stored = _stored_topics(ros_cas, chosen.values())
-        found = _find_import(ros_cas, reader, stored, nodeID, reading)
+        writers = ros_cas.parts.runs.writers(run)
+        found = _find_import(ros_cas, reader, stored, nodeID, reading, writers)
         whose = "" if nodeID is None else f" of node {nodeID}"
+        whose += "" if run is None else f" of run {run}"
         scope = f"all stored messages{whose} on its topics"
         if found is not None:
             scope = "the import of this bag" + (f" for node {found.node}" if found.node else "")
@@ -105,7 +111,7 @@ def verify_bag(
             count = sum(reader.counts[n] for n in gone)
             report.add(f"{topic} is not stored: its {count} messages are missing", count)
             numbers -= gone
-        comparison = _by_place(ros_cas, reader, stored, found, nodeID, report)
+        comparison = _by_place(ros_cas, reader, stored, found, nodeID, report, writers)
         _compare(reader, numbers, dict.fromkeys(stored, comparison), progress)
     return report
 
@@ -119,6 +125,7 @@ def verify_content(
     start: Time | None = None,
     end: Time | None = None,
     progress: Progress | None = None,
+    run: RunName = None,
 ) -> VerifyReport:
     """Compare each topic's messages in their order by type, md5sum and bytes alone.
 
@@ -133,11 +140,13 @@ def verify_content(
         start: First time of reception (genpy.Time, int ns, float s, text); None = open.
         end: Last time, included; None = open.
         progress: Told which messages of the bag were compared.
+        run: Only what this recording or import stored, by its name or writer id.
 
     Raises:
-        BagError, TopicNotFound: As of verify_bag.
+        BagError, TopicNotFound, RunNotFound: As of verify_bag.
     """
     renamed = dict(mapping or {})
+    writers = ros_cas.parts.runs.writers(run)
     with BagReader(path) as reader:
         numbers = chosen_connections(reader, topics)
         report = VerifyReport(reader.path, "all stored messages on its topics, by content")
@@ -148,7 +157,9 @@ def verify_content(
         for topic in wanted:
             names = stored & {renamed.get(topic, topic)}
             # In the order of the bag, whatever the topic's key is.
-            rows = ros_cas.readMessages(names, start, end, nodeID=nodeID, received=True)
+            rows = ros_cas.readMessages(
+                names, start, end, nodeID=nodeID, received=True, run=writers
+            )
             comparisons[topic] = Comparison(map(ranks.see, rows), report, _NO_ORDER)
         _compare(reader, numbers, comparisons, progress)
     return report
@@ -174,6 +185,7 @@ def _find_import(
     topics: AbstractSet[str],
     node: str | None,
     reading: Progress | None,
+    among: Writers,
 ) -> Run | None:
     """Find the import of this bag whose rows are to be compared, by the directory's writer ids.
 
@@ -190,6 +202,7 @@ def _find_import(
         writers.update((row.node, row.writer) for row in rows)
     imports = (run for run in ros_cas.runs() if run.kind == "import")
     runs = [run for run in imports if (run.node, run.writer) in writers]
+    runs = [run for run in runs if among is None or run.writer in among]
     if not runs:
         return None
     content = read_content(reader, reading)
@@ -212,17 +225,18 @@ def _by_place(
     found: Run | None,
     node: str | None,
     report: VerifyReport,
+    writers: Writers = None,
 ) -> Comparison:
     """Compare the rows of an import, or all rows of the topics, by time and connection."""
     ranks = _Ranks(reader.connections.values(), positions=found is not None)
     if found is None:
-        rows = ros_cas.readMessages(topics, nodeID=node, received=True)
+        rows = ros_cas.readMessages(topics, nodeID=node, received=True, run=writers)
         return Comparison(_in_order(rows, ranks), report, _BY_CONNECTION)
     start_ns, end_ns = reader.start_ns, reader.end_ns
-    rows = ros_cas.readMessages(topics, start_ns, end_ns, nodeID=found.node, received=True)
-    own = (row for row in rows if split_seq(row.seq)[0] == found.writer)
+    own = frozenset([found.writer])
+    rows = ros_cas.readMessages(topics, start_ns, end_ns, nodeID=found.node, received=True, run=own)
     # These rows know their positions, so that one which is missing shifts no others.
-    return Comparison(_in_order(own, ranks), report, _BY_POSITION)
+    return Comparison(_in_order(rows, ranks), report, _BY_POSITION)
 
 
 class Entry(NamedTuple):

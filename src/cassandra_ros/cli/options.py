@@ -148,6 +148,18 @@ def _time_ns(option: str, text: str | None) -> int | None:
         ) from exc
 
 
+def add_origin_options(parser: argparse.ArgumentParser) -> None:
+    """Add --node-id and --run: whose messages are meant."""
+    add = parser.add_argument
+    add("--node-id", metavar="N", help="only messages of this node (default: of all)")
+    add(
+        "--run",
+        metavar="NAME",
+        help="only messages of the recordings or imports of this name, or of a writer id "
+        "(default: of all)",
+    )
+
+
 def add_where_option(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
     """Add --where; read_where reads it."""
     parser.add_argument(

@@ -134,6 +134,7 @@ class Services:
         key = topic.keyOfText(request.key_text) if request.key_text.strip() else request.key
         nearest, node = request.nearest or None, request.node_id or None
         asked = {"nearest": nearest, "nodeID": node, "where": request.where or None}
+        asked["run"] = request.run or None
         while (row := topic.getRow(key, **asked)) is None:
             topic.getData(key, **asked)  # raises what lies near; or it has come just now
         return GetDataResponse(True, "", pack(row, request.omit_data, request.omit_yaml))
@@ -171,31 +172,32 @@ class Services:
         if high is not None and high < low:
             raise InvalidKey(f"to_key ({high} ns) lies before key ({low} ns)")
         after = decode_cursor(request.cursor) if request.cursor else None
-        node = request.node_id or None
+        node, run = request.node_id or None, self.ros_cas.parts.runs.writers(request.run or None)
         if request.where:
-            return Condition(request.where, node=node).rows(topic, low, high, after)
-        return topic.rows(low, high, nodeID=node, limit=most, after=after)
+            return Condition(request.where, node=node, run=run).rows(topic, low, high, after)
+        return topic.rows(low, high, nodeID=node, limit=most, after=after, run=run)
 
     def execute_cql(self, request: ExecuteCQLRequest) -> ExecuteCQLResponse:
         """Answer ExecuteCQL."""
         params = [from_json(text, f"params[{n}]") for n, text in enumerate(request.params)]
         statement = parse_statement(request.statement, params)
-        node = request.node_id or None
+        node, run = request.node_id or None, request.run or None
         if isinstance(statement, Select):
-            return self._page(statement, node, request.limit or DEFAULT_LIMIT, request.cursor)
+            limit = request.limit or DEFAULT_LIMIT
+            return self._page(statement, node, run, limit, request.cursor)
         if not self.allow_writes:
             return ExecuteCQLResponse(success=False, message=READ_ONLY)
         if request.cursor:
             raise InvalidKey("a cursor leads to the next page of a SELECT; leave it out here")
-        found = self.ros_cas.statements.run(statement, node=node)
+        found = self.ros_cas.statements.run(statement, node=node, run=run)
         rows = [Row([to_json(value) for value in values]) for values in found]
         return ExecuteCQLResponse(success=True, columns=list(found.columns), rows=rows)
 
     def _page(
-        self, select: Select, node: Optional[str], limit: int, cursor: str
+        self, select: Select, node: Optional[str], run: Optional[str], limit: int, cursor: str
     ) -> ExecuteCQLResponse:
         with self.ros_cas.statements.select(
-            select, node=node, limit=limit + 1, after=cursor
+            select, node=node, limit=limit + 1, after=cursor, run=run
         ) as result:
             response = ExecuteCQLResponse(success=True, columns=[clean(c) for c in result.columns])
             size = 0
@@ -213,7 +215,8 @@ class Services:
 
     def lookup_transform(self, request: LookupTransformRequest) -> LookupTransformResponse:
         """Answer LookupTransform."""
-        asked = {"nodeID": request.node_id, "tf": request.tf, "tf_static": request.tf_static}
+        asked = {"nodeID": request.node_id, "run": request.run}
+        asked.update(tf=request.tf, tf_static=request.tf_static)
         found = self.ros_cas.lookupTransform(
             request.target_frame,
             request.source_frame,

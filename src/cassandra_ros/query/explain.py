@@ -37,7 +37,7 @@ class Explanation:
     buckets: int
     """How many buckets the topic has."""
     indexed: int
-    """Read by an index, of the buckets that KEY and NODE leave."""
+    """Read by an index, of the buckets that KEY, NODE and RUN leave."""
     filtered: int
     """Read by the server and filtered there."""
     whole: int

@@ -47,6 +47,7 @@ from cassandra_ros.query.syntax import (
     Operand,
     Part,
     Path,
+    RunOperand,
     Select,
     Selected,
     StatementError,
@@ -213,7 +214,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         raise StatementError(found.position, f"{found.text} {reason}")
 
     def place(self, token: Token) -> Operand:
-        return KeyOperand(_at(token)) if token == KeyOperand.text else NodeOperand(_at(token))
+        return _OWN[str(token)](_at(token))
 
     def path(self, *parts: tuple[Part, ...]) -> Path:
         names = tuple(name for part in parts for name in part)
@@ -235,6 +236,9 @@ class _Builder(Transformer):  # type: ignore[type-arg]
             return Literal(token[1:-1].replace("''", "'"), _at(token))
         whole = token.lstrip("+-").isdigit()
         return Literal(_integer(token) if whole else DecimalText(str(token)), _at(token))
+
+
+_OWN = {kind.text: kind for kind in (KeyOperand, NodeOperand, RunOperand)}
 
 
 def _at(token: Token) -> int:

@@ -26,6 +26,7 @@ from cassandra_ros.query.syntax import (
     NodeOperand,
     Operand,
     Path,
+    RunOperand,
     Select,
     Selected,
     StatementError,
@@ -34,7 +35,8 @@ from cassandra_ros.query.syntax import (
 
 _log = logging.getLogger(__name__)
 
-KEY_PLACE, NODE_PLACE = 0, 1
+KEY_PLACE, NODE_PLACE, RUN_PLACE = 0, 1, 2
+_OWN_WIDTH = 3
 _BESIDE = -1
 """From here downwards are the marks of problems that no other table can make good."""
 _NO_NUMBERS = ("string", "time", "duration")
@@ -52,14 +54,14 @@ class Output(NamedTuple):
     kind: str
     """ROS type of a value; 'sum' is an integer of any size."""
     ref: Optional[FieldRef] = None
-    """The field that it shows; None for KEY, NODE and what is computed."""
+    """The field that it shows; None for KEY, NODE, RUN and what is computed."""
 
 
 @dataclass(frozen=True)
 class Projection:
     """Reads, filters and shows the rows of one table; made by ``compile``.
 
-    The values of a row are its KEY, its NODE, and those of the fields that the statement names.
+    The values of a row are its KEY, NODE and RUN, and those of the fields that the statement names.
     """
 
     groups: tuple[tuple[Output, ...], ...]
@@ -75,6 +77,8 @@ class Projection:
     extractor: Optional[Extractor]
     width: int
     """How many values a row has."""
+    runs: bool = False
+    """RUN is named; else its value is ''."""
     shown: tuple[tuple[Optional[int], Optional[Get]], ...] = ()
     """For each column of the result its place (None: missing here), and how to show a value."""
 
@@ -91,8 +95,8 @@ class Projection:
         if table.definition is not None and names.refs:
             extractor = Extractor(table.definition, names.refs, names.unnested)
             columns = extractor.columns if table.by_field else None
-        unnested, width = tuple(names.unnested), 2 + len(names.refs)
-        made = cls(groups, check, columns, unnested, table.named, extractor, width)
+        unnested, width = tuple(names.unnested), _OWN_WIDTH + len(names.refs)
+        made = cls(groups, check, columns, unnested, table.named, extractor, width, names.runs)
         return made.showing([[output.name for output in group] for group in groups])
 
     def showing(self, names: Sequence[Sequence[str]]) -> Projection:
@@ -103,9 +107,13 @@ class Projection:
             shown += [known.get(name, (None, None)) for name in wanted]
         return replace(self, shown=tuple(shown))
 
+    def own(self, row: Row) -> tuple[Union[int, str], str, str]:
+        """Return the values of a row that are of no field."""
+        return (row.name if self.named else row.t, row.node, row.run if self.runs else "")
+
     def values(self, row: Row) -> Sequence[Values]:
         """Return the values of a row, once or for each unnested element; None = missing."""
-        own = (row.name if self.named else row.t, row.node)
+        own = self.own(row)
         if self.extractor is None:
             return [own]
         try:
@@ -114,7 +122,7 @@ class Projection:
             return []  # removed since its columns were read
         except CorruptMessage as exc:
             _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
-            return [(*own, *[None] * (self.width - 2))]
+            return [(*own, *[None] * (self.width - _OWN_WIDTH))]
 
     def hits(self, row: Row) -> Iterator[bool]:
         """Say of each unnested element of a stored row whether it satisfies the condition."""
@@ -188,6 +196,8 @@ class _Names:
         """The fields that were found so far, in the order of their values."""
         self.unnested: list[Array] = []
         """The arrays of messages whose elements are named, outermost first."""
+        self.runs = False
+        """RUN is named."""
 
     def outputs(self, selected: Optional[Selected]) -> Sequence[Output]:
         """Return the columns that one selected path gives; None = every field."""
@@ -230,6 +240,9 @@ class _Names:
         """Return the column of one operand; None where the table lacks it."""
         if isinstance(operand, NodeOperand):
             return Output(operand.text, NODE_PLACE, "string")
+        if isinstance(operand, RunOperand):
+            self.runs = True
+            return Output(operand.text, RUN_PLACE, "string")
         if isinstance(operand, KeyOperand):
             return Output(operand.text, KEY_PLACE, "string" if self._named else "time")
         found = self._resolved(operand, lambda definition: [field_of(operand, definition, array)])
@@ -292,7 +305,7 @@ class _Names:
     def _place(self, ref: FieldRef) -> int:
         if ref not in self.refs:
             self.refs.append(ref)
-        return 2 + self.refs.index(ref)
+        return _OWN_WIDTH + self.refs.index(ref)
 
 
 def _fitted(found: Output, leaf: Leaf, literal: Literal) -> Comparable:

@@ -4,12 +4,19 @@
 
 from __future__ import annotations
 
-from typing import Mapping, Optional, Protocol
+from typing import FrozenSet, Mapping, Optional, Protocol
 
 from cassandra_ros.keys import Position, RowName
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.stamps import Stamp
+
+
+class Runs(Protocol):
+    """The recordings, imports and clients that stored the messages, by their writer ids."""
+
+    def called(self, text: str) -> FrozenSet[int]:
+        """Return those whose RUN is this text."""
 
 
 class Table(Protocol):
@@ -29,6 +36,10 @@ class Table(Protocol):
     @property
     def msg_type(self) -> str:
         """Type of its messages, 'pkg/Name'."""
+
+    @property
+    def runs(self) -> Runs:
+        """Those of its keyspace."""
 
     @property
     def by_field(self) -> bool:
@@ -52,6 +63,10 @@ class Row(Protocol):
     """Columns of the format, undecoded: all of them, or those that were asked for."""
     size: int
     """Serialised bytes."""
+
+    @property
+    def run(self) -> str:
+        """Name of the run that stored it, or its writer id where that has none."""
 
     @property
     def topic(self) -> str:

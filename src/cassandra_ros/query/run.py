@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Run a statement, or a condition by itself, over the stored rows of a source.
 
-Of any condition the store can check the span of KEY, and NODE: its bounds. Only conjuncts are used
-for them, so they may be weaker than the condition and are never stronger.
+Of any condition the store can check the span of KEY, NODE and RUN: its bounds. Only conjuncts are
+used for them, so they may be weaker than the condition and are never stronger.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from cassandra_ros.query.aggregates import Aggregation
 from cassandra_ros.query.literals import fit_to_text, fit_to_time
 from cassandra_ros.query.parse import parse_condition
 from cassandra_ros.query.projection import Projections, ResultRow
-from cassandra_ros.query.protocols import Row, Table
+from cassandra_ros.query.protocols import Row, Runs, Table
 from cassandra_ros.query.pushdown import Pushdown
-from cassandra_ros.query.source import Columns, RowT_co, Source
+from cassandra_ros.query.source import Columns, RowT_co, Source, Writers
 from cassandra_ros.query.syntax import (
     Compare,
     Delete,
@@ -32,6 +32,7 @@ from cassandra_ros.query.syntax import (
     Literal,
     NodeOperand,
     OneOf,
+    RunOperand,
     Select,
     StatementError,
     conjuncts,
@@ -57,6 +58,7 @@ class Bounds:
     """Greatest KEY, included, ns."""
     node: Optional[str] = None
     """The one nodeID, None = all."""
+    writers: Writers = None
     name: Optional[str] = None
     """The one name, None = all; only where messages are kept under names."""
     empty: bool = False
@@ -73,17 +75,32 @@ class Bounds:
         node = self.node if node is None else node
         return replace(self, low=low, high=high, node=node, empty=empty)
 
+    def written(self, writers: Writers) -> Bounds:
+        """Narrow the bounds to messages of some writers."""
+        if writers is not None and self.writers is not None:
+            writers = writers & self.writers
+        writers = self.writers if writers is None else writers
+        return replace(self, writers=writers, empty=self.empty or writers == frozenset())
 
-def bounds_of(select: Select, node: Optional[str] = None, named: bool = False) -> Bounds:
-    """Find the bounds of a statement, for messages of a node (None = all), named or not.
+
+def bounds_of(
+    select: Select,
+    node: Optional[str] = None,
+    named: bool = False,
+    writers: Writers = None,
+    runs: Optional[Runs] = None,
+) -> Bounds:
+    """Find the bounds of a statement, for messages of a node and some writers, named or not.
+
+    RUN bounds nothing where nobody knows the runs.
 
     Raises:
-        InvalidQuery: KEY or NODE is compared with what it cannot be.
+        InvalidQuery: KEY, NODE or RUN is compared with what it cannot be.
     """
-    bounds = Bounds(node=node)
+    bounds = Bounds(node=node).written(writers)
     try:
         for part in conjuncts(select.condition):
-            bounds = _narrowed(bounds, part, named)
+            bounds = _narrowed(bounds, part, named, runs)
         for leaf in leaves(select.condition) if named else ():
             ordered = isinstance(leaf, Compare) and leaf.operator in _ORDERED
             if ordered and isinstance(leaf.operand, KeyOperand):
@@ -102,7 +119,10 @@ def meant_as_seconds(condition: Optional[Expression]) -> Iterator[Literal]:
             yield literal
 
 
-def _narrowed(bounds: Bounds, part: Expression, named: bool) -> Bounds:
+def _narrowed(bounds: Bounds, part: Expression, named: bool, runs: Optional[Runs]) -> Bounds:
+    if isinstance(part, Compare) and isinstance(part.operand, RunOperand) and part.operator == "=":
+        if runs is not None:
+            return bounds.written(runs.called(fit_to_text(part.value, "RUN")))
     if isinstance(part, Compare) and isinstance(part.operand, NodeOperand) and part.operator == "=":
         try:
             return bounds.within(None, None, check_node(fit_to_text(part.value, "NODE")))
@@ -147,9 +167,11 @@ def bounded_rows(
             reverse=reverse,
             columns=columns,
             chooser=chooser,
+            run=bounds.writers,
         )
+    node, run = bounds.node, bounds.writers
     try:
-        every = source.versions(bounds.name, nodeID=bounds.node, reverse=reverse)
+        every = source.versions(bounds.name, nodeID=node, reverse=reverse, run=run)
     except InvalidKey:
         return iter(())  # no message can have such a name
     inside = (row for row in every if bounds.low <= row.t <= bounds.high)
@@ -163,23 +185,29 @@ class Condition:
         where: The condition, or the statement in which it stands: errors show the whole of it.
         params: Values of the ``?`` or ``%s`` in a text.
         node: Only messages of this node; None = of all.
+        run: Only messages of these writers; None = of all.
 
     Raises:
         InvalidQuery: The text is no condition, or the parameters do not fit.
     """
 
     def __init__(
-        self, where: Union[str, Delete], params: Sequence[object] = (), node: Optional[str] = None
+        self,
+        where: Union[str, Delete],
+        params: Sequence[object] = (),
+        node: Optional[str] = None,
+        run: Writers = None,
     ) -> None:
         if isinstance(where, Delete):
             self._select = Select(where.text, (), "", 0, where.condition)
         else:
             self._select = Select(where, (), "", 0, parse_condition(where, params))
-        self._node = node
+        self._node, self._run = node, run
 
-    def bounds(self, named: bool = False) -> Bounds:
-        """Return what of it the store can check; see bounds_of."""
-        return bounds_of(self._select, self._node, named)
+    def bounds(self, tables: Sequence[Table] = ()) -> Bounds:
+        """Return what of it the store can check in the tables of a topic; see bounds_of."""
+        named, runs = any(table.named for table in tables), next((t.runs for t in tables), None)
+        return bounds_of(self._select, self._node, named, self._run, runs)
 
     def test(self, tables: Sequence[Table]) -> Callable[[Row], bool]:
         """Return a function that tells whether a row of these tables satisfies the condition.
@@ -203,7 +231,7 @@ class Condition:
         """Walk through the rows that satisfy the condition; bare rows fetch their messages late."""
         tables = source.tables
         projections = Projections(self._select, tables)
-        bounds = self.bounds(any(t.named for t in tables)).within(key, to_key)
+        bounds = self.bounds(tables).within(key, to_key)
         columns, chooser = projections.columns if bare else None, Pushdown(self._select.condition)
         rows = bounded_rows(source, bounds, columns, chooser, after, reverse)
         return filter(projections.hit, rows)
@@ -253,6 +281,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         select: The statement, its parameters bound.
         source: The topic that it names.
         node: Only messages of this node; None = of all.
+        run: Only messages of these writers; None = of all.
         limit: At most so many rows, besides the statement's LIMIT; None = no bound.
         after: ``cursor`` of an earlier result of the same statement: go on behind its last row.
         plan: What the server may check, one of pushdown.PLANS; the answer is always the same.
@@ -276,6 +305,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         source: Source[Row],
         *,
         node: Optional[str] = None,
+        run: Writers = None,
         limit: Optional[int] = None,
         after: Cursor = None,
         plan: str = "auto",
@@ -283,7 +313,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         self.select, self._source = select, source
         tables = source.tables
         named = any(table.named for table in tables)
-        self._bounds = bounds = bounds_of(select, node, named)
+        runs = next((table.runs for table in tables), None)
+        self._bounds = bounds = bounds_of(select, node, named, run, runs)
         for found in () if named else meant_as_seconds(select.condition):
             _log.warning(
                 "KEY is compared with %(ns)d, which means nanoseconds since 1970; did you mean "
@@ -369,7 +400,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             ends = (bounds.low, bounds.high)
             # Names have no order: where all is counted no end is named.
             low, high = (None, None) if ends == (0, MAX_NS) else map(Stamp.from_ns, ends)
-            count = self._source.countTopicData(low, high, bounds.node)
+            count = self._source.countTopicData(low, high, bounds.node, run=bounds.writers)
             yield (count,) * len(self.select.aggregates)
             return
         totals = Aggregation(self.select)

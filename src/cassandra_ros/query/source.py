@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Callable, Iterator, Optional, Protocol, Sequence, TypeVar
+from typing import Callable, FrozenSet, Iterator, Optional, Protocol, Sequence, TypeVar
 
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Stamp
@@ -13,6 +13,8 @@ from cassandra_ros.query.pushdown import Pushdown
 
 Columns = Callable[[Table], Optional[Sequence[str]]]
 """Gives for a table those of its columns that are to be read, in their order; None = all."""
+Writers = Optional[FrozenSet[int]]
+"""Writer ids whose messages are meant; None = all."""
 RowT_co = TypeVar("RowT_co", bound=Row, covariant=True)
 
 
@@ -38,11 +40,17 @@ class Source(Protocol[RowT_co]):
         reverse: bool = False,
         columns: Optional[Columns] = None,
         chooser: Optional[Pushdown] = None,
+        run: Writers = None,
     ) -> Iterator[RowT_co]:
         """Walk through the rows with a time in [key, to_key], ns, in its order; None = open."""
 
     def versions(
-        self, name: str, *, nodeID: Optional[str] = None, reverse: bool = False
+        self,
+        name: str,
+        *,
+        nodeID: Optional[str] = None,
+        reverse: bool = False,
+        run: Writers = None,
     ) -> Iterator[RowT_co]:
         """Walk through the rows under one name, by time; InvalidKey: none can have such a name."""
 
@@ -51,6 +59,8 @@ class Source(Protocol[RowT_co]):
         key: Optional[Stamp] = None,
         to_key: Optional[Stamp] = None,
         nodeID: Optional[str] = None,
+        *,
+        run: Writers = None,
     ) -> int:
         """Count the rows with a time in [key, to_key]."""
 

@@ -68,7 +68,7 @@ class Path:
 def path_text(names: Sequence[Tuple[str, Optional[int]]]) -> str:
     """Write names and their indexes as a statement does.
 
-    A field that is called KEY or NODE stands in quotes, for without them these words are ours.
+    A field that is called KEY, NODE or RUN stands in quotes, for without them these words are ours.
     """
     shown = [name if index is None else f"{name}[{index}]" for name, index in names]
     first = names[0][0]
@@ -93,10 +93,18 @@ class NodeOperand:
     text = "NODE"
 
 
-OWN_WORDS = (KeyOperand.text, NodeOperand.text)
+@dataclass(frozen=True)
+class RunOperand:
+    """``RUN``, the recording or import that stored a message."""
+
+    position: int
+    text = "RUN"
+
+
+OWN_WORDS = (KeyOperand.text, NodeOperand.text, RunOperand.text)
 """What stands for more than a field; a field of such a name is quoted."""
 
-Operand = Union[Path, KeyOperand, NodeOperand]
+Operand = Union[Path, KeyOperand, NodeOperand, RunOperand]
 
 
 @dataclass(frozen=True)

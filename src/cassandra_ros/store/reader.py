@@ -10,7 +10,17 @@ from __future__ import annotations
 import heapq
 import logging
 from collections import deque
-from typing import Callable, Iterable, Iterator, NamedTuple, Optional, Protocol, Sequence, Tuple
+from typing import (
+    Callable,
+    FrozenSet,
+    Iterable,
+    Iterator,
+    NamedTuple,
+    Optional,
+    Protocol,
+    Sequence,
+    Tuple,
+)
 
 from cassandra.query import PreparedStatement
 
@@ -77,6 +87,12 @@ class Scan(NamedTuple):
     """Which of the format's columns to read, in their order; None = all."""
     chooser: Optional[Chooser] = None
     """None = all rows."""
+    writers: Optional[FrozenSet[int]] = None
+    """Only rows of these writer ids; None = of all."""
+
+    def lists(self, bucket: Sequence[BucketRow]) -> bool:
+        """Say whether a bucket may hold rows of the writers: the directory lists a superset."""
+        return self.writers is None or any(row.writer in self.writers for row in bucket)
 
 
 class Piece(NamedTuple):
@@ -139,6 +155,9 @@ class _Stream:
         # The server cannot turn the order of what an index finds.
         self._turned = scan.reverse and indexed
         self.refused = False  # the server did not do what it was asked for; all rows are read
+        # A writer id is the upper half of a _seq.
+        writers = scan.writers
+        self._heads = None if writers is None else {encode_int(each) for each in writers}
         self._at_once = min(KEYS_AT_ONCE, piece.page_rows)
         self._early: tuple[Sequence[RawRow], Asked | None] = ((), None)
         self._asked = self._start(None)
@@ -202,7 +221,9 @@ class _Stream:
         return found
 
     def _made(self, values: Iterable[RawRow]) -> Iterator[TableRow]:
-        table, node = self._piece.table, self._piece.node
+        table, node, heads = self._piece.table, self._piece.node, self._heads
+        if heads is not None:
+            values = (each for each in values if (each[1] or b"")[:4] in heads)
         return (table.row_from_values(node, each) for each in values if not table.is_rest(each))
 
     def _fetched(self, keys: Sequence[RawRow]) -> Iterator[RawRow]:
@@ -309,6 +330,8 @@ def _pieces(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> lis
         for row in directory.buckets(table.name, *ends, scan.nodes, table.metadata.ttl):
             by_bucket.setdefault((row.node, row.bucket), []).append(row)
         for (node, bucket), group in by_bucket.items():
+            if not scan.lists(group):
+                continue
             start = min((bucket + 1) * length, high + 1) if scan.reverse else bucket * length
             found.append(Piece(start, table, node, bucket, group))
     found.sort(key=lambda p: (p.start, p.node, p.table.name), reverse=scan.reverse)

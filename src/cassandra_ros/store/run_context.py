@@ -138,5 +138,5 @@ def _value(plain: object) -> object:
         return xmlrpc.client.DateTime(inner)
     if kind == "$binary":
         return xmlrpc.client.Binary(base64.b64decode(inner))
-    mapping = inner if kind == "$mapping" else plain
+    mapping = plain["$mapping"] if kind == "$mapping" else plain
     return {key: _value(each) for key, each in mapping.items()}

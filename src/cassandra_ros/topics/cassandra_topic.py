@@ -29,7 +29,8 @@ from cassandra_ros.topics.indexes import Progress, create_index, has_index, remo
 from cassandra_ros.topics.keyspace import Keyspace, Wish
 from cassandra_ros.topics.message_writer import Adder
 from cassandra_ros.topics.reading import Columns
-from cassandra_ros.topics.selection import AnyKey, Stretch, Time
+from cassandra_ros.topics.runs import RunName
+from cassandra_ros.topics.selection import AnyKey, Stretch, Time, Whose
 from cassandra_ros.topics.stored_row import Key, StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.totals import count_buckets
@@ -54,7 +55,7 @@ class CassandraTopic:
       ``items(name)`` all.
 
     Fields are named as in a SELECT statement: ``linear.x``, ``ranges``, ``ranges[0]``,
-    ``header.stamp.secs``, a message (all of its fields), ``KEY``, ``NODE``, each also with
+    ``header.stamp.secs``, a message (all of its fields), ``KEY``, ``NODE``, ``RUN``, each with
     ``AS name``. Naming a field inside of an array of messages unnests the array: a row for each
     of its elements, or with ``where`` for each element that satisfies the condition, the other
     fields repeated. An array of messages that is named whole is not unnested.
@@ -177,6 +178,7 @@ class CassandraTopic:
         nodeID: Optional[str] = None,
         limit: Optional[int] = None,
         where: Optional[Where] = None,
+        run: RunName = None,
     ) -> Any:
         """Return one message, or those of a stretch of time.
 
@@ -186,11 +188,12 @@ class CassandraTopic:
             nearest: 'before' (at or before key), 'after' (at or after) or 'either'.
             default: Returned instead of raising when there is no message at key.
             nodeID: Only messages of this node; None = of all.
+            run: Only messages of the recordings or imports of this name, or of a writer id.
             limit: At most so many messages of a stretch.
             where: Only messages that satisfy this condition: what stands behind WHERE in CQL, as
                 ``'linear.x > 0.5'``, or a pair of it and its parameters. One on the elements of
-                an array of messages is satisfied when one element does. It holds besides key,
-                nearest, nodeID and limit: the nearest, or the first few, of those that satisfy it.
+                an array of messages is satisfied when one element does. It holds besides the
+                others: the nearest, or the first few, of those that satisfy it.
 
         Returns:
             With to_key a list in the order of time, else one message: of several with the same
@@ -202,16 +205,17 @@ class CassandraTopic:
             MessageNotFound: No message at key (also a KeyError).
             InvalidKey: A key cannot be one, or the topic's keys have no order.
             InvalidQuery: where is no condition; shows it with a caret under the spot.
+            RunNotFound: There is no such run.
         """
         if to_key is not None:
-            stretch = self._finder(nodeID, where).many(key, to_key, limit=limit)
+            stretch = self._finder(nodeID, where, run).many(key, to_key, limit=limit)
             return [row.message() for row in stretch]
         if key is None:
             raise InvalidKey(
                 "getData needs a key (and to_key for a stretch of time); items() walks "
                 f"through all messages of topic {self.name}, also through those with where="
             )
-        finder = self._finder(nodeID, where)
+        finder = self._finder(nodeID, where, run)
         row = finder.find(key, nearest)
         if row is None:
             if default is not _REQUIRED:
@@ -228,23 +232,22 @@ class CassandraTopic:
         limit: Optional[int] = None,
         reverse: bool = False,
         where: Optional[Where] = None,
+        run: RunName = None,
     ) -> Iterator[tuple[Key, Any]]:
         """Walk lazily through (key, message) in the order of time, any number of them.
 
-        With key_format ``manual`` and ``hash`` the keys of all messages are listed first, by a
-        scan of the whole table: slow where there are millions.
+        With key_format ``manual`` and ``hash`` a scan lists all keys first: slow with millions.
 
         Args:
-            key: Lower end, included; None = the first message. Where keys are names or values:
-                all messages of this one.
-            to_key: Upper end, included; None = the last message.
+            key: Lower end, included; None = open. Where keys are names or values: all of this one.
+            to_key: Upper end, included; None = open.
             reverse: Newest first.
-            nodeID, limit, where: As getData takes them, and raises for them.
+            nodeID, limit, where, run: As getData takes them, and raises for them.
 
         Raises:
             InvalidKey: ``key`` or ``to_key`` is no key of this topic.
         """
-        rows = self._finder(nodeID, where).many(key, to_key, limit=limit, reverse=reverse)
+        rows = self._finder(nodeID, where, run).many(key, to_key, limit=limit, reverse=reverse)
         return ((row.key, row.message()) for row in rows)
 
     def getRow(
@@ -254,22 +257,33 @@ class CassandraTopic:
         nearest: Optional[str] = None,
         nodeID: Optional[str] = None,
         where: Optional[Where] = None,
+        run: RunName = None,
     ) -> Optional[StoredRow]:
         """Find one stored row as getData does; None where there is none."""
-        return self._finder(nodeID, where).find(key, nearest)
+        return self._finder(nodeID, where, run).find(key, nearest)
 
-    def _finder(self, nodeID: Optional[str] = None, where: Optional[Where] = None) -> Finder:
-        nodes, tables = check_nodes(nodeID), self._stored()
+    def _finder(
+        self, nodeID: Optional[str] = None, where: Optional[Where] = None, run: RunName = None
+    ) -> Finder:
+        whose, tables = self._whose(nodeID, run), self._stored()
         key_format = (tables[0] if tables else self._wish).metadata.key_format or "time"
-        passing = None if where is None else Filter(self, where, nodeID)
-        return Finder(self._keyspace, self.name, key_format, tables, nodes, passing)
+        passing = None if where is None else Filter(self, where, nodeID, whose.writers)
+        return Finder(self._keyspace, self.name, key_format, tables, whose, passing)
+
+    def _whose(self, nodeID: Optional[str], run: RunName) -> Whose:
+        return Whose(check_nodes(nodeID), self._keyspace.runs.writers(run))
 
     def versions(
-        self, name: str, *, nodeID: Optional[str] = None, reverse: bool = False
+        self,
+        name: str,
+        *,
+        nodeID: Optional[str] = None,
+        reverse: bool = False,
+        run: RunName = None,
     ) -> Iterator[StoredRow]:
         """Walk through the messages under one name, by time, without making objects."""
         check_text("name", name, error=InvalidKey)
-        return self._finder(nodeID).many(name, None, reverse=reverse)
+        return self._finder(nodeID, run=run).many(name, None, reverse=reverse)
 
     def rows(
         self,
@@ -282,12 +296,13 @@ class CassandraTopic:
         reverse: bool = False,
         columns: Optional[Columns] = None,
         chooser: Optional[Pushdown] = None,
+        run: RunName = None,
     ) -> Iterator[StoredRow]:
         """Walk through messages by their time, as items does, without making objects.
 
         Args:
             key, to_key: Ends, both included, whatever the topic's keys are; None = open.
-            nodeID, limit, reverse: As items takes them.
+            nodeID, limit, reverse, run: As items takes them.
             after: Begin behind this row (a cursor).
             columns: Which columns of a table to read, None = all; a row fetches the others when
                 its bytes are asked for.
@@ -298,7 +313,7 @@ class CassandraTopic:
         rows = self._keyspace.rows.read(
             self._stored(),
             Stretch.between(key, to_key),
-            nodes=check_nodes(nodeID),
+            whose=self._whose(nodeID, run),
             after=after,
             reverse=reverse,
             columns=columns,
@@ -315,13 +330,17 @@ class CassandraTopic:
             )
         return tables
 
-    def first(self, nodeID: Optional[str] = None) -> Optional[Key]:
+    def first(self, nodeID: Optional[str] = None, *, run: RunName = None) -> Optional[Key]:
         """Return the key of the oldest message; None when there is none."""
-        return next((row.key for row in self.rows(nodeID=nodeID, limit=1)), None)
+        return self._end(nodeID, run, reverse=False)
 
-    def last(self, nodeID: Optional[str] = None) -> Optional[Key]:
+    def last(self, nodeID: Optional[str] = None, *, run: RunName = None) -> Optional[Key]:
         """Return the key of the newest message; None when there is none."""
-        return next((row.key for row in self.rows(nodeID=nodeID, limit=1, reverse=True)), None)
+        return self._end(nodeID, run, reverse=True)
+
+    def _end(self, nodeID: Optional[str], run: RunName, reverse: bool) -> Optional[Key]:
+        rows = self.rows(nodeID=nodeID, limit=1, reverse=reverse, run=run)
+        return next((row.key for row in rows), None)
 
     def keyOfText(self, text: str) -> AnyKey:
         """Read a key that a person typed.
@@ -342,12 +361,13 @@ class CassandraTopic:
         nodeID: Optional[str] = None,
         *,
         where: Optional[Where] = None,
+        run: RunName = None,
     ) -> int:
-        """Count the messages that items(key, to_key, where=where) walks through.
+        """Count the messages that items with the same arguments walks through.
 
         By time alone they are counted without reading them, with where= without making objects.
         """
-        return self._finder(nodeID, where).count(key, to_key)
+        return self._finder(nodeID, where, run).count(key, to_key)
 
     def removeData(
         self,
@@ -356,19 +376,20 @@ class CassandraTopic:
         nodeID: Optional[str] = None,
         *,
         where: Optional[Where] = None,
+        run: RunName = None,
     ) -> int:
         """Delete the messages at key, or with key <= time <= to_key; return how many.
 
         A key that the store returned means its one message, a bare time, name or value all that
-        have it. With where= only those that satisfy the condition are deleted; without key and
-        to_key that is each one of the topic, of whatever time.
+        have it. With where= and run= only those that satisfy the condition or are of the run are
+        deleted; without key and to_key that is each one of the topic, of whatever time.
 
         Raises:
             MessageNotFound: There is no message at key (without to_key).
-            InvalidKey: Neither key, to_key nor where is given.
+            InvalidKey: Neither key, to_key, where nor run is given.
             InvalidQuery: where is no condition.
         """
-        return self._finder(nodeID, where).remove(key, to_key)
+        return self._finder(nodeID, where, run).remove(key, to_key)
 
     def getArrays(
         self,
@@ -377,6 +398,7 @@ class CassandraTopic:
         to_key: Optional[Time] = None,
         where: Optional[Where] = None,
         nodeID: Optional[str] = None,
+        run: RunName = None,
     ) -> dict[str, Any]:
         """Return fields as numpy arrays, one each, of equal length and in the order of time.
 
@@ -395,13 +417,13 @@ class CassandraTopic:
 
         Args:
             fields: Names of fields; None = all, and KEY.
-            key, to_key, where, nodeID: Which messages, as items takes them.
+            key, to_key, where, nodeID, run: Which messages, as items takes them.
 
         Raises:
             InvalidQuery: A field or the condition is not one of this topic; shows the spot.
             InvalidKey: key or to_key cannot be one.
         """
-        read = partial(self._finder(nodeID, where).columns, key, to_key)
+        read = partial(self._finder(nodeID, where, run).columns, key, to_key)
         return read_arrays(self, fields, where, read)
 
     def toDataFrame(
@@ -411,6 +433,7 @@ class CassandraTopic:
         to_key: Optional[Time] = None,
         where: Optional[Where] = None,
         nodeID: Optional[str] = None,
+        run: RunName = None,
     ) -> Any:
         """Return messages as a pandas.DataFrame, one column a field.
 
@@ -421,13 +444,13 @@ class CassandraTopic:
 
         Args:
             fields: Names of fields; None = all of them.
-            key, to_key, where, nodeID: As getArrays takes them, and raises for them.
+            key, to_key, where, nodeID, run: As getArrays takes them, and raises for them.
 
         Raises:
             InvalidQuery: The topic has no such field.
             MissingDependency: pandas is not installed; the text says how.
         """
-        read = partial(self._finder(nodeID, where).columns, key, to_key)
+        read = partial(self._finder(nodeID, where, run).columns, key, to_key)
         return read_frame(self, fields, where, read)
 
     def createIndex(self, field: str, progress: Optional[Progress] = None) -> int:

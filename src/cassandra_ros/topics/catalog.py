@@ -31,8 +31,8 @@ from cassandra_ros.topics.finding import Filter, Where
 from cassandra_ros.topics.indexes import check_unnamed
 from cassandra_ros.topics.keyspace import Keyspace, Wish
 from cassandra_ros.topics.message_writer import Adder, Clock
-from cassandra_ros.topics.runs import Runs
-from cassandra_ros.topics.selection import Stretch, spellings
+from cassandra_ros.topics.runs import RunName
+from cassandra_ros.topics.selection import EVERYBODY, Stretch, Whose, spellings
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -52,7 +52,6 @@ class Catalog:
     def __init__(self, keyspace: Keyspace, clock: Optional[Clock]) -> None:
         self.keyspace = keyspace
         self.adder = Adder(keyspace, clock)
-        self.runs = Runs(keyspace)
         self._pending: dict[str, Wish] = {}
         self._mutex = threading.Lock()
 
@@ -207,14 +206,23 @@ class Catalog:
                 _log.error("topic %s is left out, it cannot be read here: %s", topic.name, exc)
         return found
 
+    def whose(self, node: Optional[str], run: RunName) -> Whose:
+        """Check nodeID and run, and return whose messages they mean; RunNotFound, InvalidName."""
+        return Whose(check_nodes(node), self.keyspace.runs.writers(run))
+
     def filters(
-        self, where: Conditions, topics: Optional[Iterable[str]], node: Optional[str]
+        self,
+        where: Conditions,
+        topics: Optional[Iterable[str]],
+        node: Optional[str],
+        run: RunName = None,
     ) -> Dict[str, Filter]:
         """Return a filter for each topic that a condition is for; it must be one that is read."""
         if where is None:
             return {}
         if not isinstance(where, Mapping):
             raise InvalidOption(f"where= is a mapping of topics to conditions, not {where!r:.80}")
+        writers = self.keyspace.runs.writers(run)
         read = None if topics is None else {self.get(name).name for name in topics}
         found: Dict[str, Filter] = {}
         for name, condition in where.items():
@@ -227,7 +235,7 @@ class Catalog:
                 )
             if topic.name in found:
                 raise InvalidOption(f"there are two conditions for topic {topic.name}; join them")
-            found[topic.name] = Filter(topic, condition, node)
+            found[topic.name] = Filter(topic, condition, node, writers)
         return found
 
     def merged(
@@ -235,23 +243,22 @@ class Catalog:
         tables: Sequence[TopicTable],
         filters: Mapping[str, Filter],
         stretch: Stretch,
-        node: Optional[str],
+        whose: Whose = EVERYBODY,
         received: bool = False,
     ) -> Iterator[StoredRow]:
         """Walk lazily through the rows of some tables that pass their filters, merged by time."""
-        nodes = check_nodes(node)
         read = self.keyspace.rows.received if received else self.keyspace.rows.read
         by_topic: Dict[str, List[TopicTable]] = {name: [] for name in filters}
         free: List[TopicTable] = []
         for table in tables:
             by_topic.get(table.metadata.topic, free).append(table)
         if not any(by_topic.values()):
-            return read(free, stretch, nodes=nodes)
-        streams = [read(free, stretch, nodes=nodes)] if free else []
+            return read(free, stretch, whose=whose)
+        streams = [read(free, stretch, whose=whose)] if free else []
         for name, own in by_topic.items():
             if received and any(t.metadata.own_time and not t.named for t in own):
                 # Read by a time that its key is not: the store cannot look for both.
-                streams.append(filter(filters[name].test, read(own, stretch, nodes=nodes)))
+                streams.append(filter(filters[name].test, read(own, stretch, whose=whose)))
             elif own:
                 streams.append(filters[name].rows(stretch))
         return heapq.merge(*streams, key=attrgetter("arrival" if received else "position"))

@@ -23,10 +23,19 @@ from cassandra_ros.messages.stamps import (
 )
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.run import Condition
-from cassandra_ros.query.source import Source
+from cassandra_ros.query.source import Source, Writers
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.removal import delete_rows, delete_stretch
-from cassandra_ros.topics.selection import LAST_NS, AnyKey, Named, Selection, Stretch, Valued
+from cassandra_ros.topics.selection import (
+    EVERYBODY,
+    LAST_NS,
+    AnyKey,
+    Named,
+    Selection,
+    Stretch,
+    Valued,
+    Whose,
+)
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.totals import count_rows
@@ -45,8 +54,7 @@ class Finder:
     """Its name."""
     key_format: str
     tables: Sequence[TopicTable]
-    nodes: Optional[Tuple[str, ...]] = None
-    """Only messages of this node; None = of all."""
+    whose: Whose = EVERYBODY
     where: Optional[Filter] = None
     """Only messages that pass it; None = all."""
 
@@ -62,7 +70,7 @@ class Finder:
     ) -> Iterator[StoredRow]:
         if self.where is not None and isinstance(wanted, Stretch):
             return self.where.rows(wanted, reverse=reverse, bare=bare)
-        rows = self.keyspace.rows.select(self.tables, wanted, self.nodes, reverse)
+        rows = self.keyspace.rows.select(self.tables, wanted, self.whose, reverse)
         return rows if self.where is None else filter(self.where.test, rows)
 
     def columns(
@@ -72,20 +80,20 @@ class Finder:
         wanted = self.several(key, to_key)
         if self.where is not None or not isinstance(wanted, Stretch):
             return self._select(wanted)
-        return self.keyspace.rows.read(self.tables, wanted, nodes=self.nodes, columns=columns)
+        return self.keyspace.rows.read(self.tables, wanted, whose=self.whose, columns=columns)
 
     def count(self, key: AnyKey, to_key: AnyKey) -> int:
         """Count the rows of ``many``, of a whole stretch of time without reading them."""
         wanted = self.several(key, to_key)
         if isinstance(wanted, Stretch) and self.where is None:
-            return count_rows(self.keyspace.directory, self.tables, *wanted, self.nodes)
+            return count_rows(self.keyspace.directory, self.tables, *wanted, self.whose)
         return sum(1 for _ in self._select(wanted, bare=True))
 
     def remove(self, key: AnyKey, to_key: AnyKey) -> int:
         """Delete the rows at key, or those of ``many``; see CassandraTopic.removeData."""
-        if key is None and to_key is None and self.where is None:
+        if key is None and to_key is None and self.where is None and self.whose.writers is None:
             raise InvalidKey(
-                "removeData needs a key (and to_key for a stretch of time), or where=; "
+                "removeData needs a key (and to_key for a stretch of time), where= or run=; "
                 f"truncateTopic removes all messages of topic {self.topic}"
             )
         if key is None or to_key is not None:
@@ -100,8 +108,8 @@ class Finder:
         return count
 
     def _remove(self, wanted: Selection) -> int:
-        if isinstance(wanted, Stretch) and self.where is None:
-            return delete_stretch(self.keyspace, self.tables, *wanted, self.nodes)
+        if isinstance(wanted, Stretch) and self.where is None and not self._named:
+            return delete_stretch(self.keyspace, self.tables, *wanted, self.whose)
         return delete_rows(self.keyspace, self._select(wanted, bare=True))
 
     def find(self, key: AnyKey, nearest: Optional[str]) -> Optional[StoredRow]:
@@ -119,7 +127,7 @@ class Finder:
     def _at(self, t: int) -> Optional[StoredRow]:
         """Find the row at a time, ns: of several the first in the order of all reads."""
         if self.where is None:
-            return self.keyspace.rows.at(self.tables, t, self.nodes)
+            return self.keyspace.rows.at(self.tables, t, self.whose)
         return next(self._select(Stretch(t, t)), None)
 
     def _table_of(self, key: AnyKey) -> Optional[TopicTable]:
@@ -136,7 +144,7 @@ class Finder:
     def _is_exact(self, key: AnyKey) -> bool:
         """Say whether a key is one that the store gave: it knows its row."""
         known = isinstance(key, (RowName, Stamp)) and bool(key.table)
-        return known and (self.nodes is None or key.node in self.nodes)
+        return known and self.whose.has(key)
 
     def _near(self, key: AnyKey, nearest: str) -> Optional[StoredRow]:
         if nearest not in NEAREST:
@@ -166,8 +174,10 @@ class Finder:
         """Say that there is no message at a key, what lies near, and what was probably meant."""
         wanted = self.one(key)
         none = f"topic {self.topic} has no message"
-        if self.nodes is not None:
-            none += f" of node {self.nodes[0]}"
+        if self.whose.nodes is not None:
+            none += f" of node {self.whose.nodes[0]}"
+        if self.whose.writers is not None:
+            none += " of this run"
         if self.where is not None:
             none += f" that satisfies {self.where.text!r:.200}"
         if isinstance(wanted, Named):
@@ -264,7 +274,13 @@ class Filter:
         test: Tells whether a row of the topic satisfies it, whatever its node.
     """
 
-    def __init__(self, topic: Source[StoredRow], where: Where, node: Optional[str] = None) -> None:
+    def __init__(
+        self,
+        topic: Source[StoredRow],
+        where: Where,
+        node: Optional[str] = None,
+        run: Writers = None,
+    ) -> None:
         given = (where, ()) if isinstance(where, str) else where
         pair = isinstance(given, (tuple, list)) and len(given) == 2
         if not (pair and isinstance(given[0], str)):
@@ -272,7 +288,7 @@ class Filter:
             raise InvalidQuery(repr(where)[:200], 0, wanted)
         self.text, params = given
         self._topic = topic
-        self._condition = Condition(self.text, params, node)
+        self._condition = Condition(self.text, params, node, run)
         self.test = self._condition.test(topic.tables)
 
     def rows(

@@ -33,7 +33,10 @@ from cassandra_ros.store.schema import Planned, Schema
 from cassandra_ros.store.side_tables import SideTables
 from cassandra_ros.topics.connections import ConnectionCache
 from cassandra_ros.topics.reading import RowReader
+from cassandra_ros.topics.runs import Runs
+from cassandra_ros.topics.selection import Whose
 from cassandra_ros.topics.topic_table import TopicTable, TopicTables, definition_in
+from cassandra_ros.topics.totals import holds_any
 
 _log = logging.getLogger(__name__)
 
@@ -53,8 +56,14 @@ class Keyspace:
         self.directory = Directory(cassandra, self.side_tables)
         self.registry = Registry(self.side_tables)
         self.connections = ConnectionCache(self.registry)
-        self.tables = TopicTables(cassandra, self.schema, self.connections)
+        self.runs = Runs(name, self.registry, self._has_written)
+        self.tables = TopicTables(cassandra, self.schema, self.connections, self.runs)
         self.rows = RowReader(cassandra, self.directory)
+
+    def _has_written(self, writer: int) -> bool:
+        whose, every = Whose(None, frozenset([writer])), self.schema.tables(fresh=True)
+        tables = [self.tables.get(name, metadata) for name, metadata in every.items()]
+        return holds_any(self.directory, tables, whose)
 
     def format_for(self, topic: str, md5sum: str = "", asked: Optional[str] = None) -> str:
         """Decide in which format new messages of a topic are kept.

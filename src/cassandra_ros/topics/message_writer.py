@@ -15,17 +15,31 @@ from functools import partial
 from types import ModuleType
 from typing import Callable, Mapping, Optional
 
-from cassandra_ros.arguments import check_new_topic, check_node
+from cassandra_ros.arguments import (
+    check_integer,
+    check_new_topic,
+    check_node,
+    check_seconds,
+    check_ttl,
+)
 from cassandra_ros.errors import (
     CassandraRosError,
     ClockNotSet,
     CorruptMessage,
     DefinitionError,
     InvalidKey,
+    InvalidOption,
     TopicNotFound,
 )
 from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
-from cassandra_ros.keys import COUNTER_BITS, MAX_NS, Position, RowName, new_writer_id
+from cassandra_ros.keys import (
+    COUNTER_BITS,
+    MAX_NS,
+    MAX_WRITER,
+    Position,
+    RowName,
+    new_writer_id,
+)
 from cassandra_ros.messages.classes import installed_definition, serialize
 from cassandra_ros.messages.connection import Connection, api_connection
 from cassandra_ros.messages.definition import Definition, definition_of, parse_definition
@@ -297,6 +311,36 @@ class MessageWriter:
 
     def __exit__(self, *exc_info: object) -> None:
         self.close()
+
+
+def make_writer(
+    keyspace: Keyspace,
+    writer_id: Optional[int],
+    *,
+    format: Optional[str],
+    node: str,
+    ttl: int,
+    linger_sec: float,
+    give_up_after_sec: float,
+    run: Optional[Run],
+    on_loss: Optional[LossCallback],
+) -> MessageWriter:
+    """Check the arguments of RosCassandra.messageWriter and make the writer."""
+    if run is not None and not isinstance(run, Run):
+        raise InvalidOption(f"run={run!r:.80} describes no run: give a store.registry.Run")
+    if writer_id is None:
+        writer_id = new_writer_id()
+    return MessageWriter(
+        keyspace,
+        check_integer("writer_id", writer_id, 1, MAX_WRITER, InvalidKey),
+        format=format,
+        node=check_node(node),
+        ttl=check_ttl(ttl),
+        linger_sec=check_seconds("linger_sec", linger_sec),
+        give_up_after_sec=check_seconds("give_up_after_sec", give_up_after_sec),
+        run=run,
+        on_loss=on_loss,
+    )
 
 
 def usable_definition(

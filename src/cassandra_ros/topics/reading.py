@@ -25,7 +25,15 @@ from cassandra_ros.store.fetch import (
 )
 from cassandra_ros.store.reader import Scan, read_rows
 from cassandra_ros.store.row_table import RowTable, TableRow
-from cassandra_ros.topics.selection import LAST_NS, Named, Nodes, Selection, Stretch, Valued
+from cassandra_ros.topics.selection import (
+    EVERYBODY,
+    LAST_NS,
+    Named,
+    Selection,
+    Stretch,
+    Valued,
+    Whose,
+)
 from cassandra_ros.topics.stored_row import StoredRow, fetch_row
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -40,15 +48,15 @@ class RowReader:
         self._directory = directory
 
     def select(
-        self, tables: Sequence[TopicTable], wanted: Selection, nodes: Nodes, reverse: bool
+        self, tables: Sequence[TopicTable], wanted: Selection, whose: Whose, reverse: bool
     ) -> Iterator[StoredRow]:
         """Yield the rows that a selection means, in the order of time or newest first."""
         if isinstance(wanted, Stretch):
-            return self.read(tables, wanted, nodes=nodes, reverse=reverse)
+            return self.read(tables, wanted, whose=whose, reverse=reverse)
         if isinstance(wanted, Named):
-            rows = self._versions(tables, wanted.name, nodes, reverse)
+            rows = self._versions(tables, wanted.name, whose, reverse)
         else:
-            rows = self._valued(tables, wanted, nodes, reverse)
+            rows = self._valued(tables, wanted, whose, reverse)
         return self._stored(rows, tables)
 
     def read(
@@ -56,7 +64,7 @@ class RowReader:
         tables: Sequence[TopicTable],
         stretch: Stretch,
         *,
-        nodes: Nodes = None,
+        whose: Whose = EVERYBODY,
         after: Optional[Position] = None,
         reverse: bool = False,
         columns: Optional[Columns] = None,
@@ -70,16 +78,17 @@ class RowReader:
         scan = Scan(
             *stretch,
             after,
-            nodes,
+            whose.nodes,
             reverse,
             # The store gives back the tables that it is given, which are TopicTables.
             cast("Optional[Callable[[RowTable], Optional[Sequence[str]]]]", columns),
             cast("Optional[reader.Chooser]", chooser),
+            whose.writers,
         )
         timed = [table for table in tables if not table.named]
         rows: Iterable[TableRow] = read_rows(self._directory, timed, scan)
         if len(timed) < len(tables):
-            named = self._named([t for t in tables if t.named], scan)
+            named = self._named([t for t in tables if t.named], scan, whose)
             rows = heapq.merge(rows, named, key=lambda row: row.position, reverse=reverse)
         yield from self._stored(rows, tables)
 
@@ -91,30 +100,32 @@ class RowReader:
             self._cassandra.require_open()  # also an iterator says at once that it cannot go on
             yield StoredRow(row, by_name[row.table])
 
-    def _named(self, tables: Sequence[TopicTable], scan: Scan) -> Iterator[TableRow]:
+    def _named(self, tables: Sequence[TopicTable], scan: Scan, whose: Whose) -> Iterator[TableRow]:
         keys = [
             Wanted(table, key.position)
             for table in tables
             for key in list_names(table, scan.nodes)
             if scan.low <= key.position.t <= scan.high
+            and whose.wrote(key.position.seq)
             and is_behind(key.position, scan.after, scan.reverse)
         ]
         keys.sort(key=lambda key: key.position, reverse=scan.reverse)
         return fetch_rows(keys)
 
     def _versions(
-        self, tables: Sequence[TopicTable], name: str, nodes: Nodes, reverse: bool
+        self, tables: Sequence[TopicTable], name: str, whose: Whose, reverse: bool
     ) -> Iterator[TableRow]:
         streams = []
         for table in tables:
             if table.named:
                 known = {node for _, node in self._directory.nodes(table.name, 0, 0)}
-                asked = sorted(known if nodes is None else known.intersection(nodes))
+                asked = sorted(known if whose.nodes is None else known.intersection(whose.nodes))
                 streams.append(versions(table, name, asked, reverse=reverse))
-        return heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
+        merged = heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
+        return filter(whose.has, merged)
 
     def _valued(
-        self, tables: Sequence[TopicTable], wanted: Valued, nodes: Nodes, reverse: bool
+        self, tables: Sequence[TopicTable], wanted: Valued, whose: Whose, reverse: bool
     ) -> Iterator[TableRow]:
         keys: list[Iterator[Wanted]] = []
         problems: list[InvalidKey] = []
@@ -126,35 +137,37 @@ class RowReader:
                 problems.append(exc)
                 continue
             if value is not None:
-                keys.append(self._keys_of(table, part, value, nodes))
+                keys.append(self._keys_of(table, part, value, whose))
         if problems and len(problems) == len(parts):
             raise problems[0]  # in none of the tables the field is of the value's kind
         merged: Iterable[Wanted] = heapq.merge(*keys, key=lambda key: key.position)
         yield from fetch_rows(reversed(list(merged)) if reverse else merged)
 
     def _keys_of(
-        self, table: TopicTable, part: KeyPart, wanted: bytes, nodes: Nodes
+        self, table: TopicTable, part: KeyPart, wanted: bytes, whose: Whose
     ) -> Iterator[Wanted]:
         index = part.index(wanted)
         if index is not None:
             shadow = table.metadata.indexes[part.field]
-            yield from keys_by_shadow(self._directory, table, shadow, index, nodes)
+            keys = keys_by_shadow(self._directory, table, shadow, index, whose.nodes)
+            yield from (key for key in keys if whose.wrote(key.position.seq))
             return
         # A text that is too long for the index: its rows are marked, but not by a value.
-        for row in self.read([table], Stretch(), nodes=nodes):
+        for row in self.read([table], Stretch(), whose=whose):
             if row.odd and part.value(row.wire) == wanted:
                 yield Wanted(table, row.position)
 
     def received(
-        self, tables: Sequence[TopicTable], stretch: Stretch, *, nodes: Nodes = None
+        self, tables: Sequence[TopicTable], stretch: Stretch, *, whose: Whose = EVERYBODY
     ) -> Iterator[StoredRow]:
         """Yield the rows that were received in a stretch, in the order of their reception.
 
         Of topics whose key is a time in the message all keys are listed first.
         """
         foreign = {t.name: t for t in tables if t.metadata.own_time and not t.named}
-        own = self.read([t for t in tables if t.name not in foreign], stretch, nodes=nodes)
-        scan = Scan(0, LAST_NS, None, nodes, columns=lambda table: ())
+        own = self.read([t for t in tables if t.name not in foreign], stretch, whose=whose)
+        nodes, writers = whose
+        scan = Scan(0, LAST_NS, None, nodes, columns=lambda table: (), writers=writers)
         keys = sorted(
             (r.received, r.node, r.seq, r.table, r.position)
             for r in read_rows(self._directory, list(foreign.values()), scan)
@@ -170,10 +183,12 @@ class RowReader:
         position = Position(t, key.node or "", key.seq or 0, table.name, name)
         return self._single(fetch_row(table, position), [table])
 
-    def at(self, tables: Sequence[TopicTable], t: int, nodes: Nodes) -> Optional[StoredRow]:
+    def at(self, tables: Sequence[TopicTable], t: int, whose: Whose) -> Optional[StoredRow]:
         """Read the first row with exactly this time."""
         timed = [table for table in tables if not table.named]
-        return self._single(first_at(self._directory, timed, t, nodes), tables)
+        if whose.writers is not None:  # the first of a partition may be another's
+            return next(self.read(timed, Stretch(t, t), whose=whose), None)
+        return self._single(first_at(self._directory, timed, t, whose.nodes), tables)
 
     def _single(self, row: Optional[TableRow], tables: Sequence[TopicTable]) -> Optional[StoredRow]:
         return next(self._stored([] if row is None else [row], tables), None)

@@ -10,7 +10,7 @@ from typing import Collection, Dict, Iterable, List, Sequence, Set, Tuple, Union
 from cassandra_ros.store.counting import scan_keys
 from cassandra_ros.store.directory import Directory
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.selection import Nodes
+from cassandra_ros.topics.selection import Whose
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -23,15 +23,35 @@ _Key = Tuple[int, int, bool]
 
 
 def delete_stretch(
-    space: Keyspace, tables: Sequence[TopicTable], low: int, high: int, nodes: Nodes
+    space: Keyspace, tables: Sequence[TopicTable], low: int, high: int, whose: Whose
 ) -> int:
     """Delete rows with t in [low, high], and their chunks; return how many there were."""
     deleted = 0
     for table in tables:
         ends = table.bucket_of(low), table.bucket_of(high)
-        rows = space.directory.buckets(table.name, *ends, nodes, table.metadata.ttl)
-        for node, bucket in sorted({(row.node, row.bucket) for row in rows}):
-            deleted += _delete_bucket(space, table, node, bucket, low, high)
+        rows = space.directory.buckets(table.name, *ends, whose.nodes, table.metadata.ttl)
+        writers: Dict[Tuple[str, int], Set[int]] = {}
+        for row in rows:
+            writers.setdefault((row.node, row.bucket), set()).add(row.writer)
+        for (node, bucket), listed in sorted(writers.items()):
+            if whose.writers is None or listed <= whose.writers:
+                deleted += _delete_bucket(space, table, node, bucket, low, high)
+            elif listed & whose.writers:
+                # Others wrote there, too: one by one, and theirs stay.
+                deleted += _delete_between(space, (table, node, bucket), low, high, whose)
+    return deleted
+
+
+def _delete_between(
+    space: Keyspace, partition: _Partition, low: int, high: int, whose: Whose
+) -> int:
+    table, node, bucket = partition
+    found = scan_keys(table, node, int(bucket), low, high)
+    keys = ((t, seq, large) for t, seq, _, large, _ in found if whose.wrote(seq))
+    deleted = 0
+    while some := list(islice(keys, ROWS_AT_ONCE)):
+        _delete_some(space, partition, some)
+        deleted += len(some)
     return deleted
 
 

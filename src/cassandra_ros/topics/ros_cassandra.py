@@ -6,19 +6,9 @@ from __future__ import annotations
 
 from typing import Any, Iterable, Iterator, Mapping, Optional, Sequence
 
-from cassandra_ros.arguments import (
-    MAX_TOPIC_BYTES,
-    check_integer,
-    check_new_topic,
-    check_node,
-    check_nodes,
-    check_seconds,
-    check_text,
-    check_topics,
-    check_ttl,
-)
-from cassandra_ros.errors import InvalidKey, InvalidName, InvalidOption, KeyspaceNotFound
-from cassandra_ros.keys import MAX_WRITER, Position, new_writer_id
+from cassandra_ros.arguments import check_new_topic, check_text, check_topics
+from cassandra_ros.errors import InvalidName, KeyspaceNotFound
+from cassandra_ros.keys import Position
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import duration_ns
 from cassandra_ros.query.explain import Explanation
@@ -31,9 +21,9 @@ from cassandra_ros.store.writer import LossCallback
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
 from cassandra_ros.topics.keyspace import Keyspace, wished_topic, with_key
-from cassandra_ros.topics.message_writer import Clock, MessageWriter
+from cassandra_ros.topics.message_writer import Clock, MessageWriter, make_writer
 from cassandra_ros.topics.runs import RunName
-from cassandra_ros.topics.selection import LAST_NS, Stretch, Time
+from cassandra_ros.topics.selection import Stretch, Time
 from cassandra_ros.topics.statements import Statements
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.totals import TopicInfo, describe
@@ -70,14 +60,8 @@ class RosCassandra:
         password: Optional[str] = None,
         ssl_context: Any = None,
     ) -> None:
-        self.cassandra = Cassandra(
-            host,
-            port,
-            consistency=consistency,
-            username=username,
-            password=password,
-            ssl_context=ssl_context,
-        )
+        login = {"username": username, "password": password, "ssl_context": ssl_context}
+        self.cassandra = Cassandra(host, port, consistency=consistency, **login)
         self._clock = clock
         self._opened: Optional[Catalog] = None
         keyspace = from_environment("KEYSPACE") or None if keyspace is None else keyspace
@@ -268,31 +252,35 @@ class RosCassandra:
         Raises:
             InvalidName, InvalidKey, InvalidOption, UnknownFormat: An argument cannot be one.
         """
-        if run is not None and not isinstance(run, Run):
-            raise InvalidOption(f"run={run!r:.80} describes no run: give a store.registry.Run")
-        if writer_id is None:
-            writer_id = new_writer_id()
-        return MessageWriter(
+        return make_writer(
             self.parts,
-            check_integer("writer_id", writer_id, 1, MAX_WRITER, InvalidKey),
+            writer_id,
             format=format,
-            node=check_node(nodeID),
-            ttl=check_ttl(ttl),
-            linger_sec=check_seconds("linger_sec", linger_sec),
-            give_up_after_sec=check_seconds("give_up_after_sec", give_up_after_sec),
+            node=nodeID,
+            ttl=ttl,
+            linger_sec=linger_sec,
+            give_up_after_sec=give_up_after_sec,
             run=run,
             on_loss=on_loss,
         )
 
     def connection(self, table: str, conn: int) -> Connection:
         """Return the connection that a row of a table names."""
-        check_text("table", table, MAX_TOPIC_BYTES, InvalidKey, "row.table.name")
-        check_integer("conn", conn, -(2**63), 2**63 - 1, InvalidKey)
-        return self.parts.connections.get(table, conn)
+        return self.parts.connections.checked(table, conn)
 
-    def info(self, topics: Optional[Iterable[str]] = None) -> list[TopicInfo]:
-        """Describe what is stored: counts, sizes and times by topic, table and node."""
-        return describe(self.parts.directory, self._open.tables(check_topics(topics)))
+    def info(
+        self,
+        topics: Optional[Iterable[str]] = None,
+        *,
+        nodeID: Optional[str] = None,
+        run: RunName = None,
+    ) -> list[TopicInfo]:
+        """Describe what is stored: counts, sizes and times by topic, table and node.
+
+        Of a node or run there are only the tables in which they have messages.
+        """
+        tables, whose = self._open.tables(check_topics(topics)), self._open.whose(nodeID, run)
+        return describe(self.parts.directory, tables, whose)
 
     def runs(self) -> list[Run]:
         """List the recordings and imports of the keyspace."""
@@ -303,7 +291,7 @@ class RosCassandra:
 
         Of several runs of one name the one that began last counts. Raises RunNotFound.
         """
-        return self._open.runs.context(run)
+        return self.parts.runs.context(run)
 
     def losses(
         self,
@@ -318,8 +306,8 @@ class RosCassandra:
 
         The arguments are those of readMessages: a loss counts whose stretch of time is touched.
         """
-        stretch = Stretch.between(key, to_key)
-        return self._open.runs.losses(check_topics(topics), stretch, check_nodes(nodeID), run)
+        names, stretch = check_topics(topics), Stretch.between(key, to_key)
+        return self.parts.runs.losses(names, stretch, self._open.whose(nodeID, run))
 
     def readMessages(
         self,
@@ -330,6 +318,7 @@ class RosCassandra:
         nodeID: Optional[str] = None,
         received: bool = False,
         where: Conditions = None,
+        run: RunName = None,
     ) -> Iterator[StoredRow]:
         """Walk lazily through the rows of several topics, merged by time.
 
@@ -339,20 +328,21 @@ class RosCassandra:
             topics: Their names, or one; None = all.
             key, to_key: Ends, both included; None = open.
             nodeID: Only messages of this node; None = of all.
+            run: Only messages of this run, by its name (of all that have it) or writer id.
             received: By the time of reception, as a bag has them, also where a topic's key is
                 another time.
             where: Topic -> condition, a text or (text, parameters): of these topics only the
                 messages that satisfy it.
 
         Raises:
-            TopicNotFound: One of the topics is not stored.
-            InvalidName: topics or nodeID are no names.
+            TopicNotFound, RunNotFound: One of the topics is not stored, or there is no such run.
+            InvalidName: topics, nodeID or run are no names.
             InvalidOption: A condition is for a topic that is not read.
             InvalidQuery: A condition is none; shows it with a caret under the spot.
         """
         names, stretch, space = check_topics(topics), Stretch.between(key, to_key), self._open
-        filters = space.filters(where, names, nodeID)
-        return space.merged(space.tables(names), filters, stretch, nodeID, received)
+        filters, whose = space.filters(where, names, nodeID, run), space.whose(nodeID, run)
+        return space.merged(space.tables(names), filters, stretch, whose, received)
 
     def nearestMessages(
         self,
@@ -365,6 +355,7 @@ class RosCassandra:
         nodeID: Optional[str] = None,
         where: Conditions = None,
         unpaired: bool = False,
+        run: RunName = None,
     ) -> Iterator[Pair]:
         """Pair each message of one topic with the message of another that is nearest in time.
 
@@ -379,7 +370,7 @@ class RosCassandra:
             tolerance: How far a partner may be, before or behind: seconds or a Duration.
             key, to_key: Ends for the first topic, both included; None = open. Partners may lie
                 outside of them.
-            nodeID: Only messages of this node; None = of all: partners may be of two nodes.
+            nodeID, run: Only messages of these; None = of all: partners may be of two nodes.
             where: Topic -> condition, as readMessages takes it: what does not satisfy it is
                 nobody's partner.
             unpaired: Give (row, None) for messages that have no partner.
@@ -392,10 +383,10 @@ class RosCassandra:
         """
         reach, stretch, space = duration_ns(tolerance), Stretch.between(key, to_key), self._open
         first, second = space.get(topic_a), space.get(topic_b)
-        filters = space.filters(where, (topic_a, topic_b), nodeID)
-        rows = space.merged(first.tables, filters, stretch, nodeID)
-        low, high = max(0, stretch.low - reach), min(LAST_NS, stretch.high + reach)
-        partners = space.merged(second.tables, filters, Stretch(low, high), nodeID)
+        filters = space.filters(where, (topic_a, topic_b), nodeID, run)
+        whose, wider = space.whose(nodeID, run), stretch.wider(reach)
+        rows = space.merged(first.tables, filters, stretch, whose)
+        partners = space.merged(second.tables, filters, wider, whose)
         return nearest_pairs(rows, partners, reach, unpaired)
 
     @property
@@ -410,6 +401,7 @@ class RosCassandra:
         *,
         nodeID: Optional[str] = None,
         limit: Optional[int] = None,
+        run: RunName = None,
     ) -> Rows:
         """Run a statement and return all its rows: a list of tuples with ``.columns``.
 
@@ -419,13 +411,14 @@ class RosCassandra:
         Args:
             statement: CQL with topic names, dotted fields and KEY (paper 3.2).
             params: Values for its ``?`` and ``%s`` markers.
-            nodeID: Only messages of this node, for SELECT and DELETE; None = of all.
+            nodeID, run: Only messages of these, for SELECT and DELETE; None = of all.
             limit: At most so many rows, for SELECT.
 
         Raises:
             InvalidQuery: Shows the statement with a caret under the spot.
+            RunNotFound: run is none; in the statement an unknown RUN only finds nothing.
         """
-        return self.statements.run(statement, params, node=nodeID, limit=limit)
+        return self.statements.run(statement, params, nodeID, limit, run)
 
     def iterCQL(
         self,
@@ -435,12 +428,20 @@ class RosCassandra:
         nodeID: Optional[str] = None,
         limit: Optional[int] = None,
         after: Optional[Position] = None,
+        run: RunName = None,
     ) -> QueryResult:
         """Run a SELECT lazily: an iterator of tuples with ``.columns``; as executeCQL."""
-        return self.statements.select(statement, params, node=nodeID, limit=limit, after=after)
+        return self.statements.select(
+            statement, params, node=nodeID, limit=limit, after=after, run=run
+        )
 
     def explainCQL(
-        self, statement: str, params: Sequence[Any] = (), *, nodeID: Optional[str] = None
+        self,
+        statement: str,
+        params: Sequence[Any] = (),
+        *,
+        nodeID: Optional[str] = None,
+        run: RunName = None,
     ) -> Explanation:
         """Run a SELECT statement and say how it was answered; ``print`` what comes back.
 
@@ -448,7 +449,7 @@ class RosCassandra:
         the server, whole), what the server checked, what was left to this side, rows read and
         returned. Raises InvalidQuery as executeCQL does.
         """
-        return self.statements.explain(statement, params, nodeID)
+        return self.statements.explain(statement, params, nodeID, run)
 
     def lookupTransform(
         self,
@@ -459,6 +460,7 @@ class RosCassandra:
         nodeID: Optional[str] = None,
         tf: str = "/tf",
         tf_static: str = "/tf_static",
+        run: RunName = None,
     ) -> Any:
         """Return the transform between two frames at any past time, as tf2 computes it.
 
@@ -473,7 +475,7 @@ class RosCassandra:
             source: Frame from which it takes them.
             time: As a key: genpy.Time, int (ns), float (s) or ISO 8601 text. 0 means, as in tf2,
                 the newest time that is recorded for all frames on the way.
-            nodeID: Only transforms of this node, of both topics; None = of all.
+            nodeID, run: Only transforms of these, of both topics; None = of all.
             tf: Topic of the moving transforms.
             tf_static: Topic of the fixed ones. One of the two may be missing.
 
@@ -489,4 +491,7 @@ class RosCassandra:
             MissingDependency: tf2_py is not installed.
             InvalidKey, InvalidName.
         """
-        return lookup_transform(self._open.get, nodeID, target, source, time, tf, tf_static)
+        writers = self.parts.runs.writers(run)
+        return lookup_transform(
+            self._open.get, nodeID, writers, target, source, time, tf, tf_static
+        )

@@ -5,76 +5,127 @@
 from __future__ import annotations
 
 import difflib
+import threading
+import time
 from datetime import datetime
-from typing import FrozenSet, Optional, Sequence, Union
+from typing import Callable, Dict, FrozenSet, Optional, Sequence, Union
 
 from cassandra_ros.arguments import check_run
 from cassandra_ros.errors import RunNotFound
-from cassandra_ros.store.registry import Loss, Run
+from cassandra_ros.keys import MAX_WRITER
+from cassandra_ros.store.registry import Loss, Registry, Run
 from cassandra_ros.store.run_context import RunContext
-from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.selection import Nodes, Stretch, spellings
+from cassandra_ros.topics.selection import Stretch, Whose, spellings
 
-RunName = Union[None, str, int]
-"""A run's name, or its writer id as a number or text; None = all runs."""
 Writers = Optional[FrozenSet[int]]
 """Writer ids whose messages are meant; None = all."""
+RunName = Union[None, str, int, FrozenSet[int]]
+"""A run's name, or its writer id as a number or text; writer ids that were found already; None =
+all runs."""
+FRESH_SEC = 1.0
+"""So long nobody looks again for the run of a writer that had none: single clients have none."""
 
 
 class Runs:
-    """Finds the runs of one keyspace. Thread-safe."""
+    """Finds the runs of one keyspace. Thread-safe.
 
-    def __init__(self, keyspace: Keyspace) -> None:
-        self._keyspace = keyspace
+    Args:
+        keyspace: Its name.
+        has_written: Says whether messages of a writer id are stored: clients without a run have
+            one, too.
+    """
+
+    def __init__(
+        self, keyspace: str, registry: Registry, has_written: Callable[[int], bool]
+    ) -> None:
+        self._name = keyspace
+        self._registry = registry
+        self._has_written = has_written
+        self._texts: Dict[int, str] = {}
+        self._read = -FRESH_SEC
+        self._mutex = threading.Lock()
 
     def find(self, run: Union[str, int]) -> list[Run]:
-        """Find the runs of a name, or the one of a writer id; the newest first.
+        """Find the runs of a name, or those of a writer id; the newest first.
 
         Raises:
             RunNotFound: There is none; the text gives the nearest names.
             InvalidName: It is no text, and no writer id.
         """
-        wanted, every = check_run(run), self._keyspace.registry.runs()
-        found = [each for each in every if each.name == wanted and wanted]
+        found = self._known(check_run(run))
         if not found:
-            found = [each for each in every if str(each.writer) == str(wanted)]
-        if not found:
-            raise RunNotFound(self._absent(wanted, every))
-        return sorted(found, key=_began, reverse=True)
+            raise RunNotFound(self._absent(run))
+        return found
+
+    def _known(self, run: RunName) -> list[Run]:
+        every = sorted(self._registry.runs(), key=_began, reverse=True)
+        found = [each for each in every if each.name == run and run]
+        return found or [each for each in every if str(each.writer) == str(run)]
 
     def writers(self, run: RunName) -> Writers:
         """Return the writer ids of a run, or of all of its name; raises as find does."""
-        return None if run is None else frozenset(each.writer for each in self.find(run))
+        if run is None or isinstance(run, frozenset):
+            return run
+        found = frozenset(each.writer for each in self._known(check_run(run)))
+        writer = _writer(str(run))
+        if not found and writer is not None and self._has_written(writer):
+            found = frozenset([writer])
+        if not found:
+            raise RunNotFound(self._absent(run))
+        return found
 
-    def _absent(self, run: RunName, every: Sequence[Run]) -> str:
+    def called(self, text: str) -> FrozenSet[int]:
+        """Return the writer ids of which ``text`` says so."""
+        every = {each.writer: each.name for each in self._registry.runs()}
+        found = {writer for writer, name in every.items() if (name or str(writer)) == text}
+        writer = _writer(text)
+        return frozenset(found if writer is None or writer in every else found | {writer})
+
+    def text(self, writer: int) -> str:
+        """Return the name of a writer's run, or its id where it has no run or that no name."""
+        known = self._texts.get(writer)
+        if known is None:
+            with self._mutex:
+                if time.monotonic() - self._read > FRESH_SEC:
+                    every = {each.writer: each.name for each in self._registry.runs()}
+                    self._texts = {each: name or str(each) for each, name in every.items()}
+                    self._read = time.monotonic()
+                known = self._texts.get(writer) or str(writer)
+        return known
+
+    def _absent(self, run: RunName) -> str:
+        every = self._registry.runs()
         names = sorted({each.name or str(each.writer) for each in every})
         near = difflib.get_close_matches(str(run), names, n=3, cutoff=0.5)
         hint = f"did you mean {', '.join(near)}?" if near else f"it holds {len(every)} runs"
-        return f"there is no run {run!r:.80} in keyspace {self._keyspace.name}; {hint}"
+        return f"there is no run {run!r:.80} in keyspace {self._name}; {hint}"
 
     def context(self, run: RunName) -> Optional[RunContext]:
         """Return what stood around a run at its start; None where that was not kept."""
-        for each in self.find("" if run is None else run):
-            found = self._keyspace.registry.get_context(each.writer, each.node)
+        for each in self.find("" if run is None or isinstance(run, frozenset) else run):
+            found = self._registry.get_context(each.writer, each.node)
             if found is not None:
                 return found
         return None
 
-    def losses(
-        self, topics: Optional[Sequence[str]], stretch: Stretch, nodes: Nodes, run: RunName
-    ) -> list[Loss]:
+    def losses(self, topics: Optional[Sequence[str]], stretch: Stretch, whose: Whose) -> list[Loss]:
         """List losses that touch a stretch of time; of topics None = of all."""
-        writers = self.writers(run)
         if topics is not None:
             topics = [name for topic in topics for name in spellings(topic)]
         return [
             loss
-            for loss in self._keyspace.registry.losses(topics)
+            for loss in self._registry.losses(topics)
             if loss.first_ns <= stretch.high and stretch.low <= loss.last_ns
-            if nodes is None or loss.node in nodes
-            if writers is None or loss.writer in writers
+            if whose.nodes is None or loss.node in whose.nodes
+            if whose.writers is None or loss.writer in whose.writers
         ]
 
 
 def _began(run: Run) -> datetime:
     return run.started or datetime.min
+
+
+def _writer(text: str) -> Optional[int]:
+    """Return the writer id that a text is, as ``text`` of a run writes it; None: it is none."""
+    digits = text.isascii() and text.isdigit() and len(text) < 20
+    return int(text) if digits and str(int(text)) == text and 0 < int(text) <= MAX_WRITER else None

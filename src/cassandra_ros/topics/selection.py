@@ -4,18 +4,50 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Optional, Sequence, Union
+from typing import Any, FrozenSet, NamedTuple, Optional, Protocol, Tuple, Union
 
+from cassandra_ros.keys import writer_of
 from cassandra_ros.messages.stamps import Stamp, to_ns
 
 LAST_NS = 2**63 - 1
+
+
+class Place(Protocol):
+    """A row, its position, or a key that the store gave."""
+
+    @property
+    def node(self) -> Optional[str]:
+        """The nodeID."""
+
+    @property
+    def seq(self) -> Optional[int]:
+        """Writer id << 32 | counter."""
+
 
 Time = Union[Stamp, int, float, str]
 """genpy.Time or Stamp, int (ns), float (s) or ISO 8601 text."""
 AnyKey = Any
 """A Time, or what else is the topic's key: a name, or the value of a field."""
-Nodes = Optional[Sequence[str]]
-"""nodeIDs whose messages are meant; None = all."""
+
+
+class Whose(NamedTuple):
+    """Whose messages are meant."""
+
+    nodes: Optional[Tuple[str, ...]] = None
+    """nodeIDs; None = all."""
+    writers: Optional[FrozenSet[int]] = None
+    """Writer ids, of the recordings, imports and clients that stored them; None = all."""
+
+    def has(self, place: Place) -> bool:
+        """Say whether a row, or what tells of one, is of theirs."""
+        return self.wrote(place.seq or 0) and (self.nodes is None or place.node in self.nodes)
+
+    def wrote(self, seq: int) -> bool:
+        """Say whether one of the writers gave this ``_seq``."""
+        return self.writers is None or writer_of(seq) in self.writers
+
+
+EVERYBODY = Whose()
 
 
 class Stretch(NamedTuple):
@@ -29,6 +61,10 @@ class Stretch(NamedTuple):
         """Return the stretch between two times; None = open."""
         low = 0 if key is None else to_ns(key)
         return cls(low, LAST_NS if to_key is None else to_ns(to_key))
+
+    def wider(self, by_ns: int) -> Stretch:
+        """Return the stretch that reaches so much further on both sides."""
+        return Stretch(max(0, self.low - by_ns), min(LAST_NS, self.high + by_ns))
 
 
 class Named(NamedTuple):

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Statements of any kind, run on the topics that they name.
 
-DELETE removes whole messages. A condition on KEY and NODE alone removes the stretch as it lies in
-the store; any other one is checked on every message, read page by page, and a message goes when
+DELETE removes whole messages. A condition on KEY, NODE and RUN alone removes the stretch as it lies
+in the store; any other one is checked on every message, read page by page, and a message goes when
 one element of its array satisfies what is asked of the elements. Messages that come in while it
 runs are removed or not.
 """
@@ -42,6 +42,7 @@ from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.indexes import check_indexable
 from cassandra_ros.topics.removal import delete_rows
+from cassandra_ros.topics.runs import RunName
 
 
 class Statements:
@@ -57,6 +58,7 @@ class Statements:
         params: Sequence[Any] = (),
         node: Optional[str] = None,
         limit: Optional[int] = None,
+        run: RunName = None,
     ) -> Rows:
         """Run a statement, or its parsed tree, and return all its rows; see executeCQL."""
         check_nodes(node)
@@ -65,7 +67,7 @@ class Statements:
         else:
             parsed = parse_statement(statement, params)
         if isinstance(parsed, Select):
-            result = self.select(parsed, node=node, limit=limit)
+            result = self.select(parsed, node=node, limit=limit, run=run)
             return Rows(result, result.columns)
         text = parsed.text
         start = len(text) - len(text.lstrip())
@@ -73,10 +75,10 @@ class Statements:
             reason = "limit= bounds the rows of a SELECT, it does nothing here"
             raise InvalidQuery(text, start, reason)
         if isinstance(parsed, Delete):
-            return Rows([(self._delete(parsed, node),)], ["deleted"])
-        if node is not None:
-            reason = "this is done for the messages of all nodes, not of one; "
-            reason += "DELETE with NODE = '…' removes those of one"
+            return Rows([(self._delete(parsed, node, run),)], ["deleted"])
+        if node is not None or run is not None:
+            reason = "this is done for the messages of all nodes and runs, not of one; "
+            reason += "DELETE with NODE = '…' or RUN = '…' removes those of one"
             raise InvalidQuery(text, start, reason)
         if isinstance(parsed, Truncate):
             self._catalog.remove(self._topic(parsed).name, renew=True)
@@ -95,19 +97,26 @@ class Statements:
         limit: Optional[int] = None,
         after: Cursor = None,
         plan: str = "auto",
+        run: RunName = None,
     ) -> QueryResult:
         """Run a SELECT statement, or its parsed tree, lazily; see QueryResult."""
         check_limit(limit)
         check_nodes(node)
         select = statement if isinstance(statement, Select) else parse_select(statement, params)
-        topic = self._topic(select)
-        return QueryResult(select, topic, node=node, limit=limit, after=after, plan=plan)
+        topic, writers = self._topic(select), self._keyspace.runs.writers(run)
+        return QueryResult(
+            select, topic, node=node, run=writers, limit=limit, after=after, plan=plan
+        )
 
     def explain(
-        self, statement: str, params: Sequence[Any] = (), node: Optional[str] = None
+        self,
+        statement: str,
+        params: Sequence[Any] = (),
+        node: Optional[str] = None,
+        run: RunName = None,
     ) -> Explanation:
         """Run a SELECT statement to its end, keeping no row, and say how it was answered."""
-        result = self.select(statement, params, node=node)
+        result = self.select(statement, params, node=node, run=run)
         return explain(result, self._topic(result.select))
 
     def _topic(self, statement: Union[Select, Delete, Truncate]) -> CassandraTopic:
@@ -118,11 +127,11 @@ class Statements:
         with _at(text, position):
             return self._catalog.get(topic)
 
-    def _delete(self, statement: Delete, node: Optional[str]) -> int:
+    def _delete(self, statement: Delete, node: Optional[str], run: RunName) -> int:
         topic = self._topic(statement)
         named = any(table.named for table in topic.tables)
-        condition = Condition(statement, node=node)
-        bounds = condition.bounds(named)
+        condition = Condition(statement, node=node, run=self._keyspace.runs.writers(run))
+        bounds = condition.bounds(topic.tables)
         if not named:
             _refuse_seconds(topic, statement)
         if named or not bounds.whole:
@@ -130,7 +139,7 @@ class Statements:
         if bounds.empty or not topic.tables:
             return 0
         low, high = Stamp.from_ns(bounds.low), Stamp.from_ns(bounds.high)
-        return topic.removeData(low, high, nodeID=bounds.node)
+        return topic.removeData(low, high, nodeID=bounds.node, run=bounds.writers)
 
     def _create_index(self, statement: CreateIndex) -> None:
         text, on, name = statement.text, statement.on, statement.name

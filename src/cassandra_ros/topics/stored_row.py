@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Any, Optional, Union
 
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
-from cassandra_ros.keys import Position, RowName
+from cassandra_ros.keys import Position, RowName, writer_of
 from cassandra_ros.messages.classes import deserialize
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import Stamp
@@ -48,6 +48,11 @@ class StoredRow:
     def topic(self) -> str:
         """The topic under which it is stored."""
         return self.table.metadata.topic
+
+    @property
+    def run(self) -> str:
+        """Name of the run that stored it, or its writer id where that has none."""
+        return self.table.runs.text(writer_of(self.seq))
 
     @property
     def position(self) -> Position:

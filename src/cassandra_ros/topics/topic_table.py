@@ -23,6 +23,7 @@ from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.row_table import Indexed, NewRow, RowTable, Shadows, encode_long
 from cassandra_ros.store.schema import Schema
 from cassandra_ros.topics.connections import ConnectionCache
+from cassandra_ros.topics.runs import Runs
 
 _log = logging.getLogger(__name__)
 
@@ -42,6 +43,7 @@ class TopicTable(RowTable):
         name: str,
         metadata: TopicMetadata,
         connections: ConnectionCache,
+        runs: Runs,
     ) -> None:
         self.definition = definition = definition_in(metadata)
         """None where the stored definition is not one; the rows are bytes then."""
@@ -64,6 +66,7 @@ class TopicTable(RowTable):
         self.msg_type = metadata.msg_type
         self.by_field = self.format.BY_FIELD
         self.connections = connections
+        self.runs = runs
         self.message_class: Callable[[int], Any] = lru_cache(MAX_CLASSES)(self._message_class)
         """Return the class for a connection, by its number: installed, generated or RawMessage."""
         self._indexes: tuple[Mapping[str, str], dict[str, IndexField]] = ({}, {})
@@ -151,10 +154,12 @@ class TopicTable(RowTable):
 class TopicTables:
     """The topic tables of a keyspace as objects, made once each. Thread-safe."""
 
-    def __init__(self, cassandra: Cassandra, schema: Schema, connections: ConnectionCache) -> None:
+    def __init__(
+        self, cassandra: Cassandra, schema: Schema, connections: ConnectionCache, runs: Runs
+    ) -> None:
         self._cassandra = cassandra
         self._schema = schema
-        self._connections = connections
+        self._known = connections, runs
         self._made: dict[str, TopicTable] = {}
         self._mutex = threading.Lock()
 
@@ -164,7 +169,7 @@ class TopicTables:
             table = self._made.get(name)
             if table is None:
                 where = self._cassandra, self._schema.keyspace
-                table = self._made[name] = TopicTable(*where, name, metadata, self._connections)
+                table = self._made[name] = TopicTable(*where, name, metadata, *self._known)
             table.metadata = metadata
             return table
 

@@ -11,7 +11,7 @@ from typing import Optional, Sequence
 from cassandra_ros.store.counting import scan_keys, settle
 from cassandra_ros.store.directory import BucketRow, BucketTotals, Directory
 from cassandra_ros.store.fetch import list_names
-from cassandra_ros.topics.selection import Nodes
+from cassandra_ros.topics.selection import EVERYBODY, Whose
 from cassandra_ros.topics.topic_table import TopicTable
 
 
@@ -43,21 +43,33 @@ class TopicInfo:
 
 
 def count_rows(
-    directory: Directory, tables: Sequence[TopicTable], low: int, high: int, nodes: Nodes
+    directory: Directory, tables: Sequence[TopicTable], low: int, high: int, whose: Whose
 ) -> int:
     """Count rows with t in [low, high]: whole closed buckets by the directory."""
-    return sum(_count(directory, table, low, high, nodes) for table in tables)
+    return sum(_count(directory, table, low, high, whose) for table in tables)
 
 
-def _count(directory: Directory, table: TopicTable, low: int, high: int, nodes: Nodes) -> int:
+def _count(directory: Directory, table: TopicTable, low: int, high: int, whose: Whose) -> int:
     if table.named:
-        return sum(low <= key.position.t <= high for key in list_names(table, nodes))
+        keys = (k for k in list_names(table, whose.nodes) if whose.wrote(k.position.seq))
+        return sum(low <= key.position.t <= high for key in keys)
     length, ends = table.metadata.bucket_ns, (table.bucket_of(low), table.bucket_of(high))
-    rows = directory.buckets(table.name, *ends, nodes, table.metadata.ttl)
+    rows = _buckets(directory, table, whose, ends)
     inner = [r for r in rows if low <= r.bucket * length and (r.bucket + 1) * length - 1 <= high]
     edges = {(r.node, r.bucket) for r in rows} - {(r.node, r.bucket) for r in inner}
     return sum(row.rows for row in settle(directory, table, inner)) + sum(
-        1 for node, bucket in edges for _ in scan_keys(table, node, bucket, low, high)
+        whose.wrote(seq)
+        for node, bucket in edges
+        for _, seq, _, _, _ in scan_keys(table, node, bucket, low, high)
+    )
+
+
+def holds_any(directory: Directory, tables: Sequence[TopicTable], whose: Whose) -> bool:
+    """Say whether some tables may hold messages of somebody; without reading those."""
+    timed = (t for t in tables if not t.named)
+    names = (key for t in tables if t.named for key in list_names(t, whose.nodes))
+    return any(_buckets(directory, t, whose) for t in timed) or any(
+        whose.wrote(key.position.seq) for key in names
     )
 
 
@@ -67,27 +79,41 @@ def count_buckets(directory: Directory, tables: Sequence[TopicTable]) -> int:
     return len({(name, row.node, row.bucket) for name, row in every})
 
 
-def describe(directory: Directory, tables: Sequence[TopicTable]) -> list[TopicInfo]:
-    """Describe what is stored, by table and node; counts come from the directory."""
+def describe(
+    directory: Directory, tables: Sequence[TopicTable], whose: Whose = EVERYBODY
+) -> list[TopicInfo]:
+    """Describe what is stored, by table and node; counts come from the directory.
+
+    Of a run and a node there are only the tables in which they have messages.
+    """
     found: list[TopicInfo] = []
     for table in tables:
         if table.named:
-            rows = _names_as_buckets(table)
+            rows = _names_as_buckets(table, whose)
         else:
-            rows = settle(directory, table, _buckets(directory, table))
-        for node in sorted({row.node for row in rows}) or [table.metadata.nodeID]:
+            rows = settle(directory, table, _buckets(directory, table, whose))
+        nodes = sorted({row.node for row in rows})
+        for node in nodes or [table.metadata.nodeID] * (whose == EVERYBODY):
             found.append(_describe(table, node, [r for r in rows if r.node == node]))
     return found
 
 
-def _buckets(directory: Directory, table: TopicTable) -> list[BucketRow]:
-    return directory.buckets(table.name, -(2**63), 2**63 - 1, ttl=table.metadata.ttl)
+def _buckets(
+    directory: Directory,
+    table: TopicTable,
+    whose: Whose = EVERYBODY,
+    ends: tuple[int, int] = (-(2**63), 2**63 - 1),
+) -> list[BucketRow]:
+    rows = directory.buckets(table.name, *ends, whose.nodes, table.metadata.ttl)
+    return rows if whose.writers is None else [row for row in rows if row.writer in whose.writers]
 
 
-def _names_as_buckets(table: TopicTable) -> list[BucketRow]:
+def _names_as_buckets(table: TopicTable, whose: Whose) -> list[BucketRow]:
     """Describe the messages of a node under a name as if that were a bucket."""
     counted: dict[tuple[str, str], BucketTotals] = {}
-    for (t, node, _, _, name), size, chunked, odd in list_names(table, None):
+    for (t, node, seq, _, name), size, chunked, odd in list_names(table, whose.nodes):
+        if not whose.wrote(seq):
+            continue
         counted.setdefault((node, name), BucketTotals()).count(t, size, chunked, odd)
     return [
         BucketRow(node, number, 0, True, None, age_sec=0.0, **vars(totals))

@@ -15,7 +15,7 @@ from cassandra_ros.errors import InvalidName, LookupException, TopicNotFound, Tr
 from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.messages.stamps import SECONDS_BELOW, Stamp, iso_time, to_ns
 from cassandra_ros.query.protocols import Row
-from cassandra_ros.query.source import Source
+from cassandra_ros.query.source import Source, Writers
 from cassandra_ros.transforms.samples import Fixed, FrameTree, Nearest, Recorded, fill, named
 
 _SHOWN_FRAMES = 20
@@ -24,6 +24,7 @@ _SHOWN_FRAMES = 20
 def lookup_transform(
     find: Callable[[str], Source[Row]],
     node: Optional[str],
+    run: Writers,
     target: str,
     source: str,
     time: object,
@@ -40,7 +41,7 @@ def lookup_transform(
     found: list[Optional[Recorded]] = []
     for name in (tf, tf_static):
         try:
-            found.append(Recorded(find(name), node))
+            found.append(Recorded(find(name), node, run))
         except TopicNotFound:
             found.append(None)
     if found == [None, None]:

@@ -21,7 +21,7 @@ from cassandra_ros.keys import MAX_NS, SECOND_NS, Position
 from cassandra_ros.query.extract import Extractor
 from cassandra_ros.query.names import all_fields
 from cassandra_ros.query.protocols import Row, Table
-from cassandra_ros.query.source import Source
+from cassandra_ros.query.source import Source, Writers
 
 _log = logging.getLogger(__name__)
 
@@ -154,15 +154,15 @@ class FrameTree:
 
 
 class Recorded:
-    """The transforms of one topic, of one nodeID or of all.
+    """The transforms of one topic, of one nodeID and some writers or of all.
 
     Raises:
         TypeMismatch: The topic holds other messages.
     """
 
-    def __init__(self, topic: Source[Row], node: Optional[str]) -> None:
+    def __init__(self, topic: Source[Row], node: Optional[str], run: Writers = None) -> None:
         self._topic = topic
-        self._node = node
+        self._node, self._run = node, run
         self._extractors: dict[str, tuple[Extractor, Extractor]] = {}
         for table in topic.tables:
             self._extractor(table)
@@ -170,7 +170,8 @@ class Recorded:
     @cached_property
     def ends(self) -> tuple[int, int]:
         """The first and the last row key, ns; (MAX_NS, 0) where the topic is empty."""
-        both = [self._topic.rows(nodeID=self._node, limit=1, reverse=r) for r in (False, True)]
+        read, node, run = self._topic.rows, self._node, self._run
+        both = [read(nodeID=node, limit=1, reverse=r, run=run) for r in (False, True)]
         keys = [row.t for rows in both for row in rows]
         return (keys[0], keys[-1]) if keys else (MAX_NS, 0)
 
@@ -178,7 +179,8 @@ class Recorded:
         """Add the transforms of a stretch of row keys, ns, both ends included."""
         if low > high:
             return
-        for row in self._topic.rows(low, high, nodeID=self._node, reverse=reverse):
+        node, run = self._node, self._run
+        for row in self._topic.rows(low, high, nodeID=node, reverse=reverse, run=run):
             try:
                 self._add(nearest, row)
             except CorruptMessage as exc:

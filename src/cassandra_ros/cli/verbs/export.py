@@ -14,6 +14,7 @@ import argparse
 import time
 
 from cassandra_ros.cli.options import (
+    add_origin_options,
     add_store_options,
     add_time_options,
     add_where_option,
@@ -30,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("bag", metavar="OUT.bag", help="the bag to make")
     add("--topics", nargs="+", metavar="TOPIC", help="only these topics (after OUT.bag)")
     add_time_options(parser)
-    add("--node-id", metavar="N", help="only messages of this node (default: of all)")
+    add_origin_options(parser)
     add_where_option(parser)
     packing = parser.add_mutually_exclusive_group()
     packing.add_argument(
@@ -62,6 +63,7 @@ def run(options: argparse.Namespace) -> int:
             force=options.force,
             progress=bar.add,
             where=where,
+            run=options.run,
         )
     if not options.quiet:
         rows = [(shown(topic), str(count)) for topic, count in sorted(report.messages.items())]

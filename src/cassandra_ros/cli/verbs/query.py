@@ -26,7 +26,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Sequence
 
-from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.cli.options import add_origin_options, add_store_options, open_store
 from cassandra_ros.errors import InvalidExpression, InvalidOption
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-O", "--output-file", metavar="FILE", help="write to FILE (default: standard output)")
     add("-f", "--force", action="store_true", help="replace FILE if it exists")
     add("-l", "--limit", metavar="NUM", type=_count, help="print at most so many rows")
-    add("--node-id", metavar="N", help="only messages of this node (default: of all)")
+    add_origin_options(parser)
     add(
         "--explain",
         action="store_true",
@@ -75,7 +75,8 @@ def run(options: argparse.Namespace) -> int:
         load_parquet()  # before anything is asked
     with open_store(options) as ros_cas:
         if options.explain:
-            print(ros_cas.explainCQL(options.statement, params, nodeID=options.node_id))
+            asked = {"nodeID": options.node_id, "run": options.run}
+            print(ros_cas.explainCQL(options.statement, params, **asked))
         else:
             _answer(ros_cas, options, params)
     return 0
@@ -96,10 +97,11 @@ def _answer(ros_cas: RosCassandra, options: argparse.Namespace, params: Sequence
     from cassandra_ros.query.parse import parse_statement
     from cassandra_ros.query.syntax import Select
 
-    statement, node = parse_statement(options.statement, params), options.node_id
+    statement = parse_statement(options.statement, params)
+    node, run, limit = options.node_id, options.run, options.limit
     where = (options.output, options.output_file, options.force)
     if isinstance(statement, Select):
-        with ros_cas.statements.select(statement, node=node, limit=options.limit) as result:
+        with ros_cas.statements.select(statement, node=node, limit=limit, run=run) as result:
             kinds = [(name, ArrayType("mixed")) for name in result.columns]
             if options.output == "parquet":
                 kinds = column_types(statement, ros_cas.getTopic(statement.topic).tables)
@@ -107,6 +109,6 @@ def _answer(ros_cas: RosCassandra, options: argparse.Namespace, params: Sequence
         return
     if not options.allow_writes:
         raise InvalidOption("the statement changes what is stored; to run it, add --allow-writes")
-    rows = ros_cas.statements.run(statement, node=node, limit=options.limit)
+    rows = ros_cas.statements.run(statement, node=node, limit=limit, run=run)
     if rows.columns:
         write([(name, ArrayType("int64")) for name in rows.columns], rows, *where)

@@ -17,6 +17,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.options import (
+    add_origin_options,
     add_store_options,
     add_time_options,
     open_store,
@@ -36,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--topics", nargs="+", metavar="TOPIC", help="only these topics of the bag (after FILE.bag)"
     )
-    add("--node-id", metavar="N", help="only what is stored for this node")
+    add_origin_options(parser)
     add("--content", action="store_true", help="compare the content alone")
     add(
         "--map",
@@ -82,7 +83,13 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
     with open_store(options) as ros_cas, first, bar:
         if not options.content:
             return verify_bag(
-                ros_cas, options.bag, options.topics, options.node_id, bar.add, first.add
+                ros_cas,
+                options.bag,
+                options.topics,
+                options.node_id,
+                bar.add,
+                first.add,
+                options.run,
             )
         return verify_content(
             ros_cas,
@@ -93,6 +100,7 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
             start=start,
             end=end,
             progress=bar.add,
+            run=options.run,
         )
 
 
