@@ -241,7 +241,7 @@ def test_the_pieces_of_large_messages_go_too(rosCas, cql):
 def test_removal_says_what_it_needs(rosCas):
     topic = fill(rosCas, "time")
     for arguments in ({}, {"key": None}, {"nodeID": "r1"}):
-        with pytest.raises(InvalidKey, match="or where="):
+        with pytest.raises(InvalidKey, match="where= or run="):
             topic.removeData(**arguments)
     assert topic.countTopicData() == 60
     assert topic.removeData(to_key=header(5).stamp, where="seq < 3") == 3

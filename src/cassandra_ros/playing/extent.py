@@ -10,7 +10,7 @@ from cassandra_ros.keys import split_seq
 from cassandra_ros.store.counting import settle
 from cassandra_ros.store.directory import BucketRow
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.selection import Nodes, Stretch
+from cassandra_ros.topics.selection import Nodes, Stretch, Whose
 from cassandra_ros.topics.topic_table import TopicTable
 
 
@@ -67,7 +67,7 @@ def _filled(
 def _by_keys(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> List[Extent]:
     """Look at all keys: those of such topics do not lie by the time of reception."""
     found: Dict[Tuple[str, int], Extent] = {}
-    rows = keyspace.rows.read([table], Stretch(), nodes=nodes, columns=lambda table: ())
+    rows = keyspace.rows.read([table], Stretch(), whose=Whose(nodes), columns=lambda table: ())
     for row in rows:
         run, t = (row.node, split_seq(row.seq)[0]), row.received
         known = found.get(run, Extent(table, *run, t, t))

@@ -26,7 +26,6 @@ from cassandra_ros.playing.times import When, check_length, read_when, resolve_t
 from cassandra_ros.playing.windows import PIECE_NS, Around, Piece, joined, merge_windows
 from cassandra_ros.topics.latched import Source, is_latched, tables_of
 from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.topics.runs import Runs
 from cassandra_ros.topics.selection import Stretch
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -102,7 +101,7 @@ class Stream:
 
     def _find_extents(self) -> List[Extent]:
         asked, ros_cas = self.selection, self._ros_cas
-        self._writers = Runs(ros_cas.parts).writers(asked.run)
+        self._writers = ros_cas.parts.runs.writers(asked.run)
         tables, nodes = tables_of(ros_cas, self.topics), check_nodes(asked.nodeID)
         found = extents(ros_cas.parts, tables, nodes, self._writers)
         if found:
@@ -139,7 +138,7 @@ class Stream:
         )
 
     def _source_names(self) -> Dict[Source, str]:
-        run_names = {run.writer: run.name for run in self._ros_cas.runs()}
+        run_names = {run.writer: run.name for run in self._ros_cas.parts.registry.runs()}
         return source_names(self._extents, run_names, self._align)
 
     def _name_of(self, topic: str, node: str, writer: int) -> str:

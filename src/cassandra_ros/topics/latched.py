@@ -21,8 +21,8 @@ from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.finding import Filter
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.topics.runs import RunName, Runs
-from cassandra_ros.topics.selection import LAST_NS, Nodes, Stretch
+from cassandra_ros.topics.runs import RunName
+from cassandra_ros.topics.selection import LAST_NS, Nodes, Stretch, Whose
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -71,7 +71,7 @@ def latched_before(
         ros_cas.parts,
         tables_of(ros_cas, names),
         check_nodes(nodeID),
-        Runs(ros_cas.parts).writers(run),
+        ros_cas.parts.runs.writers(run),
         tests=tests_of(ros_cas, where, nodeID),
     )
     return finder.before(t, LAST_NS if to is None else to)
@@ -223,8 +223,8 @@ class LatchedFinder:
     ) -> Iterator[StoredRow]:
         # Of most rows the keys are enough; a condition looks into the messages.
         columns = None if table.metadata.topic in self._tests else lambda table: ()
-        read = self._keyspace.rows.read
-        return read([table], stretch, nodes=nodes, reverse=reverse, columns=columns)
+        read, whose = self._keyspace.rows.read, Whose(nodes, self._writers)
+        return read([table], stretch, whose=whose, reverse=reverse, columns=columns)
 
     def _wanted(self, row: StoredRow) -> bool:
         test = self._tests.get(row.topic)

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Any, FrozenSet, NamedTuple, Optional, Protocol, Tuple, Union
+from typing import Any, FrozenSet, NamedTuple, Optional, Protocol, Sequence, Union
 
 from cassandra_ros.keys import writer_of
 from cassandra_ros.messages.stamps import Stamp, to_ns
@@ -30,10 +30,14 @@ AnyKey = Any
 """A Time, or what else is the topic's key: a name, or the value of a field."""
 
 
+Nodes = Optional[Sequence[str]]
+"""nodeIDs whose messages are meant; None = all."""
+
+
 class Whose(NamedTuple):
     """Whose messages are meant."""
 
-    nodes: Optional[Tuple[str, ...]] = None
+    nodes: Nodes = None
     """nodeIDs; None = all."""
     writers: Optional[FrozenSet[int]] = None
     """Writer ids, of the recordings, imports and clients that stored them; None = all."""
