@@ -14,6 +14,9 @@ from cassandra_ros.messages.definition import Definition
 
 _LENGTH = struct.Struct("<I")
 _DEFINITION = b"message_definition"
+LATCHED_FROM = "latched_from"
+"""Field of a connection that a bag has beside the publisher's own, for the message that it had
+latched before the window of the bag: when that was received, ns since 1970."""
 
 
 def _text_field(name: str) -> cached_property[str]:
@@ -48,6 +51,25 @@ class Connection:
     def latching(self) -> bool:
         """Whether the publisher latches its last message."""
         return self.fields.get("latching") == b"1"
+
+    @property
+    def from_before(self) -> bool:
+        """Whether its one message was latched before the window of a bag, see latched_from."""
+        try:
+            return LATCHED_FROM in self.fields
+        except CorruptMessage:
+            return False  # not one that latched_from made
+
+    def latched_from(self, received_ns: int) -> Connection:
+        """Return the connection for a message that it latched before the window of a bag.
+
+        Args:
+            received_ns: When that was received, ns. One that is marked already stays as it is.
+        """
+        if self.from_before:
+            return self
+        field = f"{LATCHED_FROM}={received_ns}".encode("ascii")
+        return Connection(self.topic, self.header + _LENGTH.pack(len(field)) + field)
 
 
 def live_connection(topic: str, header: Mapping[str, str | bytes]) -> Connection:
