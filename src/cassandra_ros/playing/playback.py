@@ -238,19 +238,10 @@ class Playback:
             found = True
             if not self._await(played):
                 return True
-            if played.window != self._window:
-                self._enter(played.window)
+            self._window = played.window
             self._output.publish(played)
             if self._steps:
                 self._count_step()
-
-    def _enter(self, window: Stretch) -> None:
-        """Begin a stretch; publish what was latched since the end of the one before."""
-        last, self._window = self._window, window
-        if last is not None:
-            for played in self._stream.latched(window.low):
-                if played.t > last.high:
-                    self._output.publish(played)
 
     def _count_step(self) -> None:
         with self._changed:
@@ -330,7 +321,8 @@ class Playback:
         if self._options.immediate:
             self._jump(t)
             return True
-        if self._window not in (None, window) and now < window.low:
+        gap = self._window is not None and self._window.low != window.low
+        if gap and now < window.low:
             self.pace.jump(window.low)
         elif self._skip_ns is not None and t - now > self._skip_ns:
             self._jump(t)
