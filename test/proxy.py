@@ -128,21 +128,35 @@ class Proxy:
         return self._caught[-1]
 
     def __enter__(self):
-        threading.Thread(target=self._accept, daemon=True).start()
+        self._serve()
         return self
 
     def __exit__(self, *exc_info):
-        self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
         for caught in self._caught:
             caught.release()
-        for pair in self._pairs:
-            pair.close()
+        if self._listener is not None:
+            self.cut()
 
-    def _accept(self):
+    def cut(self):
+        """Be a server that is gone: connections end, and nobody listens."""
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self._listener = None
+        while self._pairs:
+            self._pairs.pop().close()
+
+    def mend(self):
+        """Be there again, at the same port."""
+        self._listener = socket.create_server((self.host, self.port))
+        self._serve()
+
+    def _serve(self):
+        threading.Thread(target=self._accept, args=(self._listener,), daemon=True).start()
+
+    def _accept(self, listener):
         while True:
             try:
-                client, _ = self._listener.accept()
+                client, _ = listener.accept()
             except OSError:
                 return
             self._pairs.append(_Pair(client, socket.create_connection(self._server), self._caught))

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from dataclasses import replace
@@ -24,6 +25,8 @@ _log = logging.getLogger(__name__)
 
 POLL_SEC = 0.1
 JOIN_SEC = 2.0
+PATIENCE_SEC = 3.0
+"""How long a store may take in the end before people are told that it does."""
 
 Say = Callable[[str], None]
 
@@ -96,11 +99,30 @@ class Recorder:
             return []
         topics = self._subscriptions.topics
         self._subscriptions.drain(topics, recording.count, lambda: self._interrupts > 1)
-        while not recording.stop(timeout_sec=0.2):
+        return self._final(self._close(recording))
+
+    def _close(self, recording: Recording) -> list[TopicReport]:
+        """Let a recording store what it has, unless it is interrupted again."""
+        # On another thread: it waits for a store that may be away, and hears no signal.
+        closing = threading.Thread(target=recording.close, name="recorder-close", daemon=True)
+        closing.start()
+        tell_at: float = time.monotonic() + PATIENCE_SEC
+        while closing.is_alive():
+            closing.join(0.05)
             if self._interrupts > 1:
                 _log.warning("interrupted again: what is not stored yet is lost")
-                return self._final(recording.reports(final=True))
-        return self._final(recording.close())
+                return recording.reports(final=True)
+            if time.monotonic() > tell_at or self._rosCas.cassandra.outage.seconds:
+                messages, nbytes = recording.waiting()
+                if messages and tell_at < math.inf:
+                    tell_at = math.inf
+                    _log.warning(
+                        "%d messages (%.1f MB) wait for the store; they are dropped if this is "
+                        "interrupted again (a second Ctrl-C)",
+                        messages,
+                        nbytes / 1e6,
+                    )
+        return recording.close()  # what it had returned, or raised, on that thread
 
     def _final(self, reports: list[TopicReport]) -> list[TopicReport]:
         """Note in the reports which topics nobody ever published."""

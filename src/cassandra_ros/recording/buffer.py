@@ -54,6 +54,7 @@ class Source:
         self.error = ""  # why they cannot be stored
         self.waiting: deque[Item] = deque()  # what came before the table stood
         self.submitted = False  # whether the table is being made
+        self.told = False  # whether people know that it waits for its table
         self.conflicts = 0  # how often another one's schema change came between
         self.has_header = starts_with_header(connection.definition_text)
         self._since = 0.0

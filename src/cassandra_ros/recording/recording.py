@@ -75,6 +75,7 @@ class Recording:
         self._clock = clock
         self._format, self._node, self._ttl, self._name = format, node, ttl, name
         self._limit = limit
+        self._buffer_bytes = buffer_bytes
         self._lock = threading.Lock()
         self._accepting = True
         self._counter = 0
@@ -92,6 +93,7 @@ class Recording:
         self._asked: queue.Queue[Optional[Source]] = queue.Queue()
         self._decided: deque[Source] = deque()
         self._deadline = math.inf
+        ros_cas.cassandra.outage.waiting = self._waiting_for_long
         self._maker = threading.Thread(
             target=self._make_tables, name="recorder-tables", daemon=True
         )
@@ -249,7 +251,9 @@ class Recording:
         except (StoreUnavailable, SchemaConflict) as exc:
             source.conflicts += isinstance(exc, SchemaConflict)
             if source.conflicts < MAX_CONFLICTS and time.monotonic() <= self._deadline:
-                _log.warning("topic %s waits for its table: %s", source.topic, exc)
+                if not source.told:
+                    _log.warning("topic %s waits for its table: %s", source.topic, exc)
+                source.told = True
                 return False
             source.error = str(exc)
         except CassandraRosError as exc:
@@ -294,6 +298,26 @@ class Recording:
         for writer in self._writers:
             _try_to(partial(writer.close, lost))
         return self.reports(final=True)
+
+    def waiting(self) -> tuple[int, int]:
+        """Return how many messages wait for the store, and about how many bytes they take."""
+        reports = self.reports()
+        messages = sum(r.received - r.stored - r.lost for r in reports)
+        nbytes = self._buffer.held_bytes + sum(w.pending_bytes for w in list(self._writers))
+        return max(messages, 0), nbytes
+
+    def _waiting_for_long(self) -> str:
+        messages, nbytes = self.waiting()
+        if not messages:
+            return ""
+        text = f"{messages} messages ({nbytes / 1e6:.1f} MB) wait"
+        if not self._rosCas.cassandra.outage.seconds:
+            return text
+        bound = f"{self._buffer_bytes >> 20} MB wait" if self._buffer_bytes else "memory is full"
+        return (
+            f"{text}; they are kept in memory until {bound}, then the oldest are dropped; what is "
+            f"being sent is dropped after {GIVE_UP_SEC:.0f} s"
+        )
 
     def reports(self, final: bool = False) -> list[TopicReport]:
         """Describe what became of each topic; ``final`` counts what is on its way as lost."""

@@ -33,6 +33,7 @@ from cassandra.query import PreparedStatement, SimpleStatement, Statement, tuple
 from cassandra_ros.errors import ConnectionFailed, KeyspaceNotFound, TopicNotFound
 from cassandra_ros.store.address import host_names, port_number
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, START_HINT, translate, translated
+from cassandra_ros.store.outage import Outage
 from cassandra_ros.store.paging import RETRY_SEC, retried, sent_ahead
 
 CONNECT_TIMEOUT_SEC = 10.0
@@ -106,6 +107,7 @@ class Cassandra:
         self.hosts = host_names(host)
         self.port = port_number(port)
         self._where = f"{','.join(self.hosts)} port {self.port}"
+        self.outage = Outage(self._where)
         self.consistency = _consistency_level(consistency)
         self._prepared: dict[str, PreparedStatement] = {}
         self._prepare_lock = threading.Lock()
@@ -191,7 +193,11 @@ class Cassandra:
         pause = 0.05
         while True:
             try:
-                statement = retried("preparing a statement", lambda: self._session.prepare(cql))
+                statement = retried(
+                    "preparing a statement",
+                    lambda: self._session.prepare(cql),
+                    outage=self.outage,
+                )
                 statement.is_idempotent = True
                 return statement
             except (TopicNotFound, KeyspaceNotFound):
@@ -229,7 +235,7 @@ class Cassandra:
                 bound.consistency_level = consistency
             return list(self._session.execute(bound))
 
-        return retried(what, run, seconds=retry_sec)
+        return retried(what, run, seconds=retry_sec, outage=self.outage)
 
     def system_schema(self, of: str, names: str, keyspace: str, table: str = "") -> list[CqlRow]:
         """Read what the server's schema says of a keyspace, or of one of its tables.
@@ -254,7 +260,7 @@ class Cassandra:
             nodes = self._nodes_in_reach()
             return {str(n.endpoint): list(self._session.execute(bound, host=n)) for n in nodes}
 
-        return retried(what, run)
+        return retried(what, run, outage=self.outage)
 
     def _nodes_in_reach(self) -> list[Host]:
         """Return the nodes of our data centre that the driver can ask; raises NoHostAvailable."""

@@ -34,6 +34,8 @@ from cassandra_ros.errors import (
     TopicNotFound,
 )
 
+MAX_CAUSE = 200
+"""Characters of a cause in a line of a log: the driver may list all that it knows."""
 START_HINT = "start one with: rosrun cassandra_ros local_cassandra start"
 
 DRIVER_ERRORS = (
@@ -119,6 +121,11 @@ def translate(exc: BaseException, what: str) -> CassandraRosError:
     if isinstance(exc, (InvalidRequest, SyntaxException, AlreadyExists)):
         return SchemaConflict(f"{what}: the server refuses the statement: {exc}")
     return StoreUnavailable(f"{what}: {type(exc).__name__}: {exc}")
+
+
+def cause_of(exc: BaseException) -> str:
+    """Say in few words why a request failed that may succeed later."""
+    return str(translate(exc, "")).lstrip(": ")[:MAX_CAUSE]
 
 
 @contextmanager

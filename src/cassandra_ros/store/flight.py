@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from dataclasses import dataclass
@@ -14,9 +13,8 @@ from cassandra.cluster import ResponseFuture
 from cassandra.query import Statement
 
 from cassandra_ros.store.driver_errors import is_busy, is_passing
+from cassandra_ros.store.outage import Outage
 from cassandra_ros.store.paging import BUSY_PAUSE_SEC, FIRST_PAUSE_SEC, LAST_PAUSE_SEC
-
-_log = logging.getLogger(__name__)
 
 MAX_BYTES = 2 * 1024 * 1024
 """More is no faster, and a server refuses to read on when one address sends it heap / 40 ahead."""
@@ -30,7 +28,8 @@ class _Request:
     statement: Statement
     nbytes: int
     outcome: Outcome
-    deadline: float
+    begun: float
+    """When its turn came; monotonic."""
     pause: float = FIRST_PAUSE_SEC
     settled: bool = False
     counted: bool = False
@@ -44,17 +43,21 @@ class Flight:
     """
 
     def __init__(
-        self, send: Callable[[Statement], ResponseFuture], give_up_after_sec: float = 60.0
+        self,
+        send: Callable[[Statement], ResponseFuture],
+        give_up_after_sec: float = 60.0,
+        outage: Outage | None = None,
     ) -> None:
         self._send = send
         self._give_up = give_up_after_sec
+        self._outage = outage
         self._changed = threading.Condition()
         self._bytes = 0
         self._requests = 0
 
     def submit(self, statement: Statement, nbytes: int, outcome: Outcome) -> None:
         """Send a statement of so many bytes; blocks while too much is in the air."""
-        request = _Request(statement, nbytes, outcome, time.monotonic() + self._give_up)
+        request = _Request(statement, nbytes, outcome, time.monotonic())
         try:
             with self._changed:
                 # One that is over the bound alone is sent when nothing else is in the air.
@@ -65,12 +68,17 @@ class Flight:
                 request.counted = True
                 self._requests += 1
                 self._bytes += nbytes
-            request.deadline = time.monotonic() + self._give_up
+            request.begun = time.monotonic()
             self._launch(request)
         except BaseException as exc:
             # Ctrl-C while waiting, or before the request was handed over.
             self._settle(request, exc)
             raise
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that are in the air."""
+        return self._bytes
 
     def wait(self) -> None:
         """Return when every statement has its outcome."""
@@ -92,16 +100,19 @@ class Flight:
         )
 
     def _succeeded(self, _rows: object, request: _Request) -> None:
+        if self._outage is not None:
+            self._outage.answered()
         self._settle(request, None)
 
     def _failed(self, exc: BaseException, request: _Request) -> None:
-        busy = is_busy(exc)
-        if not (busy or is_passing(exc)) or time.monotonic() > request.deadline:
+        busy, trying_sec = is_busy(exc), time.monotonic() - request.begun
+        if not (busy or is_passing(exc)) or trying_sec > self._give_up:
             self._settle(request, exc)
             return
         pause = BUSY_PAUSE_SEC
         if not busy:
-            _log.warning("a write failed and is tried again: %s", exc)
+            if self._outage is not None:
+                self._outage.failed(exc, trying_sec)
             pause, request.pause = request.pause, min(2 * request.pause, LAST_PAUSE_SEC)
         # Its place in the budget is still held, so the retry never blocks on itself.
         retry = threading.Timer(pause, self._launch, (request,))

@@ -13,6 +13,7 @@ from cassandra.cluster import ResponseFuture
 from cassandra.query import Statement
 
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_busy, is_passing, translate
+from cassandra_ros.store.outage import Outage
 
 _log = logging.getLogger(__name__)
 
@@ -31,25 +32,38 @@ _T = TypeVar("_T")
 
 
 def retried(
-    what: str, call: Callable[[], _T], *, seconds: float = RETRY_SEC, refused: Refused | None = None
+    what: str,
+    call: Callable[[], _T],
+    *,
+    seconds: float = RETRY_SEC,
+    refused: Refused | None = None,
+    outage: Outage | None = None,
 ) -> _T:
     """Make an idempotent request, for so many seconds again while it fails with what may pass.
 
     Raises:
         CassandraRosError: Another try cannot help, or the time is up.
     """
-    deadline, later = time.monotonic() + seconds, FIRST_PAUSE_SEC
+    begun, later, told = time.monotonic(), FIRST_PAUSE_SEC, False
     while True:
         try:
-            return call()
+            found = call()
+            if outage is not None:
+                outage.answered()
+            return found
         except DRIVER_ERRORS as exc:
             if refused is not None and refused(exc):
                 raise
             pause = BUSY_PAUSE_SEC if is_busy(exc) else later
-            if not is_passing(exc) or time.monotonic() + pause > deadline:
+            trying_sec = time.monotonic() - begun
+            if not is_passing(exc) or trying_sec + pause > seconds:
                 raise translate(exc, what) from exc
             if not is_busy(exc):
-                _log.warning("%s: %s; trying again", what, exc)
+                if outage is not None:
+                    outage.failed(exc, trying_sec)
+                elif not told:
+                    _log.warning("%s; trying again", translate(exc, what))
+                told = True
                 later = min(2 * later, LAST_PAUSE_SEC)
         time.sleep(pause)
 

@@ -271,7 +271,11 @@ class RowTable:
     ) -> _T:
         """Give all rows of a statement to make; anew where one of its pages fails."""
         send = self._cassandra.send_raw
-        return retried(self._doing(what), lambda: make(send(statement).result()))
+        return retried(
+            self._doing(what),
+            lambda: make(send(statement).result()),
+            outage=self._cassandra.outage,
+        )
 
     def _doing(self, what: str) -> str:
         return f"{what} topic {self.metadata.topic}"

@@ -72,7 +72,7 @@ class RowWriter:
         self._writer_id = writer_id
         self._linger_sec = linger_sec
         self._on_loss = on_loss
-        self._flight = Flight(cassandra.send_raw, give_up_after_sec)
+        self._flight = Flight(cassandra.send_raw, give_up_after_sec, cassandra.outage)
         self._buckets: dict[tuple[str, str, int], OpenBucket] = {}
         self._lock = threading.RLock()
         self._ready: deque[Callable[[], None]] = deque()
@@ -227,6 +227,12 @@ class RowWriter:
     def _commit(self) -> None:
         while self._ready:
             self._ready.popleft()()
+
+    @property
+    def pending_bytes(self) -> int:
+        """About how many bytes wait here to be stored."""
+        batches = (bucket.batch for bucket in list(self._buckets.values()))
+        return self._flight.nbytes + sum(batch.nbytes for batch in batches)
 
     # ---------------------------------------------------------------- outcomes
 

@@ -266,6 +266,11 @@ class MessageWriter:
         self._rows.add(handle.table, handle.node, row, again)
         return row
 
+    @property
+    def pending_bytes(self) -> int:
+        """About how many bytes wait here to be stored."""
+        return self._rows.pending_bytes
+
     def stats(self) -> dict[str, WriteStats]:
         """Return what became of the messages so far, by topic."""
         found: dict[str, WriteStats] = {}
