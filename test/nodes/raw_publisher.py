@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import struct
 import threading
@@ -94,8 +95,18 @@ class RawPublisher:
     def publish(self, *wires):
         """Send serialised messages to all subscribers, as fast as they take them."""
         data = b"".join(struct.pack("<I", len(wire)) + wire for wire in wires)
-        for sock in self._sockets:
-            sock.sendall(data)
+        for sock in list(self._sockets):
+            try:
+                sock.sendall(data)
+            except (BrokenPipeError, ConnectionResetError):
+                self._sockets.remove(sock)  # a subscriber that was killed
+
+    @contextlib.contextmanager
+    def only_last(self):
+        """Publish to the subscriber that came last alone."""
+        every, self._sockets = self._sockets, self._sockets[-1:]
+        yield self
+        self._sockets = every
 
     def close(self):
         """Unregister and hang up."""

@@ -5,16 +5,22 @@
 from __future__ import annotations
 
 import json
+import signal
 import struct
 import sys
 import threading
 import time
 from pathlib import Path
 
+import genpy
 import pytest
 from nodes.children import Child, start_recorder
-from nodes.raw_publisher import RawPublisher, header_of
-from std_msgs.msg import UInt32
+from nodes.raw_publisher import RawPublisher, header_of, message
+from std_msgs.msg import String, UInt32
+
+from cassandra_ros import CassandraRosError, HistorySubscriber
+from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.nodes.history_subscriber import _beginning
 
 LISTENER = Path(__file__).with_name("history_listener.py")
 
@@ -88,7 +94,7 @@ def stage(roscore, cassandra, keyspace, rosCas):
             pass
 
 
-def goes_over(stage, count, rate_hz, msg_class=UInt32):
+def goes_over(stage, count, rate_hz):
     """Half is stored when the subscriber comes; publishing goes on all the time."""
     topic = "/numbers"
     stage.recorder(topic)
@@ -117,10 +123,105 @@ def goes_over(stage, count, rate_hz, msg_class=UInt32):
 
 
 def test_the_past_goes_over_into_the_present(stage):
-    goes_over(stage, 6000, 2000).await_line("live")
+    listener = goes_over(stage, 6000, 2000)
+    listener.await_line("live")
+    print("unregister", file=listener.process.stdin, flush=True)
+    listener.await_line("unregistered")
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("run", range(20))
 def test_a_hundred_thousand_messages_each_once_and_in_order(stage, run):
     goes_over(stage, 100_000, 10_000)
+
+
+def send(publisher, count, period_sec, wire):
+    """Publish regularly, on a thread of its own."""
+
+    def work():
+        begin = time.monotonic()
+        for n in range(count):
+            time.sleep(max(0.0, begin + n * period_sec - time.monotonic()))
+            publisher.publish(wire(n))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    return thread
+
+
+def test_two_publishers_a_latched_one_and_a_recorder_that_dies(stage):
+    """A type that is not installed, constant messages, and a present without a recorder."""
+    unknown = {"type": "nowhere/Strange", "message_definition": "uint32 data\n"}
+    counter = stage.publisher("/mixed", name="/counter", **unknown)
+    constant = stage.publisher("/mixed", name="/constant")
+    recorder = stage.recorder("/mixed")
+    latched = stage.publisher("/mixed", name="/latched", latching="1")
+    for each in (counter, constant, latched):
+        each.await_subscribers()
+    latched.publish(numbered(77))
+    threads = [send(counter, 400, 0.01, numbered), send(constant, 80, 0.05, lambda n: numbered(5))]
+    stage.await_stored("/mixed", 100)
+    listener = stage.listener("/mixed")
+    latched.await_subscribers(2)
+    with latched.only_last() as new:
+        new.publish(numbered(77))  # what a latching publisher does for each that comes
+    listener.await_line("live")
+    assert recorder.end(signal.SIGKILL) < 0
+    for thread in threads:
+        thread.join()
+    answer = listener.await_count(481)
+    got = {name: [w for who, w in answer["got"] if who == name] for name, _ in answer["got"]}
+    assert got["/counter"] == [numbered(n).hex() for n in range(400)]
+    assert got["/constant"] == [numbered(5).hex()] * 80
+    assert got["/latched"] == [numbered(77).hex()]
+
+
+def test_messages_of_another_class_are_left_out_and_said(stage, rosCas):
+    with rosCas.messageWriter() as writer:
+        fields = header_of(String, "/old")
+        handle = writer.connect(live_connection("/changed", fields))
+        writer.write(handle, time.time_ns() - 10**10, 0, message(String("old")))
+    publisher = stage.publisher("/changed")
+    listener = stage.listener("/changed", type="std_msgs/UInt32", since=60)
+    publisher.await_subscribers().publish(numbered(1))
+    answer = listener.await_count(1)
+    assert answer["got"] == [["/raw", numbered(1).hex()]]
+    assert answer["failed"] == 1
+    assert "std_msgs/String" in listener.await_line("are left out")
+
+
+# -------------------------------------------------------------------- arguments
+
+
+@pytest.mark.parametrize(
+    ("wanted", "error"),
+    [
+        ({"data_class": int}, "no class of messages"),
+        ({"callback": 3}, "cannot be called"),
+        ({"since": -1.0}, "no length of time"),
+        ({"since": "yesterday"}, "not a time"),
+        ({"since": True}, "no length of time"),
+        ({"since": float("nan")}, "since is neither"),
+        ({"buff_size": 0}, "buff_size=0"),
+        ({"topic": "/has space"}, "has space"),
+        ({"topic": 7}, "no name of a topic"),
+        ({"nodeID": 3, "rosCas": None}, "nodeID=3"),
+    ],
+    ids=str,
+)
+def test_bad_arguments_are_refused_at_once(wanted, error):
+    good = {"topic": "/a", "data_class": UInt32, "callback": print}
+    with pytest.raises(CassandraRosError, match=error):
+        HistorySubscriber(**{**good, **wanted})
+
+
+def test_since():
+    now = 1_700_000_000 * 10**9
+    assert _beginning(None)(now) == 0
+    assert _beginning(60)(now) == now - 60 * 10**9
+    assert _beginning(0.5)(now) == now - 5 * 10**8
+    assert _beginning(genpy.Duration(2))(now) == now - 2 * 10**9
+    assert _beginning(genpy.Time(5))(now) == 5 * 10**9
+    assert _beginning(now - 1)(now) == now - 1
+    assert _beginning(1.5e9)(now) == 1_500_000_000 * 10**9
+    assert _beginning("2020-01-01T00:00:00Z")(now) == 1_577_836_800 * 10**9

@@ -13,7 +13,7 @@ import hashlib
 from bisect import bisect_left
 from collections import Counter
 from statistics import median
-from typing import Dict, List, NamedTuple, Optional, Sequence
+from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.keys import SECOND_NS
 
@@ -53,26 +53,61 @@ def first_live(stored: Sequence[Mark], live: Sequence[Mark], sure: bool = False)
     """
     if not stored or not live:
         return None
-    lengths = _matches(stored, live)
-    valid = [k for k, length in enumerate(lengths) if length == min(len(stored) - k, len(live))]
+    valid = _overlaps(stored, live)
     if valid:
-        best = _best_in_time(stored, live, valid)
-        count = lengths[best]
-        if _agree(stored, live, best, count):
-            return best
-        longest = max(valid, key=lengths.__getitem__)
-        if sure or (lengths[longest] >= CERTAIN and _all_differ(live[: lengths[longest]])):
-            return longest
+        best = _best_in_time(valid)
+        if _agree(best, stored, live):
+            return best.place
+        longest = max(valid, key=lambda overlap: overlap.pairs)
+        matched = live[longest.other : longest.other + longest.pairs]
+        if sure or (longest.pairs >= CERTAIN and _all_differ(matched)):
+            return longest.place
     return _scattered(stored, live, sure)
 
 
-def _matches(stored: Sequence[Mark], live: Sequence[Mark]) -> List[int]:
-    """Return for each stored message how many from it on equal the live ones from the first on."""
+class _Overlap(NamedTuple):
+    """One way in which both may be the same messages: pairs of equals up to the end of one."""
+
+    place: int
+    """Among the stored ones."""
+    other: int
+    """Among the live ones; one of the two is 0."""
+    pairs: int
+    cost: float
+    """How far the last pairs are apart in time, ns."""
+
+
+def _overlaps(stored: Sequence[Mark], live: Sequence[Mark]) -> List[_Overlap]:
+    """List the possible overlaps; of very many those that agree best in time at their ends."""
     numbers: Dict[bytes, int] = {}
-    text = [numbers.setdefault(mark.digest, len(numbers)) for mark in live]
-    text.append(-1)
-    text.extend(numbers.get(mark.digest, -2) for mark in stored)
-    return _z_function(text)[len(live) + 1 :]
+    ours = [numbers.setdefault(mark.digest, len(numbers)) for mark in live]
+    theirs = [numbers.setdefault(mark.digest, len(numbers)) for mark in stored]
+    # Where the live ones begin among the stored ones, or, with a recorder that came later, the
+    # stored ones among the live ones.
+    places = [(k, 0) for k in _beginnings(theirs, ours)]
+    places += [(0, j) for j in _beginnings(ours, theirs) if j]
+
+    def last_apart(place: Tuple[int, int]) -> int:
+        k, j = place
+        count = min(len(stored) - k, len(live) - j)
+        return abs(stored[k + count - 1].t - live[j + count - 1].t)
+
+    if len(places) > NEAREST:
+        # By the last pair: at first a subscriber that is reading the past lags behind.
+        places = sorted(places, key=last_apart)[:NEAREST]
+    return [_overlap(stored, live, k, j) for k, j in places]
+
+
+def _overlap(stored: Sequence[Mark], live: Sequence[Mark], k: int, j: int) -> _Overlap:
+    count = min(len(stored) - k, len(live) - j)
+    last = range(max(0, count - PAIRS), count)
+    return _Overlap(k, j, count, median(abs(stored[k + i].t - live[j + i].t) for i in last))
+
+
+def _beginnings(text: Sequence[int], other: Sequence[int]) -> List[int]:
+    """List the places in a text from which on it equals another one, to the end of one of both."""
+    lengths = _z_function([*other, -1, *text])[len(other) + 1 :]
+    return [k for k, n in enumerate(lengths) if n == min(len(text) - k, len(other))]
 
 
 def _z_function(text: Sequence[int]) -> List[int]:
@@ -90,35 +125,26 @@ def _z_function(text: Sequence[int]) -> List[int]:
     return found
 
 
-def _best_in_time(stored: Sequence[Mark], live: Sequence[Mark], valid: Sequence[int]) -> int:
-    """Choose the place where the times of reception agree best."""
-    if len(valid) > NEAREST:
-        # By the last pair: at first a subscriber that is reading the past lags behind.
-        valid = sorted(valid, key=lambda k: _distance(stored, live, k, -1))[:NEAREST]
-    return min(valid, key=lambda k: _cost(stored, live, k))
+def _best_in_time(overlaps: Sequence[_Overlap]) -> _Overlap:
+    """Choose the one in which the times of reception agree best."""
+    return min(overlaps, key=lambda overlap: overlap.cost)
 
 
-def _distance(stored: Sequence[Mark], live: Sequence[Mark], k: int, pair: int) -> int:
-    count = min(len(stored) - k, len(live))
-    pair %= count
-    return abs(stored[k + pair].t - live[pair].t)
-
-
-def _cost(stored: Sequence[Mark], live: Sequence[Mark], k: int) -> float:
-    """Return how far the last pairs are apart in time, ns."""
-    count = min(len(stored) - k, len(live))
-    pairs = range(max(0, count - PAIRS), count)
-    return float(median(abs(stored[k + i].t - live[i].t) for i in pairs))
-
-
-def _agree(stored: Sequence[Mark], live: Sequence[Mark], k: int, count: int) -> bool:
+def _agree(overlap: _Overlap, stored: Sequence[Mark], live: Sequence[Mark]) -> bool:
     """Say whether the times alone show that both are the same messages."""
-    limit = float(TOLERANCE_NS)
-    times = [mark.t for mark in live[: PAIRS + 1]] + [mark.t for mark in stored[-PAIRS:]]
-    if count < FEW and len(times) > 2:
-        steps = [b - a for a, b in zip(times, times[1:]) if b > a]
-        limit = min(limit, median(steps) / 2) if steps else limit
-    return _cost(stored, live, k) <= limit
+    limit = _limit(stored, live) if overlap.pairs < FEW else TOLERANCE_NS
+    return overlap.cost <= limit
+
+
+def _limit(stored: Sequence[Mark], live: Sequence[Mark]) -> float:
+    """Return half the period of a publisher, ns, where it is known and short."""
+    steps = [
+        after.t - mark.t
+        for part in (stored[-PAIRS:], live[:PAIRS])
+        for mark, after in zip(part, part[1:])
+        if after.t > mark.t
+    ]
+    return min(TOLERANCE_NS, median(steps) / 2) if steps else TOLERANCE_NS
 
 
 def _all_differ(marks: Sequence[Mark]) -> bool:
@@ -134,9 +160,10 @@ def _scattered(stored: Sequence[Mark], live: Sequence[Mark], sure: bool) -> Opti
     common = sum(digest in times for digest in counts)
     unique = len(times) == len(live) and len(counts) == len(stored)
     certain = sure or (unique and common >= CERTAIN)
+    limit = _limit(stored, live)
     for i, mark in enumerate(stored):
         heard = times.get(mark.digest)
-        if heard is not None and (certain or _nearest(heard, mark.t) <= TOLERANCE_NS):
+        if heard is not None and (certain or _nearest(heard, mark.t) <= limit):
             return i
     return None
 

@@ -112,6 +112,7 @@ class History:
         self._looked = -LOOK_SEC
         self._written = self._doubtful = False
         self._unseen: List[Publisher] = []
+        self._found = False
         self._epoch, self._begun_sec, self._ready_sec = -1, -1.0, -1.0
         self.live = False
         """Whether the past is done."""
@@ -261,7 +262,7 @@ class History:
             bounds.update(places)
             if not places:
                 unseen[who] = live.since
-        self._unseen = list(unseen)
+        self._unseen, self._found = list(unseen), len(waiting) > len(unseen)
         return bounds if self._is_ready(unseen.values()) else None
 
     def _read_end(self, reach_ns: int) -> None:
@@ -367,6 +368,8 @@ class History:
         elif self._newest and self._unseen:
             names = ", ".join(who.callerid or "a publisher" for who in self._unseen)
             self._warn_of_gap(f"what {names} sends is not seen to be recorded")
+        elif self._newest and not (self._found or self._written):
+            self._warn_of_gap("nobody is seen to record it now")
 
     def _warn_of_gap(self, reason: str) -> None:
         _log.warning(

@@ -7,13 +7,12 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from numbers import Real
 from typing import Any, Callable, Mapping, Optional, Set, Tuple, Union
 
 import rospy
 
-from cassandra_ros.arguments import check_integer, check_node, check_topic
-from cassandra_ros.errors import CorruptMessage, InvalidKey, InvalidName, InvalidOption
+from cassandra_ros.arguments import check_integer, check_node, check_ros_name, check_topic
+from cassandra_ros.errors import CorruptMessage, InvalidKey, InvalidOption
 from cassandra_ros.history.join import Heard, History
 from cassandra_ros.history.live_queue import LiveQueue
 from cassandra_ros.history.past import Past
@@ -92,7 +91,7 @@ class HistorySubscriber:
     ) -> None:
         _check(data_class, callback)
         bound = check_integer("buff_size", buff_size, 1, 2**63 - 1)
-        begin = _beginning(since)
+        begin, node = _beginning(since), None if nodeID is None else check_node(nodeID)
         self.name = self.resolved_name = _resolved(topic)
         self.data_class: Any = data_class
         self._callback, self._args = callback, callback_args
@@ -103,7 +102,6 @@ class HistorySubscriber:
         self._is_connected = False
         self.failed = 0
         """How often the callback has raised, or a message was none of data_class."""
-        node = None if nodeID is None else check_node(nodeID)
         past = Past(self._rosCas, self.resolved_name, node, run)
         self._queue = LiveQueue(bound, now_ns)
         self._history = History(past, self._queue, begin, self._connected)
@@ -217,27 +215,22 @@ def _opened() -> RosCassandra:
 
 
 def _resolved(topic: str) -> str:
-    try:
-        return str(rospy.resolve_name(check_topic(topic)))
-    except (ValueError, rospy.ROSException) as exc:
-        raise InvalidName(f"{topic!r:.80} is no name of a topic: {exc}") from exc
+    return str(rospy.resolve_name(check_ros_name(check_topic(topic))))
 
 
 def _beginning(since: Any) -> Callable[[int], int]:
     """Return what tells from the time of now, ns, from when on stored messages are wanted."""
     if since is None:
         return lambda now: 0
-    number = isinstance(since, Real) and not isinstance(since, bool)
-    if isinstance(since, rospy.Duration) or (number and since < SECONDS_BACK_BELOW):
-        try:
-            back = duration_ns(since)
-        except InvalidKey as exc:
-            raise InvalidKey(f"since: {exc}") from exc
-        return lambda now: max(0, now - back)
-    if not (number or is_time(since) or isinstance(since, str)):
-        raise InvalidKey(f"since={since!r:.80} is neither a time nor a number of seconds back")
-    begin = to_ns(since)
-    return lambda now: begin
+    try:
+        far = isinstance(since, (int, float)) and since >= SECONDS_BACK_BELOW
+        if far or is_time(since) or isinstance(since, str):
+            begin = to_ns(since)
+            return lambda now: begin
+        back = duration_ns(since)
+    except InvalidKey as exc:
+        raise InvalidKey(f"since is neither a time nor a length of time: {exc}") from exc
+    return lambda now: max(0, now - back)
 
 
 def _publishers(topic: str) -> int:

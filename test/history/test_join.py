@@ -1,0 +1,402 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""From a real store over to live messages that are handed in by the test: no ROS."""
+
+from __future__ import annotations
+
+import logging
+import struct
+import threading
+import time
+
+import pytest
+from rosgraph_msgs.msg import Log
+from std_msgs.msg import Header, String, UInt32
+
+from cassandra_ros.errors import ClockNotSet, StoreUnavailable
+from cassandra_ros.history import join
+from cassandra_ros.history.join import History
+from cassandra_ros.history.live_queue import LiveQueue
+from cassandra_ros.history.past import Past
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.store.registry import Run
+
+TOPIC = "/joined"
+MS = 1_000_000
+
+
+def fields(name="/talker", msg_class=UInt32, latching=False):
+    return {
+        "callerid": name,
+        "latching": "1" if latching else "0",
+        "md5sum": msg_class._md5sum,
+        "message_definition": msg_class._full_text,
+        "topic": TOPIC,
+        "type": msg_class._type,
+    }
+
+
+def numbered(n):
+    return struct.pack("<I", n)
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch):
+    for name, seconds in {"SETTLE": 0.15, "PATIENCE": 0.6, "DOUBT": 0.3, "POLL": 0.02}.items():
+        monkeypatch.setattr(join, f"{name}_SEC", seconds)
+
+
+class Stage:
+    """A recorder and a subscriber that hear the same publishers, at times that the test says."""
+
+    def __init__(self, store, topic=TOPIC):
+        self.store, self.topic = store, topic
+        self.now = self.begin = time.time_ns()
+        self.writers, self.counter = {}, 0
+        self.queue = self.history = None
+        self.heard = []
+
+    def stored(self, header, wire, t, writer=1, node=""):
+        if (writer, node) not in self.writers:
+            run = Run(node, writer, "recording")
+            self.writers[writer, node] = self.store.messageWriter(
+                writer_id=writer, nodeID=node, format="binary", run=run, linger_sec=0.01
+            )
+        out = self.writers[writer, node]
+        handle = out.connect(live_connection(self.topic, header))
+        self.counter += 1
+        out.write(handle, t, self.counter, wire)
+
+    def flush(self):
+        for writer in self.writers.values():
+            writer.flush()
+
+    def end(self):
+        """The recorders end."""
+        for writer in self.writers.values():
+            writer.close()
+        self.writers = {}
+
+    def subscribe(self, t, bound=10**6, since=0, connected=lambda: True):
+        self.now = t
+        self.queue = LiveQueue(bound, lambda: self.now)
+        past = Past(self.store, self.topic)
+        self.history = History(past, self.queue, lambda now: since, connected)
+
+    def live(self, header, wire, t):
+        self.now = t
+        self.queue.put(header, wire)
+
+    def listen(self, slow=0.0):
+        def take():
+            for heard in self.history.messages():
+                self.heard.append(heard)
+                time.sleep(slow)
+
+        self.thread = threading.Thread(target=take, daemon=True)
+        self.thread.start()
+
+    def result(self, count, name=None):
+        """Return what came when so many have come, and a moment nothing more."""
+        deadline = time.monotonic() + 60
+        while len(self.heard) < count or not self.history.live:
+            assert time.monotonic() < deadline, (len(self.heard), count)
+            assert self.thread.is_alive()
+            time.sleep(0.01)
+        time.sleep(0.05)
+        return [h.wire for h in self.heard if name in (None, h.header["callerid"])]
+
+    def close(self):
+        if self.queue is not None:
+            self.queue.close()
+            self.thread.join(20)
+            assert not self.thread.is_alive()
+        self.end()
+
+
+@pytest.fixture
+def stage(rosCas):
+    made = Stage(rosCas)
+    yield made
+    made.close()
+
+
+def talk(stage, header, range_stored, range_live, period=10 * MS, wire=numbered, lag=2 * MS):
+    for n in range_stored:
+        stage.stored(header, wire(n), stage.begin + n * period)
+    stage.flush()
+    for n in range_live:
+        stage.live(header, wire(n), stage.begin + n * period + lag)
+
+
+def test_stored_ones_up_to_the_first_live_one(stage):
+    stage.subscribe(stage.begin + 3000 * MS)
+    talk(stage, fields(), range(400), range(300, 450))
+    stage.listen()
+    assert stage.result(450) == list(map(numbered, range(450)))
+    assert [h.stored for h in stage.heard] == [True] * 300 + [False] * 150
+    assert stage.heard[7].t == stage.begin + 70 * MS
+    assert stage.heard[7].header == fields()
+    stage.live(fields(), b"more", stage.now)
+    assert stage.result(451)[-1] == b"more"
+
+
+def test_a_recorder_that_is_behind_is_waited_for(stage, monkeypatch):
+    monkeypatch.setattr(join, "PATIENCE_SEC", 20.0)
+    stage.subscribe(stage.begin + 3000 * MS)
+    talk(stage, fields(), range(250), range(300, 350))
+    stage.listen()
+    time.sleep(0.7)
+    assert not stage.history.live
+    talk(stage, fields(), range(250, 345), ())
+    assert stage.result(350) == list(map(numbered, range(350)))
+
+
+def test_equal_messages_and_equal_stamps(stage):
+    stage.subscribe(stage.begin + 3000 * MS)
+    for n in range(300):  # three at a time
+        stage.stored(fields(), numbered(n), stage.begin + n // 3 * 30 * MS)
+    talk(stage, fields("/constant"), range(350), range(290, 400), wire=lambda n: b"same")
+    for n in range(290, 350):
+        stage.live(fields(), numbered(n), stage.begin + n * 10 * MS)
+    stage.listen()
+    stage.result(750)
+    assert stage.result(750, "/talker") == list(map(numbered, range(350)))
+    assert stage.result(750, "/constant") == [b"same"] * 400
+
+
+def test_publishers_that_come_and_go_in_the_order_of_reception(stage):
+    old, other, new = fields("/old"), fields("/other"), fields("/new")
+    for n in range(200):
+        stage.stored(old, numbered(n), stage.begin + n * 10 * MS)
+        stage.stored(other, numbered(n), stage.begin + n * 10 * MS + 5 * MS)
+    stage.subscribe(stage.begin + 1500 * MS)
+    for n in range(150, 220):
+        stage.live(other, numbered(n), stage.begin + n * 10 * MS + 6 * MS)
+        if n >= 190:
+            stage.live(new, numbered(n), stage.begin + n * 10 * MS + 8 * MS)
+            if n < 200:
+                stage.stored(new, numbered(n), stage.begin + n * 10 * MS + 7 * MS)
+    stage.flush()
+    stage.listen()
+    # The old one was heard by the recorder alone.
+    assert stage.result(450, "/old") == list(map(numbered, range(200)))
+    assert stage.result(450, "/other") == list(map(numbered, range(220)))
+    assert stage.result(450, "/new") == list(map(numbered, range(190, 220)))
+    times = [heard.t for heard in stage.heard]
+    assert times == sorted(times)
+
+
+def test_a_latched_message_that_is_stored_comes_once(stage):
+    map_header, quiet = fields("/map", latching=True), fields("/quiet", latching=True)
+    stage.stored(map_header, b"map1", stage.begin - 3600_000 * MS)
+    stage.stored(map_header, b"map2", stage.begin - 60_000 * MS)
+    stage.stored(quiet, b"quiet", stage.begin - 7200_000 * MS)
+    stage.flush()
+    stage.subscribe(stage.begin, since=stage.begin - 7000_000 * MS)
+    stage.live(map_header, b"map2", stage.begin + 5 * MS)
+    stage.live(quiet, b"quiet", stage.begin + 5 * MS)  # from before since
+    stage.live(map_header, b"map3", stage.begin + 500 * MS)
+    stage.stored(map_header, b"map3", stage.begin + 500 * MS)
+    stage.flush()
+    stage.listen()
+    assert stage.result(4, "/map") == [b"map1", b"map2", b"map3"]
+    assert stage.result(4, "/quiet") == [b"quiet"]
+
+
+def test_a_latching_publisher_that_begins_now_and_repeats_itself(stage):
+    header = fields("/state", latching=True)
+    stage.subscribe(stage.begin)
+    talk(stage, header, range(5), range(5), 200 * MS, wire=lambda n: b"on")
+    stage.listen()
+    assert stage.result(5) == [b"on"] * 5
+
+
+def test_a_recorder_that_came_later_than_we(stage):
+    stage.subscribe(stage.begin)
+    talk(stage, fields(), range(50, 80), range(100))
+    talk(stage, fields("/constant"), range(50, 80), range(100), wire=lambda n: b"same")
+    stage.listen()
+    assert stage.result(200, "/talker") == list(map(numbered, range(100)))
+    assert stage.result(200, "/constant") == [b"same"] * 100
+
+
+def test_a_recorder_that_ended_before(stage, caplog):
+    caplog.set_level(logging.WARNING, "cassandra_ros")
+    talk(stage, fields(), range(20), ())
+    stage.end()
+    stage.subscribe(stage.begin + 10_000 * MS)
+    stage.live(fields(), numbered(7), stage.now)  # the same number again
+    stage.listen()
+    assert stage.result(21) == [*map(numbered, range(20)), numbered(7)]
+    assert "nobody is recording it" in caplog.text
+
+
+def test_a_recorder_that_was_killed_before(stage, caplog):
+    """Nothing comes live: its run has not ended, and nothing shows that it lives."""
+    talk(stage, fields(), range(20), ())
+    for writer in stage.writers.values():
+        writer.close = lambda: None
+    stage.subscribe(stage.begin + 10_000 * MS)
+    stage.history._past.is_written = lambda now: False
+    stage.listen()
+    assert stage.result(20) == list(map(numbered, range(20)))
+    assert "nobody is seen to record it now" in caplog.text
+
+
+def test_two_recorders_of_which_one_died(stage):
+    """The past has both, as it has for any reader."""
+    stage.subscribe(stage.begin + 900 * MS)
+    for n in range(50):
+        stage.stored(fields(), numbered(n), stage.begin + n * 10 * MS, writer=1)
+    for n in range(30, 120):
+        stage.stored(fields(), numbered(n), stage.begin + n * 10 * MS + MS, writer=2)
+    talk(stage, fields(), (), range(90, 130))
+    stage.listen()
+    got = stage.result(20 + 130)
+    assert sorted(got) == sorted(map(numbered, [*range(50), *range(30, 130)]))
+    assert got[-40:] == list(map(numbered, range(90, 130)))
+
+
+def test_clocks_that_differ_where_messages_have_headers(stage):
+    for skew, name in ((-40_000, "/behind"), (4_000, "/ahead")):
+        header = fields(name, Log)
+        stage.begin = time.time_ns()
+        wires = [serialize(Log(header=Header(seq=n))) for n in range(200)]
+        for n in range(160):
+            stage.stored(header, wires[n], stage.begin + (n * 10 + skew) * MS)
+    stage.flush()
+    stage.subscribe(stage.begin + 1000 * MS)
+    for n in range(100, 200):
+        for name in ("/behind", "/ahead"):
+            stage.live(fields(name, Log), wires[n], stage.begin + n * 10 * MS)
+    stage.listen()
+    assert stage.result(400, "/behind") == wires
+    assert stage.result(400, "/ahead") == wires
+
+
+def test_what_has_no_room_is_read_from_the_store(stage):
+    """The past is read slowly; live messages fill the buffer again and again."""
+    header, count = fields(), 3000
+    for n in range(1000):
+        stage.stored(header, numbered(n), stage.begin + n * 10 * MS)
+    stage.flush()
+    stage.subscribe(stage.begin + 10_000 * MS, bound=60_000)
+    stage.history._look()
+    assert stage.queue.recorded
+    stage.listen(slow=0.0002)
+    for n in range(1000, count):
+        stage.stored(header, numbered(n), stage.begin + n * 10 * MS)
+        stage.live(header, numbered(n), stage.begin + n * 10 * MS + MS)
+    stage.flush()
+    assert stage.result(count) == list(map(numbered, range(count)))
+    assert stage.queue.epoch > 2
+    assert stage.history.lost == 0
+
+
+def test_what_was_forgotten_and_never_stored_is_told(stage, caplog):
+    header = fields()
+    talk(stage, header, range(300), ())
+    stage.subscribe(stage.begin + 3000 * MS, bound=40_000)
+    stage.history._look()
+    for n in range(300, 700):  # the recorder has died, and nobody knows it yet
+        stage.live(header, numbered(n), stage.begin + n * 10 * MS)
+    stage.listen()
+    got = [struct.unpack("<I", wire)[0] for wire in stage.result(307)]
+    assert got == [*range(300), *range(got[300], 700)]
+    assert got[300] > 300
+    assert stage.history.lost == got[300] - 300
+    assert f"{got[300] - 300} messages of /talker are lost" in caplog.text
+
+
+def test_publishers_wait_where_nobody_records(stage, caplog):
+    talk(stage, fields(), range(100), ())
+    stage.end()
+    stage.subscribe(stage.begin + 60_000 * MS, bound=20_000)
+
+    def publish():
+        for n in range(100, 600):
+            stage.live(fields(), numbered(n), stage.begin + 60_000 * MS + n * MS)
+
+    publisher = threading.Thread(target=publish)
+    publisher.start()
+    time.sleep(0.2)
+    assert publisher.is_alive()
+    stage.listen()
+    assert stage.result(600) == list(map(numbered, range(600)))
+    publisher.join()
+    assert "publishers must wait" in caplog.text
+    assert stage.history.lost == 0
+
+
+def test_a_topic_that_nobody_stored(stage, caplog):
+    stage.subscribe(stage.begin)
+    stage.live(fields(), b"a", stage.now)
+    stage.listen()
+    assert stage.result(1) == [b"a"]
+    assert "nothing is stored of it" in caplog.text
+
+
+def test_a_beginning_that_is_to_come(stage, caplog):
+    talk(stage, fields(), range(10), ())
+    stage.subscribe(stage.begin + 100 * MS, since=stage.begin + 10**12)
+    stage.live(fields(), b"a", stage.now)
+    stage.listen()
+    assert stage.result(1) == [b"a"]
+    assert "is to come" in caplog.text
+
+
+def test_only_what_was_received_since_then(stage):
+    stage.subscribe(stage.begin + 3000 * MS, since=stage.begin + 1000 * MS)
+    talk(stage, fields(), range(350), range(300, 400))
+    stage.listen()
+    assert stage.result(300) == list(map(numbered, range(100, 400)))
+
+
+def test_simulated_time_that_has_not_begun(stage):
+    talk(stage, fields(), range(350), ())
+    clock = [0]
+
+    def now():
+        if not clock[0]:
+            raise ClockNotSet("no /clock")
+        return clock[0]
+
+    stage.queue = LiveQueue(10**6, now)
+    stage.history = History(Past(stage.store, TOPIC), stage.queue, lambda now: 0, lambda: True)
+    for n in range(300, 320):
+        stage.queue.put(fields(), numbered(n))
+    stage.listen()
+    time.sleep(0.1)
+    assert not stage.heard
+    clock[0] = stage.begin + 3200 * MS
+    for n in range(320, 400):
+        stage.queue.put(fields(), numbered(n))
+    assert stage.result(400) == list(map(numbered, range(400)))
+
+
+def test_a_store_that_fails_meanwhile(stage, caplog, monkeypatch):
+    stage.subscribe(stage.begin + 3000 * MS)
+    talk(stage, fields(), range(350), range(300, 400))
+    rows = Past.rows
+
+    def broken(self, low, high=None):
+        for count, row in enumerate(rows(self, low, high)):
+            if count == 50:
+                raise StoreUnavailable("it went away")
+            yield row
+
+    monkeypatch.setattr(Past, "rows", broken)
+    stage.listen()
+    assert stage.result(150) == list(map(numbered, [*range(50), *range(300, 400)]))
+    assert "there may be a gap" in caplog.text
+
+
+def test_large_messages(stage):
+    wires = [serialize(String(str(n) * 700_000)) for n in range(8)]
+    header = fields("/big", String)
+    stage.subscribe(stage.begin + 500 * MS, bound=10**8)
+    talk(stage, header, range(6), range(4, 8), 100 * MS, wire=wires.__getitem__)
+    stage.listen()
+    assert stage.result(8) == wires
