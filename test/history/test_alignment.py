@@ -35,7 +35,7 @@ def heard(draw):
     return stored[first:end], live[begin:], first, begin, end
 
 
-@settings(max_examples=200)
+@settings(max_examples=50)
 @given(heard())
 def test_the_stored_ones_before_it_and_the_live_ones_are_each_once(case):
     stored, live, first, begin, end = case

@@ -13,7 +13,7 @@ import pytest
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Header, String, UInt32
 
-from cassandra_ros.errors import ClockNotSet, StoreUnavailable
+from cassandra_ros.errors import ClockNotSet, RunNotFound, StoreUnavailable
 from cassandra_ros.history import join
 from cassandra_ros.history.join import History
 from cassandra_ros.history.live_queue import LiveQueue
@@ -391,6 +391,22 @@ def test_a_store_that_fails_meanwhile(stage, caplog, monkeypatch):
     stage.listen()
     assert stage.result(150) == list(map(numbered, [*range(50), *range(300, 400)]))
     assert "there may be a gap" in caplog.text
+
+
+def test_one_run_of_two(stage):
+    for n in range(320):
+        stage.stored(fields(), numbered(n), stage.begin + n * 10 * MS, writer=1)
+        stage.stored(fields(), numbered(n), stage.begin + n * 10 * MS + MS, writer=2)
+    stage.flush()
+    stage.subscribe(stage.begin + 3000 * MS)
+    past = Past(stage.store, TOPIC, run=2)
+    assert past.is_written(stage.begin)
+    stage.history = History(past, stage.queue, lambda now: 0, lambda: True)
+    talk(stage, fields(), (), range(300, 400))
+    stage.listen()
+    assert stage.result(400) == list(map(numbered, range(400)))
+    with pytest.raises(RunNotFound):
+        Past(stage.store, TOPIC, run="nobody")
 
 
 def test_large_messages(stage):

@@ -25,6 +25,9 @@ class Past:
         topic: Its name.
         node: Only messages of this nodeID; None = of all.
         run: Only messages of this run, by name or writer id; None = of all.
+
+    Raises:
+        RunNotFound: There is no such run.
     """
 
     def __init__(
@@ -34,6 +37,7 @@ class Past:
         node: Optional[str] = None,
         run: Union[None, str, int] = None,
     ) -> None:
+        ros_cas.parts.runs.writers(run)
         self._rosCas, self.topic, self._node, self._run = ros_cas, topic, node, run
 
     def exists(self) -> bool:
@@ -46,7 +50,7 @@ class Past:
             return
         try:
             yield from self._rosCas.readMessages(
-                [self.topic], low, high, nodeID=self._node, received=True
+                [self.topic], low, high, nodeID=self._node, received=True, run=self._run
             )
         except TopicNotFound:
             return
@@ -58,6 +62,7 @@ class Past:
         except TopicNotFound:
             return False
         directory = self._rosCas.parts.directory
+        writers = self._rosCas.parts.runs.writers(self._run)
         nodes = None if self._node is None else (self._node,)
         for table in tables:
             if table.named:
@@ -65,10 +70,16 @@ class Past:
             first = table.bucket_of(max(0, now_ns - _LOOK_BACK_NS))
             last = table.bucket_of(now_ns + _LOOK_BACK_NS)
             buckets = directory.buckets(table.name, first, last, nodes)
-            if any(not row.closed and row.age_sec < FRESH_SEC for row in buckets):
+            if any(
+                not row.closed
+                and row.age_sec < FRESH_SEC
+                and (writers is None or row.writer in writers)
+                for row in buckets
+            ):
                 return True
         return False
 
     def may_be_written(self) -> bool:
         """Say whether a recording has begun in the keyspace that has not ended."""
-        return any(run.kind == "recording" and run.ended is None for run in self._rosCas.runs())
+        runs = self._rosCas.parts.registry.runs()
+        return any(run.kind == "recording" and run.ended is None for run in runs)
