@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Iterable, Sequence
 
 from cassandra_ros.bag.reader import Progress
@@ -15,9 +16,10 @@ from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.topics.catalog import Conditions
+from cassandra_ros.topics.latched import latched_before
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.runs import RunName
-from cassandra_ros.topics.selection import Time
+from cassandra_ros.topics.selection import Stretch, Time
 from cassandra_ros.topics.stored_row import StoredRow
 
 _RUN_NUMBERS = 1 << 16
@@ -33,6 +35,14 @@ class ExportReport:
     """Number of messages by topic."""
     bytes: int = 0
     """Serialised bytes."""
+    latched: dict[str, int] = field(default_factory=dict)
+    """How many messages by topic were latched before the start; they are counted above, too."""
+
+    def add(self, topic: str, size: int, early: bool) -> None:
+        """Count a message of so many bytes; early: it was latched before the start."""
+        self.bytes += size
+        for counts in (self.messages, self.latched) if early else (self.messages,):
+            counts[topic] = counts.get(topic, 0) + 1
 
 
 def export_bag(
@@ -48,6 +58,7 @@ def export_bag(
     where: Conditions = None,
     empty: bool = False,
     run: RunName = None,
+    latched: bool = True,
 ) -> ExportReport:
     """Write stored messages into a bag of format 2.0.
 
@@ -68,6 +79,10 @@ def export_bag(
             that satisfy it; the others are written whole.
         empty: Write a bag also where there is no message for it.
         run: Only what the recordings or imports of this name, or of a writer id, stored.
+        latched: Where there is a start, begin with what was latched before it: for each publisher
+            of the runs that the bag shows its last message (of /tf_static, say). These stand at
+            the time of the start, each with a connection of its own, in whose header the field
+            ``latched_from`` says when it was received, ns.
 
     Raises:
         MessageNotFound: There is no message for it; a file that was there before stays.
@@ -83,15 +98,18 @@ def export_bag(
     rows = ros_cas.readMessages(
         names, start, end, nodeID=nodeID, received=True, where=where, run=run
     )
+    low, high = Stretch.between(start, end)
+    before = []
+    if latched and start is not None:
+        before = latched_before(ros_cas, low, names, to=high, nodeID=nodeID, run=run, where=where)
     report = ExportReport(os.fspath(path))
     with BagWriter(path, compression) as writer:
         numbers = ConnectionNumbers(writer)
-        for row in rows:
-            number = numbers.of(row)
+        early = ((numbers.latched(row), low, row) for row in before)
+        for number, t_ns, row in chain(early, ((numbers.of(r), r.received, r) for r in rows)):
             wire = row.wire
-            writer.write(number, row.received, wire)
-            report.messages[row.topic] = report.messages.get(row.topic, 0) + 1
-            report.bytes += len(wire)
+            writer.write(number, t_ns, wire)
+            report.add(row.topic, len(wire), early=t_ns != row.received)
             if progress is not None:
                 progress(1, len(wire))
         if not report.messages and not empty:
@@ -147,10 +165,15 @@ class ConnectionNumbers:
             number = self._numbers[key] = self._add(row, run)
         return number
 
+    def latched(self, row: StoredRow) -> int:
+        """Return the number of a connection for a row from before the bag alone.
+
+        Between equal times it is read before all that ask for theirs later.
+        """
+        return self._next(_connection(row).latched_from(row.received))
+
     def _add(self, row: StoredRow, run: int) -> int:
-        connection = row.connection
-        if connection.topic != row.topic:
-            connection = replace(connection, topic=row.topic)  # it was renamed
+        connection = _connection(row)
         if connection.number < 0:
             shared = (0, row.table.name, row.conn)  # 0 is nobody's writer id
             if shared not in self._numbers:
@@ -168,3 +191,9 @@ class ConnectionNumbers:
             number = self._writer.connection(connection)
         self._free = max(self._free, number + 1)
         return number
+
+
+def _connection(row: StoredRow) -> Connection:
+    """Return the connection of a row, of the topic as it is called now."""
+    connection = row.connection
+    return connection if connection.topic == row.topic else replace(connection, topic=row.topic)

@@ -16,7 +16,7 @@ from cassandra_ros.bag.reader import BagReader, Progress, chosen_connections, re
 from cassandra_ros.errors import CorruptMessage, InvalidKey
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.messages.stamps import iso_time, to_ns
 from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.runs import RunName, Writers
@@ -50,6 +50,9 @@ class VerifyReport:
     """Messages that are missing, superfluous or different."""
     missing: int = 0
     """Those of them that the store lacks; the others are rows that are not of this bag."""
+    left_out: int = 0
+    """Messages of the bag that are not compared: they were latched before the window of which it
+    is an export, see export_bag."""
     first: list[str] = field(default_factory=list)
     """The first differences, a line each."""
 
@@ -79,7 +82,8 @@ def verify_bag(
     Equal means: the same messages with the same topic, time, type, md5sum, bytes and connection
     (header byte for byte), in the same order. Where the store holds rows of an import of this
     very bag only those are compared, so that a keyspace may hold other bags and recordings on
-    the same topics; else all rows of the bag's topics are.
+    the same topics; else all rows of the bag's topics are. Then messages that an export marked as
+    latched before its window are left out: the store holds them at another time.
 
     Args:
         topics: Only these; None = all of the bag.
@@ -106,6 +110,9 @@ def verify_bag(
         if found is not None:
             scope = "the import of this bag" + (f" for node {found.node}" if found.node else "")
         report = VerifyReport(reader.path, scope)
+        if found is None:
+            numbers -= _leave_out(reader, numbers, report)
+            chosen = {n: chosen[n] for n in numbers}
         for topic in sorted(set(chosen.values()) - stored):
             gone = {n for n in chosen if chosen[n] == topic}
             count = sum(reader.counts[n] for n in gone)
@@ -130,6 +137,8 @@ def verify_content(
     """Compare each topic's messages in their order by type, md5sum and bytes alone.
 
     Times and connections are not compared: they differ when a bag was played and recorded live.
+    Of a stretch that begins no later than the bag, messages that an export marked as latched
+    before its window are left out; where the bag was played they are among what was recorded.
     Memory: two pages of rows for each topic, and what read_in_order needs; of a topic whose key is
     a time in the message, all keys.
 
@@ -150,6 +159,8 @@ def verify_content(
     with BagReader(path) as reader:
         numbers = chosen_connections(reader, topics)
         report = VerifyReport(reader.path, "all stored messages on its topics, by content")
+        if start is not None and to_ns(start) <= reader.start_ns:
+            numbers -= _leave_out(reader, numbers, report)
         ranks = _Ranks((), positions=False)
         wanted = {reader.connections[n].topic for n in numbers}
         stored = _stored_topics(ros_cas, {renamed.get(topic, topic) for topic in wanted})
@@ -163,6 +174,13 @@ def verify_content(
             comparisons[topic] = Comparison(map(ranks.see, rows), report, _NO_ORDER)
         _compare(reader, numbers, comparisons, progress)
     return report
+
+
+def _leave_out(reader: BagReader, numbers: AbstractSet[int], report: VerifyReport) -> set[int]:
+    """Return the connections of messages from before the window of a bag, and count these."""
+    early = {n for n in numbers if reader.connections[n].from_before}
+    report.left_out = sum(reader.counts[n] for n in early)
+    return early
 
 
 def holds_nothing_else(ros_cas: RosCassandra, reader: BagReader, found: Run) -> bool:

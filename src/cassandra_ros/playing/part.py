@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import FrozenSet, Iterable, Iterator, List, Optional, Sequence, Set, Tuple
 
 from cassandra_ros.arguments import check_nodes
-from cassandra_ros.keys import MAX_NS, split_seq
+from cassandra_ros.keys import MAX_NS
 from cassandra_ros.playing.extent import Extent
 from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.finding import Filter, Where
@@ -79,16 +79,14 @@ class Part:
     def _stored(self, stretch: Stretch) -> Iterator[StoredRow]:
         if stretch.low > stretch.high:
             return iter(())
-        rows = self.ros_cas.readMessages(
-            self.topics, *stretch, nodeID=self.node, received=True, where=self.where
+        return self.ros_cas.readMessages(
+            self.topics,
+            *stretch,
+            nodeID=self.node,
+            received=True,
+            where=self.where,
+            run=self.writers,
         )
-        return self._of_writers(rows)
-
-    def _of_writers(self, rows: Iterator[StoredRow]) -> Iterator[StoredRow]:
-        writers = self.writers
-        if writers is None:
-            return rows
-        return (row for row in rows if split_seq(row.seq)[0] in writers)
 
     def hits(self, topic: str, condition: Where, stretch: Stretch) -> Iterator[int]:
         """Walk lazily through the times of the messages of a topic that satisfy a condition."""
@@ -96,12 +94,13 @@ class Part:
         if inner.low > inner.high:
             return iter(())
         if any(table.metadata.own_time or table.named for table in found.tables):
+            where = {topic: condition}
             rows = self.ros_cas.readMessages(
-                [topic], *inner, nodeID=self.node, received=True, where={topic: condition}
+                [topic], *inner, nodeID=self.node, received=True, where=where, run=self.writers
             )
         else:
-            rows = Filter(found, condition, self.node).rows(inner, bare=True)
-        return (row.received + self.shift for row in self._of_writers(rows))
+            rows = Filter(found, condition, self.node, self.writers).rows(inner, bare=True)
+        return (row.received + self.shift for row in rows)
 
     @cached_property
     def _tables(self) -> List[TopicTable]:

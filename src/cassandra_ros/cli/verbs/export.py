@@ -6,6 +6,11 @@ The messages stand in the order of their times; connections keep topic, header a
 was imported from a bag reads back in the same order. Times are seconds (1368021980 or
 1368021980.25), ISO 8601, where no zone means UTC, or nanoseconds (from 13 digits on). Where nothing
 is found no bag is written, and an old one stays.
+
+With --start the bag begins with what was latched before it (/tf_static, say): for each publisher of
+the recordings that the bag shows its last message. They stand at the time of the start, each with a
+connection of its own whose header says latched_from and the time of reception in nanoseconds;
+import stores them as they stand.
 """
 
 from __future__ import annotations
@@ -33,6 +38,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_time_options(parser)
     add_origin_options(parser)
     add_where_option(parser)
+    add(
+        "--no-latched",
+        dest="latched",
+        action="store_false",
+        help="leave out what was latched before --start",
+    )
     packing = parser.add_mutually_exclusive_group()
     packing.add_argument(
         "-j", "--bz2", dest="compression", action="store_const", const="bz2", help="use BZ2"
@@ -63,12 +74,16 @@ def run(options: argparse.Namespace) -> int:
             force=options.force,
             progress=bar.add,
             where=where,
+            latched=options.latched,
             run=options.run,
         )
     if not options.quiet:
         rows = [(shown(topic), str(count)) for topic, count in sorted(report.messages.items())]
         if rows:
             print(format_table(("topic", "messages"), rows, right=("messages",)))
+        early = sum(report.latched.values())
+        if early:
+            print(f"of these {early} were latched before {options.start}, and stand at that time")
         print(
             f"{report.path}: {sum(report.messages.values())} messages of {len(rows)} topics, "
             f"{format_bytes(report.bytes)} ({time.monotonic() - begun:.1f} s)"

@@ -59,6 +59,7 @@ def run(options: argparse.Namespace) -> int:
     report = _compare(options)
     if not report.equal:
         _print_differences(report)
+        _print_left_out(report)
         return 1
     if not options.quiet:
         what = "type, md5sum, bytes, order in each topic"
@@ -68,6 +69,7 @@ def run(options: argparse.Namespace) -> int:
             f"equal: {report.path} and keyspace {options.keyspace}, "
             f"{report.equal_messages} messages ({what})"
         )
+        _print_left_out(report)
     return 0
 
 
@@ -101,6 +103,14 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
             end=end,
             progress=bar.add,
             run=options.run,
+        )
+
+
+def _print_left_out(report: VerifyReport) -> None:
+    if report.left_out:
+        print(
+            f"not compared: {report.left_out} messages that the export took from before its window,"
+            " for they were latched"
         )
 
 

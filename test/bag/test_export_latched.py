@@ -1,0 +1,171 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""An exported window begins with what was latched before it, judged by the rosbag module."""
+
+from __future__ import annotations
+
+import pytest
+import rosbag
+from bag.truth import read_with_rosbag, string_connection, string_wire
+
+from cassandra_ros.bag.exporter import export_bag
+from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.bag.verify import verify_bag, verify_content
+from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.cli import cassandra_bag
+
+SEC = 10**9
+T0 = 1_500_000_000 * SEC
+
+
+def at(seconds):
+    return T0 + round(seconds * SEC)
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory):
+    """A bag: two publishers latch /tf_static at the beginning, one /map, one /tick each second."""
+    path = tmp_path_factory.mktemp("latched") / "original.bag"
+    with BagWriter(path) as writer:
+        latched = {"latching": "1"}
+        tick = writer.connection(string_connection("/tick", number=0, callerid="/t"), 0)
+        tf = [
+            writer.connection(
+                string_connection("/tf_static", number=n, callerid=f"/tf{n}", **latched), n
+            )
+            for n in (1, 2)
+        ]
+        maps = writer.connection(string_connection("/map", callerid="/m", **latched), 3)
+        writer.write(tf[0], at(0), string_wire("arm"))
+        writer.write(tf[1], at(0.1), string_wire("base"))
+        writer.write(maps, at(1.5), string_wire("m1"))
+        for n in range(10):
+            writer.write(tick, at(n), string_wire(f"t{n}"))
+            if n in (2, 7):
+                writer.write(maps, at(n + 0.5), string_wire(f"m{n}"))
+    return path
+
+
+@pytest.fixture
+def stored(rosCas, original):
+    import_bag(rosCas, original, nodeID="r1")
+    return rosCas
+
+
+def lines(path):
+    """What rosbag gives: (topic, seconds, text, callerid, mark)."""
+    with rosbag.Bag(str(path)) as bag:
+        return [
+            (
+                topic,
+                (t.to_nsec() - T0) / SEC,
+                message.data,
+                header["callerid"].decode(),
+                int(header.get("latched_from", b"0")),
+            )
+            for topic, message, t, header in bag.read_messages(return_connection_header=True)
+        ]
+
+
+def test_a_window_begins_with_what_was_latched(stored, tmp_path):
+    out = tmp_path / "out.bag"
+    report = export_bag(stored, out, start=at(5), end=at(8))
+    assert lines(out) == [
+        ("/tf_static", 5, "arm", "/tf1", at(0)),
+        ("/tf_static", 5, "base", "/tf2", at(0.1)),
+        ("/map", 5, "m2", "/m", at(2.5)),
+        ("/tick", 5, "t5", "/t", 0),
+        ("/tick", 6, "t6", "/t", 0),
+        ("/tick", 7, "t7", "/t", 0),
+        ("/map", 7.5, "m7", "/m", 0),
+        ("/tick", 8, "t8", "/t", 0),
+    ]
+    assert report.latched == {"/tf_static": 2, "/map": 1}
+    assert report.messages == {"/tf_static": 2, "/map": 2, "/tick": 4}
+    with rosbag.Bag(str(out)) as bag:
+        assert (bag.get_start_time(), bag.get_end_time()) == (at(5) / SEC, at(8) / SEC)
+    # But for the mark their connections are the publishers' own.
+    _, read = read_with_rosbag(out)
+    header = dict(read[0].header)
+    assert header.pop("latched_from") == str(at(0)).encode()
+    assert header == string_connection("/tf_static", callerid="/tf1", latching="1").fields
+
+
+def test_it_takes_only_what_is_asked_for(stored, tmp_path):
+    out = tmp_path / "out.bag"
+    export_bag(stored, out, start=at(5), end=at(5), latched=False)
+    assert [line[2] for line in lines(out)] == ["t5"]
+    export_bag(stored, out, ["/map", "/tick"], start=at(5), end=at(5), force=True)
+    assert [line[2] for line in lines(out)] == ["m2", "t5"]
+    export_bag(stored, out, start=at(5), end=at(5), where={"/map": "data <> 'm2'"}, force=True)
+    assert [line[2] for line in lines(out)] == ["arm", "base", "m1", "t5"]
+    # Alone a topic that was sent once is what the window shows of it.
+    export_bag(stored, out, ["/tf_static"], start=at(5), end=at(6), force=True)
+    assert [line[2] for line in lines(out)] == ["arm", "base"]
+    # What came exactly at the start is in the window.
+    export_bag(stored, out, ["/map"], start=at(2.5), force=True)
+    assert [line[1:3] for line in lines(out)] == [(2.5, "m1"), (2.5, "m2"), (7.5, "m7")]
+
+
+def test_without_a_start_nothing_is_added(stored, original, tmp_path):
+    report = export_bag(stored, tmp_path / "out.bag")
+    assert report.latched == {}
+    assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(original)
+    export_bag(stored, tmp_path / "from.bag", start=at(-1))
+    assert read_with_rosbag(tmp_path / "from.bag") == read_with_rosbag(original)
+
+
+def test_other_runs_give_nothing(stored, tmp_path):
+    with BagWriter(tmp_path / "later.bag") as writer:
+        number = writer.connection(string_connection("/tick", callerid="/l"))
+        writer.write(number, at(100), string_wire("l"))
+    import_bag(stored, tmp_path / "later.bag", nodeID="r1")
+    export_bag(stored, tmp_path / "out.bag", start=at(50))
+    assert [line[2] for line in lines(tmp_path / "out.bag")] == ["l"]
+
+
+def test_what_is_marked_is_not_compared_with_the_original(stored, tmp_path):
+    out = tmp_path / "out.bag"
+    export_bag(stored, out, start=at(5))
+    report = verify_content(stored, out, start=at(5))
+    assert (report.equal, report.equal_messages, report.left_out) == (True, 6, 3)
+    report = verify_bag(stored, out)
+    assert report.left_out == 3
+    assert (report.missing, report.differences) == (0, 9)  # the store holds what was before
+
+
+def test_a_window_is_imported_as_it_stands(stored, fresh, tmp_path):
+    out, again = tmp_path / "out.bag", tmp_path / "again.bag"
+    export_bag(stored, out, start=at(5))
+    with fresh() as other:
+        import_bag(other, out)
+        report = verify_bag(other, out)
+        assert (report.equal, report.equal_messages, report.left_out) == (True, 9, 0)
+        export_bag(other, again)
+        assert read_with_rosbag(again)[1] == read_with_rosbag(out)[1]
+        # Of a window of the window: latched all the same, the first mark stays.
+        export_bag(other, again, start=at(6), end=at(6), force=True)
+        assert lines(again) == [
+            ("/tf_static", 6, "arm", "/tf1", at(0)),
+            ("/tf_static", 6, "base", "/tf2", at(0.1)),
+            ("/map", 6, "m2", "/m", at(2.5)),
+            ("/tick", 6, "t6", "/t", 0),
+        ]
+
+
+def test_the_command_line_says_so(stored, tmp_path, capsys, cassandra):
+    out = str(tmp_path / "out.bag")
+    store = ["--host", cassandra.host, "--port", str(cassandra.port)]
+    store += ["--keyspace", stored.keyspace]
+
+    def run(*words):
+        assert cassandra_bag.main([*words, *store]) == 0
+        return capsys.readouterr().out
+
+    said = run("export", out, "--start", "1500000005.0")
+    assert "of these 3 were latched before 1500000005.0, and stand at that time" in said
+    assert "9 messages of 3 topics" in said
+    said = run("verify", "--content", "--start", "1500000005.0", out)
+    assert "not compared: 3 messages that the export took from before its window" in said
+    said = run("export", out, "--start", "1500000005.0", "--no-latched", "-f")
+    assert "latched" not in said and "6 messages of 2 topics" in said
