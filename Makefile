@@ -14,7 +14,7 @@ export ROS_IP := 127.0.0.1
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup demo test campaign lint bench bench-formats bench-queries clean distclean
+.PHONY: help setup demo test campaign lint bench bench-formats bench-play bench-queries clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, workspace .ws"
@@ -24,6 +24,7 @@ help:
 	@echo "make lint           ruff, mypy, catkin_lint"
 	@echo "make bench          measure beside rosbag and the bare driver"
 	@echo "make bench-formats  measure the five formats on real bags: bytes on disk, time"
+	@echo "make bench-play     measure how late messages are played, beside rosbag play"
 	@echo "make bench-queries  measure a condition over 1,000,000 messages beside a scan by rosbag"
 	@echo "make clean          remove what was built; make distclean: also .venv"
 
@@ -51,6 +52,9 @@ bench: setup
 
 bench-formats: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/formats.py $(ARGS)
+
+bench-play: setup
+	@$(IN_WORKSPACE) $(PYTHON) benchmark/playing.py $(ARGS)
 
 bench-queries: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/queries.py $(ARGS)

@@ -4,17 +4,11 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-
 import pytest
 import rosbag
-from nodes.children import Child, await_true, start_client, start_node
-from nodes.raw_publisher import message
-from std_msgs.msg import Int32, String
+from nodes.children import Child, start_node
 
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.messages.connection import live_connection
 
 SEC = 10**9
 T0 = 1_405_015_391 * SEC

@@ -7,9 +7,9 @@ What differs from ``rospy.Publisher``:
 * Type, md5 and definition are texts; no class of messages is made, no definition run.
 * Of a latched topic the last message of each source goes to a late subscriber, not only the last:
   two nodes may have latched their part of /tf_static.
-* A message is sent from the thread that publishes where that does not block, so that it is on time,
-  and never copied where it is large. What waits for a slow subscriber is bounded; what it misses is
-  counted.
+* A message is sent from the thread that publishes as far as that does not block, so that it is on
+  time, and never copied where it is large. What waits for a slow subscriber is bounded; what it
+  misses is counted.
 * What waits at the end can be waited for.
 """
 
@@ -30,11 +30,9 @@ from rospy.topics import _PublisherImpl, _TopicImpl
 
 from cassandra_ros.errors import TypeMismatch
 
-DIRECT_BYTES = 64 * 1024
-"""Up to this size a message is sent by who publishes it; larger ones by a thread of their own."""
 BATCH_BYTES = 256 * 1024
 """Small messages that wait are sent together up to this size."""
-PIECE_BYTES = 1024 * 1024
+PIECE_BYTES = 8 * 1024 * 1024
 """Large messages are sent in pieces of this size, so that it is seen that they move."""
 
 _length = struct.Struct("<I").pack
@@ -113,7 +111,7 @@ class _Link:
                 if self.transport.done:
                     return
                 waits = self._queue or self._rest is not None or self._busy
-                if not waits and len(wire) <= DIRECT_BYTES:
+                if not waits:
                     self._send_now(wire)
                     return
                 while len(self._queue) >= self._bound:
@@ -125,16 +123,18 @@ class _Link:
             self.transport.close()  # not under our lock: it calls back
 
     def _send_now(self, wire: bytes) -> None:
-        data = _length(len(wire)) + wire
+        parts = (_length(len(wire)), wire)
         try:
-            sent = self.transport.socket.send(data, socket.MSG_DONTWAIT)
+            sent = self.transport.socket.sendmsg(parts, (), socket.MSG_DONTWAIT)
         except BlockingIOError:
             sent = 0
         except AttributeError:
-            return  # closed meanwhile: it has no socket any more
+            return  # closed meanwhile: there is no socket any more
         self._count(sent, 1)
-        if sent < len(data):
-            self._rest = memoryview(data)[sent:]
+        if sent < len(wire) + 4:
+            # A large message is never copied; of one that is not begun nothing is lost.
+            whole = memoryview(wire if sent >= 4 else b"".join(parts))
+            self._rest = whole[sent - 4 if sent >= 4 else sent :]
             self._changed.notify_all()
 
     def _run(self) -> None:

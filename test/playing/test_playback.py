@@ -1,0 +1,221 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A playback of a real store into a list: what comes, in which order, steered as asked."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+
+import pytest
+from std_msgs.msg import Int32, String
+
+from cassandra_ros.errors import InvalidOption, MessageNotFound, StoreUnavailable
+from cassandra_ros.playing import read_ahead
+from cassandra_ros.playing.options import PlayerOptions
+from cassandra_ros.playing.playback import Playback
+from cassandra_ros.playing.read_ahead import ReadAhead
+from cassandra_ros.playing.selection import PlaySelection
+from cassandra_ros.playing.stream import Stream
+
+SEC = 10**9
+T0 = 1_405_015_391 * SEC
+STEP = SEC // 20
+COUNT = 40
+BOTH = PlaySelection(topics=["/n", "/s"])
+
+
+@pytest.fixture(scope="module")
+def store(fresh):
+    with fresh() as rosCas:
+        numbers = rosCas.addTopic("/n", format="binary")
+        for n in range(COUNT):
+            numbers.addData(Int32(n), key=T0 + n * STEP)
+        rosCas.addTopic("/s").addData(String("x"), key=T0 + 3 * STEP)
+        yield rosCas
+
+
+class Into:
+    """Notes what comes out; ``at`` waits for a number of messages."""
+
+    def __init__(self):
+        self.got = []
+        self.clocks = []
+        self.begun = []
+        self.came = threading.Condition()
+
+    def begin(self, t):
+        self.begun.append(t)
+
+    def clock(self, t):
+        self.clocks.append(t)
+
+    def publish(self, played):
+        with self.came:
+            self.got.append(played)
+            self.came.notify_all()
+
+    def await_count(self, count):
+        with self.came:
+            assert self.came.wait_for(lambda: len(self.got) >= count, 60)
+
+    @property
+    def numbers(self):
+        return [(p.t - T0) // STEP for p in self.got if p.topic == "/n"]
+
+
+@pytest.fixture
+def playing(store):
+    """Start playbacks; each is stopped afterwards."""
+    started = []
+
+    def start(selection=None, lags=lambda t: False, into=None, **options):
+        into = into or Into()
+        stream = Stream(store, selection or PlaySelection(topics=["/n"]))
+        playback = Playback(stream, into, PlayerOptions(**options), lags, lambda played, exc: None)
+        thread = threading.Thread(target=playback.run)
+        thread.start()
+        started.append((playback, thread))
+        return SimpleNamespace(playback=playback, into=into, thread=thread)
+
+    yield start
+    for playback, thread in started:
+        playback.stop()
+        thread.join(60)
+        assert not thread.is_alive()
+
+
+def test_everything_at_once(playing):
+    run = playing(BOTH, immediate=True)
+    run.thread.join(60)
+    assert run.into.numbers == list(range(COUNT))
+    assert [p.t for p in run.into.got] == sorted(p.t for p in run.into.got)
+    assert len(run.into.got) == COUNT + 1
+    assert run.into.clocks == [p.t for p in run.into.got]  # the time before each
+    assert run.playback.state == "ended"
+    with pytest.raises(InvalidOption, match="ended"):
+        run.playback.seek(T0)
+
+
+def test_steered_while_it_is_paused(playing):
+    run = playing(paused=True, keep_alive=True)
+    run.playback.step(2)
+    assert run.into.numbers == [0, 1]
+    assert (run.playback.state, run.playback.pace.now()) == ("paused", T0 + STEP)
+    assert run.playback.seek(T0 + 30 * STEP - 1) == T0 + 30 * STEP - 1
+    assert run.playback.state == "paused"
+    run.playback.step(1)
+    assert run.playback.seek(0) == T0  # before the start
+    run.playback.step(1)
+    assert run.into.numbers == [0, 1, 30, 0]
+    assert run.playback.seek(T0 + 999 * SEC) == T0 + (COUNT - 1) * STEP
+    with pytest.raises(InvalidOption, match="1 of 2 messages"):
+        run.playback.step(2)
+    assert run.into.numbers == [0, 1, 30, 0, COUNT - 1]
+    run.playback.set_rate(1000.0)
+    assert run.playback.resume()
+    assert not run.playback.resume()
+    assert run.playback.seek(T0 + 35 * STEP) == T0 + 35 * STEP  # behind the end, kept alive
+    run.into.await_count(10)
+    assert run.into.numbers[5:] == [35, 36, 37, 38, 39]
+    with pytest.raises(InvalidOption, match="only what is paused"):
+        run.playback.step(1)
+
+
+def test_a_loop_begins_anew_until_it_is_stopped(playing):
+    run = playing(loop=True, rate=1000.0)
+    run.into.await_count(3 * COUNT)
+    run.playback.stop()
+    run.thread.join(60)
+    assert run.into.numbers[: 3 * COUNT] == 3 * list(range(COUNT))
+    assert set(run.into.begun) == {T0}
+
+
+def test_gaps_are_skipped_and_what_controls_is_waited_for(playing, store):
+    store.addTopic("/gap").addData(String("a"), key=T0)
+    store.getTopic("/gap").addData(String("b"), key=T0 + 1000 * SEC)
+    behind = threading.Event()
+    run = playing(
+        PlaySelection(topics=["/gap"]), lambda t: t > T0 and not behind.is_set(), skip_empty=1.0
+    )
+    run.into.await_count(1)
+    deadline = threading.Event()
+    while run.playback.state != "delayed":
+        assert not deadline.wait(0.01)
+    assert len(run.into.got) == 1
+    behind.set()
+    run.playback.wake()
+    run.thread.join(60)
+    assert [p.t for p in run.into.got] == [T0, T0 + 1000 * SEC]
+    assert run.into.clocks == [T0 + 1000 * SEC]
+
+
+def test_it_pauses_before_messages_of_a_topic(playing):
+    run = playing(BOTH, rate=1000.0, pause_topics=["/s"])
+    run.into.await_count(3)
+    deadline = threading.Event()
+    while run.playback.state != "paused":
+        assert not deadline.wait(0.01)
+    assert "/s" not in {p.topic for p in run.into.got}
+    run.playback.resume()
+    run.thread.join(60)
+    assert len(run.into.got) == COUNT + 1
+
+
+def test_nothing_to_play_says_why(playing, store):
+    stream = Stream(store, PlaySelection(topics=["/n"], start=0.01, duration=0.02))
+    nothing = Playback(stream, Into(), PlayerOptions(), lambda t: False, lambda played, exc: None)
+    with pytest.raises(MessageNotFound, match="nothing to play: .* from 2014-07-10T"):
+        nothing.run()
+
+
+def test_a_store_that_is_away_for_a_while(store, monkeypatch):
+    """Reading goes on behind the last message, also between equal times."""
+    monkeypatch.setattr(read_ahead, "RETRY_SEC", 0.01)
+    stream = Stream(store, BOTH)
+    every = list(stream.messages(T0))
+    changed, failures = threading.Condition(), iter(range(1, 6))
+
+    def begin(t):
+        rows = stream.messages(t)
+        for _ in range(next(failures, 10**6) * 5):
+            found = next(rows, None)
+            if found is None:
+                return
+            yield found
+        raise StoreUnavailable("away")
+
+    reader = ReadAhead(begin, T0, 1 << 20, changed, lambda played, exc: None)
+    got = []
+    with changed:
+        while True:
+            while not reader.await_next(60):
+                pass
+            played = reader.take()
+            if played is None:
+                break
+            got.append(played)
+    assert [p.row.key for p in got] == [p.row.key for p in every]
+
+
+def test_no_more_is_read_ahead_than_the_budget(store):
+    stream = Stream(store, PlaySelection(topics=["/n"]))
+    changed, begun = threading.Condition(), threading.Event()
+    taken = []
+
+    def begin(t):
+        for played in stream.messages(t):
+            taken.append(played)
+            begun.set()
+            yield played
+
+    reader = ReadAhead(begin, T0, 5 * 504, changed, lambda played, exc: None)
+    assert begun.wait(60)
+    got = 0
+    with changed:
+        while reader.await_next(60):
+            if reader.take() is None:
+                break
+            got += 1
+            assert len(taken) - got <= 7
+    assert got == COUNT
