@@ -4,22 +4,32 @@
 
 from __future__ import annotations
 
+import struct
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from types import SimpleNamespace
+
 import pytest
 import rosbag
-from nodes.children import Child, start_node
+from nodes.children import Child, await_true, start_client, start_node
+from nodes.raw_publisher import message
+from nodes.raw_subscriber import RawSubscriber
+from std_msgs.msg import Int32, String
 
 from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.definition import parse_definition
 
 SEC = 10**9
 T0 = 1_405_015_391 * SEC
 
 
 @pytest.fixture
-def player(roscore, cassandra, keyspace):
-    """Start players of the test's keyspace; they are gone afterwards."""
+def start(roscore, cassandra):
+    """Start players of a keyspace; they are gone afterwards."""
     started = []
 
-    def start(*arguments, ready="services under ", **options):
+    def start(keyspace, *arguments, ready="services under ", **options):
         where = ("--host", cassandra.host, "--port", cassandra.port, "--keyspace", keyspace)
         child = start_node(roscore, "player", *where, *arguments, **options)
         started.append(child)
@@ -31,6 +41,22 @@ def player(roscore, cassandra, keyspace):
     for child in started:
         with child:
             pass
+
+
+@pytest.fixture
+def player(start, keyspace):
+    """Start players of the test's keyspace."""
+    return partial(start, keyspace)
+
+
+@pytest.fixture(scope="module")
+def turtle(bags, fresh):
+    """A keyspace with a bag, and what that holds: .keyspace and .expected, without the log."""
+    with fresh() as rosCas:
+        import_bag(rosCas, bags / "turtlesim_tf.bag")
+        found = recorded(bags / "turtlesim_tf.bag")
+        expected = {topic: each for topic, each in found.items() if "rosout" not in topic}
+        yield SimpleNamespace(keyspace=rosCas.keyspace, expected=expected)
 
 
 def recorded(path):
@@ -45,20 +71,165 @@ def recorded(path):
     return found
 
 
-def test_a_played_bag_is_recorded_as_it_was(bags, roscore, player, rosCas, tmp_path):
-    original = bags / "turtlesim_tf.bag"
-    import_bag(rosCas, original)
-    target = tmp_path / "again.bag"
-    topics = [t.name for t in rosCas.getAllTopics() if not t.name.startswith("/rosout")]
+def test_a_bag_is_played_at_once_without_a_loss(roscore, start, turtle):
+    expected = turtle.expected
+    child = start(turtle.keyspace, *expected, "-i", "--queue", "5", "--wait-for-subscribers")
+
+    def hear(topic):
+        with RawSubscriber(roscore.uri, topic) as heard:
+            return heard.header, heard.rest()
+
+    with ThreadPoolExecutor(len(expected)) as pool:
+        found = dict(zip(expected, pool.map(hear, expected)))
+    assert child.wait() == 0, child.output
+    for topic, (header, wires) in found.items():
+        kind, md5sum, definition, latching, _ = expected[topic][0]
+        assert header["type"].decode() == kind
+        assert header["md5sum"].decode() == md5sum
+        assert header["message_definition"] == definition
+        assert header["latching"] == (b"1" if latching else b"0")
+        assert wires == [each[4] for each in expected[topic]], topic
+    assert child.lines[-1] == f"played {sum(map(len, expected.values()))} messages of 8 topics"
+
+
+def record_again(roscore, start, turtle, target, topics, *options):
+    """Let rosbag record what a player plays; compare."""
     names = [f"/p{topic}" for topic in topics]
-    # A higher rate would be too much for the queues of 100 messages in rosbag record.
+    options += ("-p", "/p", "--wait-for-subscribers")
     with Child(["rosbag", "record", "-O", target, "-b", "0", *names], roscore.env) as record:
-        child = player(*topics, "-r", "6", "-p", "/p", "--wait-for-subscribers", ready=None)
+        child = start(turtle.keyspace, *topics, *options, ready=None)
         assert child.wait() == 0, child.output
         record.end()
-    expected = {topic: each for topic, each in recorded(original).items() if topic in topics}
     found = recorded(target)
-    assert sorted(found) == sorted(names)
     for topic in topics:
-        assert found["/p" + topic] == expected[topic], topic
-    assert child.lines[-1] == f"played {sum(map(len, expected.values()))} messages of 8 topics"
+        assert found["/p" + topic] == turtle.expected[topic], topic
+
+
+def test_what_is_played_is_recorded_as_it_was(roscore, start, turtle, tmp_path):
+    # More might be too much for the queues of 100 messages in rosbag record.
+    few = ("/tf_static", "/turtle1/cmd_vel")
+    record_again(roscore, start, turtle, tmp_path / "again.bag", few, "-r", "10")
+
+
+@pytest.mark.long
+def test_a_bag_is_recorded_as_it_was(roscore, start, turtle, tmp_path):
+    record_again(roscore, start, turtle, tmp_path / "again.bag", tuple(turtle.expected))
+
+
+# -------------------------------------------------------------------- steered by services
+
+
+def test_steered_by_services(roscore, player, rosCas):
+    numbers = rosCas.addTopic("/n", format="binary")
+    for n in range(40):
+        numbers.addData(Int32(n), key=T0 + n * SEC)
+    child = player("--pause", "-k", "-d", "0", "/n:=/m")
+    with RawSubscriber(roscore.uri, "/m") as heard, start_client(roscore) as client:
+
+        def call(service, **request):
+            return client.call(f"/player/{service}", **request)
+
+        def read(count):
+            return [struct.unpack("<i", heard.read())[0] for _ in range(count)]
+
+        await_true(lambda: call("status")["topics"][0]["subscribers"] == 1)
+        assert call("step")["time"] == T0
+        assert call("step", count=3) == {"success": True, "message": "", "time": T0 + 3 * SEC}
+        assert read(4) == [0, 1, 2, 3]
+        assert call("seek", time=T0 + 30 * SEC)["time"] == T0 + 30 * SEC
+        assert call("step")["time"] == T0 + 30 * SEC
+        assert call("seek", text="12.5")["time"] == T0 + 12 * SEC + SEC // 2
+        assert call("step")["success"]
+        assert read(2) == [30, 13]
+        assert call("setRate", rate=1e5) == {"success": True, "message": "", "rate": 1e5}
+        wrong = call("setRate", rate=-1.0)
+        assert (wrong["success"], wrong["rate"]) == (False, 1e5)
+        assert "more than 0" in wrong["message"]
+        assert "no time to play" in call("seek", text="yesterday")["message"]
+        answer = call("pause_playback", data=True)
+        assert answer == {"success": False, "message": "Playback is already paused."}
+        assert call("pause_playback", data=False)["message"] == "Playback is now resumed"
+        assert read(26) == list(range(14, 40))
+        await_true(lambda: call("status")["state"] == "ended")
+        assert "only what is paused" in call("step")["message"]
+        assert call("seek", text="39")["success"]
+        assert read(1) == [39]
+        status = call("status")
+        (topic,) = status.pop("topics")
+        assert (topic["topic"], topic["type"], topic["published"]) == ("/m", "std_msgs/Int32", 33)
+        wanted = {"start": T0, "end": T0 + 39 * SEC, "published": 33, "missed": 0, "left_out": 0}
+        assert {name: status[name] for name in wanted} == wanted
+        assert call("pause")["success"]
+        assert call("pause")["message"] == "it was paused already"
+        assert call("resume")["success"]
+        assert call("stop")["success"]
+        assert child.wait() == 0, child.output
+        assert heard.rest() == []
+    assert child.lines[0] == "services under /player"
+    assert child.lines[-1] == "played 33 messages of 1 topics"
+
+
+# -------------------------------------------------------------------- what is advertised
+
+
+def test_stored_types_and_latched_messages_go_out_as_they_are(roscore, player, rosCas):
+    writer = rosCas.messageWriter()
+    counter = iter(range(100))
+
+    def write(topic, wires, t, **header):
+        fields = {"type": "std_msgs/String", "md5sum": String._md5sum, "callerid": "/x"}
+        fields["message_definition"] = String._full_text
+        handle = writer.connect(live_connection(topic, {**fields, **header}))
+        for n, wire in enumerate(wires):
+            writer.write(handle, T0 + t * SEC + n, next(counter), wire)
+
+    def text(value):
+        return message(String(value))
+
+    lost = "Header header\nfloat32[] ranges\n" + "=" * 80 + "\nMSG: std_msgs/Header\n"
+    lost += "uint32 seq\ntime stamp\nstring frame_id\n"
+    definition = parse_definition("lost_msgs/Thing", lost)
+    latin = b"# angle in \xb0\nstring data\n"
+    write("/fixed", [text("a"), text("b")], 0, latching="1", callerid="/one")
+    write("/fixed", [text("c")], 1, latching="1", callerid="/two")
+    write(
+        "/lost",
+        [b"\1\2\3"],
+        2,
+        type="lost_msgs/Thing",
+        md5sum=definition.md5sum,
+        message_definition=lost,
+    )
+    write("/latin", [text("d")], 2, message_definition=latin)
+    write(
+        "/mixed",
+        [message(Int32(1))],
+        2,
+        type="std_msgs/Int32",
+        md5sum=Int32._md5sum,
+        message_definition=Int32._full_text,
+    )
+    write("/mixed", [text("e"), text("f")], 3)
+    write("/bare", [b"xyz"], 4, type="a/B", md5sum="1" * 32, message_definition="")
+    writer.close()
+    child = player("-s", "2.5", "-k", "--wait-for-subscribers")
+    heard = {}
+    for topic in ("/fixed", "/lost", "/latin", "/mixed", "/bare"):
+        heard[topic] = RawSubscriber(roscore.uri, topic)
+    child.await_line("without its definition")
+    assert heard["/lost"].header["message_definition"].decode() == lost
+    assert heard["/lost"].header["md5sum"].decode() == definition.md5sum
+    assert heard["/latin"].header["message_definition"] == latin
+    assert [heard[t].header["latching"] for t in ("/fixed", "/latin")] == [b"1", b"0"]
+    assert heard["/bare"].header["type"] == b"a/B"
+    assert heard["/fixed"].read() == text("b")
+    assert heard["/fixed"].read() == text("c")
+    assert heard["/bare"].read() == b"xyz"
+    with RawSubscriber(roscore.uri, "/fixed", md5sum=String._md5sum) as late:
+        assert [late.read(), late.read()] == [text("b"), text("c")]
+    with RawSubscriber(roscore.uri, "/fixed", md5sum=Int32._md5sum) as wrong:
+        assert b"do not match" in wrong.header["error"]
+    assert child.end() == 0, child.output
+    assert "stored with several types" in child.output
+    for one in heard.values():
+        one.close()

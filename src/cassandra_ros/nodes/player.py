@@ -15,7 +15,9 @@ import rospy
 
 from cassandra_ros.errors import CassandraRosError, InvalidOption
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.nodes.outlets import Outlets, PlayedTopic
+from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.subscription import subscribe
 from cassandra_ros.playing.options import PlayerOptions
 from cassandra_ros.playing.playback import ENDED, Playback
@@ -27,6 +29,8 @@ from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
 
+MAX_LOSSES = 10
+"""How many losses are said one by one."""
 SAY_SEC = 5.0
 """How often it is said which topics are waited for."""
 _SEQ_AND_STAMP = struct.Struct("<III")
@@ -71,8 +75,10 @@ class Player:
     ) -> None:
         self.options = options = options or PlayerOptions()
         """How it is played."""
+        self._rosCas = rosCas
         self._stream = Stream(rosCas, selection or PlaySelection())
         self._outlets: Optional[Outlets] = None
+        self._registration = Registration()
         self._control: Optional[rospy.Subscriber] = None
         self._control_ns = self._stream.start_ns
         self._playback = Playback(self._stream, self, options, self._lags, self._skipped)
@@ -91,12 +97,14 @@ class Player:
         if self._outlets is not None:
             raise InvalidOption("this player was started already: make another one")
         options = self.options
+        self._warn_of_losses()
         channels = self._stream.channels()
         clock = options.clock_hz > 0
         outlets = self._outlets = Outlets(channels, options.queue, options.immediate, clock)
         if options.rate_control_topic:
             topic = rospy.resolve_name(options.rate_control_topic)
             self._control = subscribe(topic, self._take_control)
+        self._registration.start()
         threading.Thread(target=self._run, args=(outlets,), daemon=True, name="player").start()
 
     def pause(self) -> bool:
@@ -184,6 +192,24 @@ class Player:
         self.stop()
         self._done.wait()
 
+    def _warn_of_losses(self) -> None:
+        """Say what of the stretch that is played was not recorded."""
+        selection, stream = self._stream.selection, self._stream
+        ends = (None, None) if selection.align_start else (stream.start_ns, stream.end_ns)
+        found = self._rosCas.losses(
+            stream.topics, *ends, nodeID=selection.nodeID, run=selection.run
+        )
+        for loss in found[:MAX_LOSSES]:
+            _log.warning(
+                "%s messages of topic %s from %s to %s were not recorded: %s",
+                *(loss.count or "an unknown number of", loss.topic),
+                *(iso_time(loss.first_ns), iso_time(loss.last_ns), loss.kind.value),
+            )
+        if len(found) > MAX_LOSSES:
+            _log.warning(
+                "and %d more losses; cassandra_bag info lists them", len(found) - MAX_LOSSES
+            )
+
     # ---------------------------------------------------------------- the thread that plays
 
     def _run(self, outlets: Outlets) -> None:
@@ -201,6 +227,7 @@ class Player:
 
     def _close(self, outlets: Outlets) -> None:
         try:
+            self._registration.stop()
             if self._control is not None:
                 self._control.unregister()
             outlets.close(self._abandoned.is_set)

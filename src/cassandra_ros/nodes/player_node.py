@@ -18,7 +18,6 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.msg import PlayedTopic
 from cassandra_ros.nodes.node import REMAP, forward_logging, own_name
 from cassandra_ros.nodes.player import Player, PlayerState
-from cassandra_ros.nodes.registering import MasterWatch
 from cassandra_ros.playing.options import PlayerOptions
 from cassandra_ros.playing.selection import PlaySelection
 from cassandra_ros.srv import (
@@ -78,7 +77,6 @@ def play(
     sys.setswitchinterval(SWITCH_SEC)
     if not _start_node(argv, signals):
         return player.status()
-    watch = MasterWatch()
     try:
         Services(player).advertise()
         say(f"services under {rospy.get_name()}")
@@ -96,7 +94,6 @@ def play(
         return player.status()
     finally:
         player.stop(abandon=True)
-        watch.close()
         rospy.signal_shutdown("the replay has ended")
 
 
