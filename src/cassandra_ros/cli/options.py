@@ -191,6 +191,11 @@ def read_where(options: argparse.Namespace) -> dict[str, str]:
     return found
 
 
+def without_empty(words: Sequence[str]) -> list[str]:
+    """Drop options that are given empty, ``--run=``, as a launch file gives them."""
+    return [word for word in words if not re.fullmatch(r"--[a-z][a-z-]*=", word)]
+
+
 def strip_remappings(argv: Sequence[str] | None) -> list[str]:
     """Drop what rosrun and roslaunch add: ``__name:=x``, ``_param:=y``, ``from:=to``.
 

@@ -27,6 +27,7 @@ from cassandra_ros.cli.options import (
     read_pair,
     read_where,
     strip_remappings,
+    without_empty,
 )
 from cassandra_ros.cli.readers import (
     duration,
@@ -174,7 +175,7 @@ def read_options(options: argparse.Namespace) -> PlayerOptions:
 
 def main() -> int:
     """Play; return the exit status."""
-    options = make_parser().parse_args(strip_remappings(None))
+    options = make_parser().parse_args(without_empty(strip_remappings(None)))
     try:
         selection, chosen = read_selection(options), read_options(options)
     except argparse.ArgumentTypeError as exc:

@@ -1,0 +1,75 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The launch files: each argument an option of its program, and what they start."""
+
+from __future__ import annotations
+
+import signal
+import time
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+from nodes.children import Child
+from nodes.raw_publisher import header_of, message
+from std_msgs.msg import String
+
+from cassandra_ros.cli import player
+from cassandra_ros.messages.connection import live_connection
+
+LAUNCH = Path(__file__).resolve().parents[2] / "launch"
+# What a launch file says in another way: output, and programs that end at once.
+NO_ARGUMENTS = {"help", "dry_run", "udp"}
+
+
+def arguments_of(name):
+    """Names of the arguments that a caller may give."""
+    root = ElementTree.parse(LAUNCH / name).getroot()  # noqa: S314 (our own file)
+    return {arg.get("name") for arg in root.findall("arg") if arg.get("default") is not None}
+
+
+def options_of(parser):
+    return {action.dest for action in parser._actions} - NO_ARGUMENTS
+
+
+def test_play_launch_has_an_argument_for_every_option():
+    options = options_of(player.make_parser()) - {"more"}  # --topics: the same as topics
+    assert arguments_of("play.launch") == options | {"required"}
+
+
+@pytest.fixture
+def launched(roscore, cassandra, keyspace, tmp_path):
+    started = []
+
+    def launch(name, **arguments):
+        where = {"host": cassandra.host, "port": cassandra.port, "keyspace": keyspace}
+        words = [f"{key}:={value}" for key, value in {**where, **arguments}.items()]
+        command = ["roslaunch", "--wait", "cassandra_ros", name, *words]
+        child = Child(command, {**roscore.env, "ROS_LOG_DIR": str(tmp_path)})
+        started.append(child)
+        return child
+
+    yield launch
+    for child in started:
+        with child:
+            assert child.end(signal.SIGINT) == 0, child.output
+
+
+def test_play_launch_plays(launched, rosCas):
+    begin = time.time_ns() - 10**11
+    with rosCas.messageWriter(nodeID="robot 1") as writer:
+        for topic in ("/launched/a", "/launched/b"):
+            handle = writer.connect(live_connection(topic, header_of(String)))
+            for n in range(5):
+                writer.write(handle, begin + n * 10**7, n, message(String(str(n))))
+    child = launched(
+        "play.launch",
+        topics="/launched/a /launched/b",
+        node_id="robot 1",
+        where="/launched/a: data > '1' and data != '3'",
+        pause_topics="/other /more",
+        clock="true",
+        rate="2.0",
+        required="true",
+    )
+    assert "played 7 messages of 2 topics" in child.await_line("played ")
