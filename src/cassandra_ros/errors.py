@@ -28,7 +28,7 @@ class CassandraRosError(Exception):
 
 
 class ConnectionFailed(CassandraRosError):
-    """No Cassandra answers at the given address, it refuses the connection, or that is closed."""
+    """No Cassandra or ROS master answers at the given address, or refuses; or it was closed."""
 
 
 class StoreUnavailable(CassandraRosError):

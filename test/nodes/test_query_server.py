@@ -23,6 +23,7 @@ from cassandra_ros import RosCassandra
 from cassandra_ros.errors import KeyspaceNotFound
 from cassandra_ros.local_server import free_port
 from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.store.registry import Run
 
 SEC = 10**9
 T0 = 1_405_015_391 * SEC + 123_456_789
@@ -62,6 +63,14 @@ def store(cassandra, cql):
         short["message_definition"] = String._full_text
         writer.write(writer.connect(live_connection("/short", short)), T0, 1, b"\xff\xff\xff\xff")
         writer.close()
+        for number, name in ((7, "morning"), (8, "evening")):
+            run = Run("", number, "recording", name=name)
+            with rosCas.messageWriter(writer_id=number, run=run) as writer:
+                header = {"type": String._type, "md5sum": String._md5sum}
+                header["message_definition"] = String._full_text
+                handle = writer.connect(live_connection("/runs", header))
+                for n in range(3):
+                    writer.write(handle, T0 + n, n, message(String(name)))
         yield rosCas
     cql.execute(f"DROP KEYSPACE {name}")
 
@@ -98,6 +107,22 @@ def ask(client):
     return lambda statement, *params, **request: client.call(
         "/cassandra_ros/executeCQL", statement=statement, params=list(params), **request
     )
+
+
+def test_runs_are_told_apart(get, span, ask):
+    for run, name in (("morning", "morning"), ("evening", "evening"), ("8", "evening")):
+        found = get(topic="/runs", key=T0 + 1, run=run)["data"]
+        assert base64.b64decode(found["data"]) == message(String(name))
+        for where in ("", "data != 'noon'"):
+            answer = span(topic="/runs", run=run, where=where)
+            assert [base64.b64decode(each["data"]) for each in answer["data"]] == [
+                message(String(name))
+            ] * 3
+        rows = ask("select data, RUN from runs", run=run)["rows"]
+        assert [row["values"] for row in rows] == [[json.dumps(name)] * 2] * 3
+    for answer in (get(topic="/runs", run="morn"), span(topic="/runs", run="morn")):
+        assert (answer["success"], "did you mean morning" in answer["message"]) == (False, True)
+    assert "no run" in ask("select data from runs", run="morn")["message"]
 
 
 # -------------------------------------------------------------------- getData

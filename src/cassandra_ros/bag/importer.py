@@ -140,7 +140,7 @@ def _refuse_names(reader: BagReader, numbers: AbstractSet[int], report: ImportRe
 
 def _writer_id(ros_cas: RosCassandra, reader: BagReader, node: str, content: BagContent) -> int:
     """Return the writer id of this bag's import: that of an earlier one where there is one."""
-    runs = {run.writer: run for run in ros_cas.runs() if run.node == node}
+    runs = {run.writer: run for run in ros_cas.parts.registry.runs() if run.node == node}
     known = next(filter(content.is_of, runs.values()), None)
     if known is not None:
         return known.writer

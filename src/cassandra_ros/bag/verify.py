@@ -218,7 +218,7 @@ def _find_import(
             first, last = -(2**63), 2**63 - 1
         rows = parts.directory.buckets(table.name, first, last, nodes)
         writers.update((row.node, row.writer) for row in rows)
-    imports = (run for run in ros_cas.runs() if run.kind == "import")
+    imports = (run for run in ros_cas.parts.registry.runs() if run.kind == "import")
     runs = [run for run in imports if (run.node, run.writer) in writers]
     runs = [run for run in runs if among is None or run.writer in among]
     if not runs:

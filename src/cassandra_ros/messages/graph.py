@@ -8,11 +8,14 @@ import http.client
 import logging
 import socket
 import xmlrpc.client
-from typing import Any
+from typing import Any, Iterable, Tuple
 
 import rosgraph
 
+from cassandra_ros.errors import ConnectionFailed, InvalidOption
+
 TIMEOUT_SEC = 1.0
+PARAMETER_TIMEOUT_SEC = 10.0
 
 _log = logging.getLogger(__name__)
 
@@ -56,3 +59,28 @@ def topic_type(topic: str) -> str | None:
         _log.info("the ROS master at %s refuses: %s", uri, status)
         return None
     return None if types.get(name) == "*" else types.get(name)
+
+
+def set_parameters(parameters: Iterable[Tuple[str, object]]) -> int:
+    """Set parameters, by their whole names, on the running parameter server; return how many.
+
+    Raises:
+        ConnectionFailed: No ROS master answers within 10 s, or it refuses; what was set stays.
+        InvalidOption: A value cannot be sent over XML-RPC.
+    """
+    uri, name, count = rosgraph.get_master_uri(), "", 0
+    try:
+        master = master_proxy(PARAMETER_TIMEOUT_SEC)
+        for name, value in parameters:
+            code, status, _ = master.setParam("/cassandra_ros", name, value)
+            if code != 1:
+                raise ConnectionFailed(f"the ROS master at {uri} refuses to set {name}: {status}")
+            count += 1
+    except (OSError, socket.timeout, xmlrpc.client.Error, http.client.HTTPException) as exc:
+        raise ConnectionFailed(
+            f"no ROS master at {uri} takes parameters ({exc}): start roscore, or set "
+            f"ROS_MASTER_URI; {count} parameters were set"
+        ) from exc
+    except (TypeError, ValueError, OverflowError) as exc:
+        raise InvalidOption(f"parameter {name} cannot be sent over XML-RPC: {exc}") from exc
+    return count

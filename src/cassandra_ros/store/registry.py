@@ -8,6 +8,7 @@ Beside them cr_loss, what could not be stored, and cr_context, what stood around
 from __future__ import annotations
 
 import hashlib
+import math
 import platform
 from dataclasses import dataclass, field, fields
 from datetime import datetime
@@ -50,8 +51,20 @@ class Run:
     stored: Mapping[str, int] = field(default_factory=dict)
     lost: Mapping[str, int] = field(default_factory=dict)
 
+    state: str = "ended"
+    """'recording' (an import, too), 'ended', or 'interrupted': killed, or it failed."""
 
-_RUN = tuple(each.name for each in fields(Run))
+
+_RUN = tuple(each.name for each in fields(Run) if each.name != "state")
+
+
+class Sign(NamedTuple):
+    """What a run that has not ended told of itself last."""
+
+    age_sec: float
+    """Since it began or was seen alive, by the server's clock."""
+    interrupted: bool
+    """It ended with an error."""
 
 
 class LossKind(str, Enum):
@@ -160,6 +173,30 @@ class Registry:
         """List all runs of the keyspace (a scan: runs are few)."""
         rows = self._tables.select("cr_run", ", ".join(_RUN), what="listing the runs")
         return [_run(row) for row in rows]
+
+    def signs(self) -> dict[tuple[int, str], Sign]:
+        """Tell of each run, by writer and node, when it was last seen (scans: runs are few)."""
+        now, what = "toTimestamp(now())", "reading the state of the runs"
+        begun = self._tables.select("cr_run", f"writer, node, started, {now}", what=what)
+        names = f"writer, node, heartbeat, interrupted, {now}"
+        seen = self._tables.select("cr_context", names, what=what)
+        beats = {(writer, node): (beat, broken) for writer, node, beat, broken, _ in seen}
+        found: dict[tuple[int, str], Sign] = {}
+        for writer, node, started, asked in begun:
+            beat, broken = beats.get((writer, node), (None, None))
+            last = max(filter(None, (started, beat)), default=None)
+            age_sec = math.inf if last is None else (asked - last).total_seconds()
+            # An import that is made again is another try.
+            failed = broken is not None and (started is None or broken >= started)
+            found[writer, node] = Sign(age_sec, failed)
+        return found
+
+    def put_heartbeat(self, writer: int, node: str, *, interrupted: bool = False) -> None:
+        """Note that a run is alive, or that it ends with an error."""
+        self._tables.make("cr_context")
+        now = ["heartbeat"] + ["interrupted"] * interrupted
+        columns = {"writer": writer, "node": node}
+        self._tables.insert("cr_context", columns, "noting that the run goes on", now=now)
 
     def put_loss(self, loss: Loss) -> None:
         """Store a loss; one of the same topic, node, writer, kind and first_ns is replaced."""

@@ -70,7 +70,8 @@ LATER_TABLES = {
     ),
     # Parameters and node graph at the start of a run, and when it was last seen alive.
     "cr_context": (
-        "writer bigint, node text, heartbeat timestamp, context blob, PRIMARY KEY ((writer), node)"
+        "writer bigint, node text, heartbeat timestamp, interrupted timestamp, context blob, "
+        "PRIMARY KEY ((writer), node)"
     ),
 }
 _COMMENT = "cassandra_ros side table, schema version 1"

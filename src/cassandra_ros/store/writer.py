@@ -54,6 +54,7 @@ class RowWriter:
         give_up_after_sec: How long one request is tried.
         on_loss: Called with (topic, rows, error) for rows that were given up, on another
             thread; without it the next call of add, flush or close raises WriteFailed.
+        on_beat: Called every HEARTBEAT_SEC, on another thread.
     """
 
     def __init__(
@@ -66,12 +67,14 @@ class RowWriter:
         linger_sec: float = 0.2,
         give_up_after_sec: float = 60.0,
         on_loss: LossCallback | None = None,
+        on_beat: Callable[[], None] | None = None,
     ) -> None:
         self._schema = schema
         self._directory = directory.patient(give_up_after_sec)
         self._writer_id = writer_id
         self._linger_sec = linger_sec
         self._on_loss = on_loss
+        self._on_beat = on_beat
         self._flight = Flight(cassandra.send_raw, give_up_after_sec, cassandra.outage)
         self._buckets: dict[tuple[str, str, int], OpenBucket] = {}
         self._lock = threading.RLock()
@@ -304,6 +307,8 @@ class RowWriter:
                     self._send_old(now)
                 if now - beat > HEARTBEAT_SEC:
                     beat = now
+                    if self._on_beat is not None:
+                        self._on_beat()
                     self._heartbeats(now)
             except CassandraRosError as exc:
                 # The directory is behind, never wrong: its buckets still count as open.

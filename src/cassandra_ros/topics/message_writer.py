@@ -111,7 +111,7 @@ class MessageWriter:
         if format is not None:
             format_class(format)
         keyspace.side_tables.make()
-        self.writer_id = writer_id
+        self.writer_id, self._run = writer_id, run
         self._keyspace = keyspace
         self._format = format
         self._node = node
@@ -123,7 +123,6 @@ class MessageWriter:
         self._mutex = threading.Lock()
         self._high = writer_id << COUNTER_BITS
         self._closed = False
-        self._run = run
         if run is not None:
             keyspace.registry.put_run(run, started=True)
         self._rows = RowWriter(
@@ -134,7 +133,13 @@ class MessageWriter:
             linger_sec=linger_sec,
             give_up_after_sec=give_up_after_sec,
             on_loss=on_loss,
+            on_beat=None if run is None else self._beat,
         )
+
+    def _beat(self) -> None:
+        # A run in which nothing comes has no bucket that would tell of it.
+        if self._run is not None:
+            self._keyspace.registry.put_heartbeat(self.writer_id, self._run.node)
 
     def connect(
         self,
@@ -314,8 +319,10 @@ class MessageWriter:
     def __enter__(self) -> MessageWriter:
         return self
 
-    def __exit__(self, *exc_info: object) -> None:
+    def __exit__(self, failure: object, *exc_info: object) -> None:
         self.close()
+        if failure is not None and self._run is not None:
+            self._keyspace.registry.put_heartbeat(self.writer_id, self._run.node, interrupted=True)
 
 
 def make_writer(

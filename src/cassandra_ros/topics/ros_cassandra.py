@@ -22,6 +22,7 @@ from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
 from cassandra_ros.topics.keyspace import Keyspace, wished_topic, with_key
 from cassandra_ros.topics.message_writer import Clock, MessageWriter, make_writer
+from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.runs import RunName
 from cassandra_ros.topics.selection import Stretch, Time
 from cassandra_ros.topics.statements import Statements
@@ -280,11 +281,12 @@ class RosCassandra:
         Of a node or run there are only the tables in which they have messages.
         """
         tables, whose = self._open.tables(check_topics(topics)), self._open.whose(nodeID, run)
-        return describe(self.parts.directory, tables, whose)
+        losses = self.parts.runs.losses(None, Stretch(), whose)
+        return describe(self.parts.directory, tables, whose, losses)
 
     def runs(self) -> list[Run]:
-        """List the recordings and imports of the keyspace."""
-        return self.parts.registry.runs()
+        """List the recordings and imports, with state, counts and losses as they are now."""
+        return list_runs(self.parts, self._open.tables(None))
 
     def runContext(self, run: RunName) -> Optional[RunContext]:
         """Return parameters and node graph at the start of a run; None where none were kept.

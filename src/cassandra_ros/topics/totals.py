@@ -11,6 +11,7 @@ from typing import Optional, Sequence
 from cassandra_ros.store.counting import scan_keys, settle
 from cassandra_ros.store.directory import BucketRow, BucketTotals, Directory
 from cassandra_ros.store.fetch import list_names
+from cassandra_ros.store.registry import Loss
 from cassandra_ros.topics.selection import EVERYBODY, Whose
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -38,6 +39,8 @@ class TopicInfo:
     table: str
     largest_bucket: int
     """Messages in the fullest bucket, or under one name."""
+    lost: int
+    """Messages of the topic by this node that are known to be lost, whatever their table."""
     key: str
     """What finds a message: 'time', 'hash', 'manual', or the field that is the key."""
 
@@ -54,7 +57,7 @@ def _count(directory: Directory, table: TopicTable, low: int, high: int, whose: 
         keys = (k for k in list_names(table, whose.nodes) if whose.wrote(k.position.seq))
         return sum(low <= key.position.t <= high for key in keys)
     length, ends = table.metadata.bucket_ns, (table.bucket_of(low), table.bucket_of(high))
-    rows = _buckets(directory, table, whose, ends)
+    rows = buckets_of(directory, table, whose, ends)
     inner = [r for r in rows if low <= r.bucket * length and (r.bucket + 1) * length - 1 <= high]
     edges = {(r.node, r.bucket) for r in rows} - {(r.node, r.bucket) for r in inner}
     return sum(row.rows for row in settle(directory, table, inner)) + sum(
@@ -68,42 +71,50 @@ def holds_any(directory: Directory, tables: Sequence[TopicTable], whose: Whose) 
     """Say whether some tables may hold messages of somebody; without reading those."""
     timed = (t for t in tables if not t.named)
     names = (key for t in tables if t.named for key in list_names(t, whose.nodes))
-    return any(_buckets(directory, t, whose) for t in timed) or any(
+    return any(buckets_of(directory, t, whose) for t in timed) or any(
         whose.wrote(key.position.seq) for key in names
     )
 
 
 def count_buckets(directory: Directory, tables: Sequence[TopicTable]) -> int:
     """Count the partitions of tables: stretches of time of a node; 0 for named messages."""
-    every = ((table.name, row) for table in tables for row in _buckets(directory, table))
+    every = ((table.name, row) for table in tables for row in buckets_of(directory, table))
     return len({(name, row.node, row.bucket) for name, row in every})
 
 
 def describe(
-    directory: Directory, tables: Sequence[TopicTable], whose: Whose = EVERYBODY
+    directory: Directory,
+    tables: Sequence[TopicTable],
+    whose: Whose = EVERYBODY,
+    losses: Sequence[Loss] = (),
 ) -> list[TopicInfo]:
     """Describe what is stored, by table and node; counts come from the directory.
 
     Of a run and a node there are only the tables in which they have messages.
     """
     found: list[TopicInfo] = []
+    lost: Counter[tuple[str, str]] = Counter()
+    for loss in losses:
+        lost[loss.topic, loss.node] += loss.count
     for table in tables:
         if table.named:
             rows = _names_as_buckets(table, whose)
         else:
-            rows = settle(directory, table, _buckets(directory, table, whose))
+            rows = settle(directory, table, buckets_of(directory, table, whose))
         nodes = sorted({row.node for row in rows})
         for node in nodes or [table.metadata.nodeID] * (whose == EVERYBODY):
-            found.append(_describe(table, node, [r for r in rows if r.node == node]))
+            missing = lost[table.metadata.topic, node]
+            found.append(_describe(table, node, [r for r in rows if r.node == node], missing))
     return found
 
 
-def _buckets(
+def buckets_of(
     directory: Directory,
     table: TopicTable,
     whose: Whose = EVERYBODY,
     ends: tuple[int, int] = (-(2**63), 2**63 - 1),
 ) -> list[BucketRow]:
+    """List the buckets of a table in which somebody wrote, one row for each writer."""
     rows = directory.buckets(table.name, *ends, whose.nodes, table.metadata.ttl)
     return rows if whose.writers is None else [row for row in rows if row.writer in whose.writers]
 
@@ -121,7 +132,7 @@ def _names_as_buckets(table: TopicTable, whose: Whose) -> list[BucketRow]:
     ]
 
 
-def _describe(table: TopicTable, node: str, rows: list[BucketRow]) -> TopicInfo:
+def _describe(table: TopicTable, node: str, rows: list[BucketRow], lost: int) -> TopicInfo:
     filled = [row for row in rows if row.rows]
     metadata = table.metadata
     by_bucket: Counter[int] = Counter()
@@ -143,5 +154,6 @@ def _describe(table: TopicTable, node: str, rows: list[BucketRow]) -> TopicInfo:
         ttl=metadata.ttl,
         table=table.name,
         largest_bucket=max(by_bucket.values(), default=0),
+        lost=lost,
         key=metadata.key_part or metadata.key_format,
     )

@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
-from cassandra_ros.cli.verbs import export, import_, index, info, list_, query, verify
+from cassandra_ros.cli.verbs import export, import_, index, info, list_, params, query, runs, verify
 
 VERBS = {
     "list": list_,
     "info": info,
+    "runs": runs,
+    "params": params,
     "import": import_,
     "export": export,
     "verify": verify,

@@ -4,21 +4,23 @@
 
 A topic has a line for each type, format and node. Times are UTC and cut to seconds; --yaml
 prints them exactly, in nanoseconds. Where messages are found by something else than their receive
-time the last column says by what.
+time the last column says by what. What should have been recorded and was not is listed with the
+reason, also of topics that are not stored; then the latest recordings and imports.
 """
 
 from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Iterator
 
-from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.cli.options import add_origin_options, add_store_options, open_store
 from cassandra_ros.cli.text import format_bytes, format_length, format_table, format_time, shown
+from cassandra_ros.cli.verbs.runs import time_of
 from cassandra_ros.keys import NAMED_FORMATS
 
 if TYPE_CHECKING:
-    from cassandra_ros.store.registry import Run
+    from cassandra_ros.store.registry import Loss, LossKind, Run
     from cassandra_ros.topics.totals import TopicInfo
 
 _HEADER = ("topic", "type", "format", "node", "messages", "size", "first", "last", "bucket")
@@ -29,6 +31,7 @@ _RUNS_SHOWN = 20
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add topics, the form of the output and the store."""
     parser.add_argument("topics", nargs="*", metavar="TOPIC", help="only these topics")
+    add_origin_options(parser)
     parser.add_argument("-y", "--yaml", action="store_true", help="print YAML")
     add_store_options(parser)
 
@@ -36,10 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print the description."""
     with open_store(options) as ros_cas:
-        infos = ros_cas.info(options.topics or None)
+        asked = {"nodeID": options.node_id, "run": options.run}
+        infos = ros_cas.info(options.topics or None, **asked)
+        losses = ros_cas.losses(options.topics or None, nodeID=options.node_id, run=options.run)
         runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
     if options.yaml:
-        _print_yaml(options, infos, runs)
+        _print_yaml(options, infos, losses, runs)
         return 0
     total = sum(info.count for info in infos)
     size = sum(info.bytes for info in infos)
@@ -52,10 +57,14 @@ def run(options: argparse.Namespace) -> int:
         header = (*_HEADER, "key") if with_keys else _HEADER
         lines = [_topic_row(info)[: len(header)] for info in infos]
         print(format_table(header, lines, right=_RIGHT))
+    if losses:
+        print()
+        columns = ("lost of topic", "node", "run", "messages", "from", "to", "why")
+        print(format_table(columns, list(_loss_rows(losses, runs)), right=("messages",)))
     if runs and not options.topics:
         print()
         rows = [_run_row(run) for run in runs[-_RUNS_SHOWN:]]
-        columns = ("run", "kind", "node", "started", "messages", "lost")
+        columns = ("run", "kind", "node", "started", "state", "messages", "lost")
         print(format_table(columns, rows, right=("messages", "lost")))
         if len(runs) > _RUNS_SHOWN:
             print(f"… and {len(runs) - _RUNS_SHOWN} earlier ones")
@@ -82,18 +91,42 @@ def _run_row(run: Run) -> tuple[str, ...]:
         shown(run.name) or "-",
         run.kind,
         shown(run.node) or "-",
-        f"{run.started:%Y-%m-%dT%H:%M:%SZ}" if run.started else "-",
-        str(sum(run.stored.values())) if run.ended else "not ended",
+        time_of(run.started),
+        run.state,
+        str(sum(run.stored.values())),
         str(sum(run.lost.values())),
     )
 
 
-def _print_yaml(options: argparse.Namespace, infos: list[TopicInfo], runs: list[Run]) -> None:
+def _loss_rows(losses: list[Loss], runs: list[Run]) -> Iterator[tuple[str, ...]]:
+    """Yield a line for each topic, run and reason."""
+    names = {run.writer: run.name for run in runs}
+    groups: dict[tuple[str, str, int, LossKind], list[Loss]] = {}
+    for loss in losses:
+        groups.setdefault((loss.topic, loss.node, loss.writer, loss.kind), []).append(loss)
+    for (topic, node, writer, kind), group in sorted(groups.items()):
+        count = sum(loss.count for loss in group)
+        unknown = "" if all(loss.count for loss in group) else "?" if not count else " or more"
+        yield (
+            shown(topic),
+            shown(node) or "-",
+            shown(names.get(writer) or str(writer)),
+            f"{count or ''}{unknown}",
+            format_time(min(loss.first_ns for loss in group)),
+            format_time(max(loss.last_ns for loss in group)),
+            kind.value,
+        )
+
+
+def _print_yaml(
+    options: argparse.Namespace, infos: list[TopicInfo], losses: list[Loss], runs: list[Run]
+) -> None:
     import yaml
 
     found = {
         "keyspace": options.keyspace,
         "topics": [asdict(info) for info in infos],
+        "losses": [{**asdict(loss), "kind": loss.kind.value} for loss in losses],
         "runs": [
             {**vars(run), **{k: dict(getattr(run, k)) for k in ("labels", "stored", "lost")}}
             for run in runs

@@ -1,0 +1,135 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Print the ROS parameters under which a run was recorded as YAML, or set them again.
+
+  cassandra_bag params corridor > params.yaml
+  cassandra_bag params corridor --namespace /move_base --load
+  cassandra_bag params corridor --graph
+
+They are those of the parameter server when the recording began; what rosparam load reads. --load
+sets them on the running parameter server, each by itself: others stay as they are. What belongs to
+the running master is left out: /rosdistro, /rosversion, /run_id and /roslaunch. Of several runs of
+one name the last counts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import xmlrpc.client
+from datetime import datetime
+from typing import TYPE_CHECKING, Iterator, Mapping
+
+from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.errors import InvalidOption, MessageNotFound
+
+if TYPE_CHECKING:
+    from cassandra_ros.store.run_context import Graph, NodeGraph, RunContext
+
+MASTERS_OWN = ("/rosdistro", "/rosversion", "/run_id", "/roslaunch")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the run, what is wanted of it, and the store."""
+    add = parser.add_argument
+    add("name", metavar="RUN", help="name of a run, or its writer id")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--load", action="store_true", help="set them on the running master")
+    what.add_argument("--graph", action="store_true", help="print instead which nodes there were")
+    add("--namespace", metavar="NS", default="/", help="only parameters below NS (default: all)")
+    add_store_options(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print or load."""
+    with open_store(options) as ros_cas:
+        context = ros_cas.runContext(options.name)
+    if context is None:
+        raise MessageNotFound(
+            f"run {options.name!r} has no parameters: it was not recorded live, or by an earlier "
+            "release"
+        )
+    if options.graph:
+        _print_yaml(_graph(context.graph))
+    elif options.load:
+        _load(context, options.namespace)
+    else:
+        _print_yaml(_readable(_below(context.params, options.namespace)))
+    return 0
+
+
+def _below(params: Mapping[str, object], namespace: str) -> object:
+    found: object = params
+    for name in filter(None, namespace.split("/")):
+        if not isinstance(found, Mapping) or name not in found:
+            raise InvalidOption(f"the run has no parameter {namespace!r:.80}")
+        found = found[name]
+    return found
+
+
+def _load(context: RunContext, namespace: str) -> None:
+    from cassandra_ros.messages.graph import set_parameters
+
+    wanted = "/" + "/".join(filter(None, namespace.split("/")))
+    leaves = dict(_leaves(_below(context.params, namespace), wanted.rstrip("/")))
+    own = [name for name in leaves if _is_masters(name)]
+    empty = [name for name, value in leaves.items() if value is None and name not in own]
+    count = set_parameters(
+        (name, value) for name, value in leaves.items() if name not in {*own, *empty}
+    )
+    print(f"{count} parameters set")
+    if own:
+        print(f"left out, they are the running master's own: {', '.join(own)}")
+    if empty:
+        print(f"left out, they have no value: {', '.join(empty)}")
+
+
+def _is_masters(name: str) -> bool:
+    return any(name == own or name.startswith(own + "/") for own in MASTERS_OWN)
+
+
+def _leaves(value: object, name: str) -> Iterator[tuple[str, object]]:
+    """Yield single parameters, as rosparam load sets them: to set a mapping replaces others."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _leaves(inner, f"{name}/{key}")
+    else:
+        yield name, value
+
+
+def _readable(value: object) -> object:
+    """Return a value of XML-RPC as YAML has it."""
+    if isinstance(value, Mapping):
+        return {name: _readable(inner) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [_readable(inner) for inner in value]
+    if isinstance(value, xmlrpc.client.Binary):
+        return value.data
+    if isinstance(value, xmlrpc.client.DateTime):
+        try:
+            return datetime.strptime(str(value), "%Y%m%dT%H:%M:%S")
+        except ValueError:
+            return str(value)
+    return value
+
+
+def _graph(graph: NodeGraph) -> dict[str, object]:
+    def of(node: str, part: Graph) -> list[str]:
+        return sorted(name for name, nodes in part.items() if node in nodes)
+
+    def typed(node: str, part: Graph) -> dict[str, str]:
+        return {topic: graph.types.get(topic, "*") for topic in of(node, part)}
+
+    return {
+        node: {
+            "publishes": typed(node, graph.publishers),
+            "subscribes": typed(node, graph.subscribers),
+            "services": of(node, graph.services),
+        }
+        for node in graph.nodes
+    }
+
+
+def _print_yaml(found: object) -> None:
+    import yaml
+
+    print(yaml.safe_dump(found, allow_unicode=True, default_flow_style=False), end="")

@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Runs as they are now: also of one that was killed it is told what it stored."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from typing import Counter as Counts
+from typing import Dict, FrozenSet, List, Sequence
+
+from cassandra_ros.keys import writer_of
+from cassandra_ros.store.counting import settle
+from cassandra_ros.store.directory import STALE_SEC, Directory
+from cassandra_ros.store.fetch import list_names
+from cassandra_ros.store.registry import Run, Sign
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.selection import Whose
+from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.totals import buckets_of
+
+
+@dataclass
+class _Held:
+    """What lies in the tables of one writer."""
+
+    stored: Counts[str] = field(default_factory=Counter)
+    age_sec: float = math.inf
+    """Since it last told of a bucket."""
+
+
+def list_runs(space: Keyspace, tables: Sequence[TopicTable]) -> List[Run]:
+    """List the runs with their state; of those that did not end messages are counted in tables.
+
+    One of which nothing was heard for STALE_SEC is interrupted.
+    """
+    runs, signs = space.registry.runs(), space.registry.signs()
+    left = frozenset(run.writer for run in runs if not _has_ended(run))
+    held = _held(space.directory, tables, left) if left else {}
+    lost: Dict[int, Counts[str]] = {}
+    for loss in space.registry.losses() if left else ():
+        lost.setdefault(loss.writer, Counter())[loss.topic] += loss.count
+    found: List[Run] = []
+    for run in runs:
+        sign = signs.get((run.writer, run.node), Sign(math.inf, False))
+        if _has_ended(run):
+            found.append(replace(run, state="interrupted" if sign.interrupted else "ended"))
+            continue
+        mine = held.get(run.writer, _Held())
+        alive = not sign.interrupted and min(sign.age_sec, mine.age_sec) <= STALE_SEC
+        state = "recording" if alive else "interrupted"
+        stored = {topic: count for topic, count in sorted(mine.stored.items()) if count}
+        missing = dict(lost.get(run.writer, Counter()))
+        found.append(replace(run, ended=None, state=state, stored=stored, lost=missing))
+    return found
+
+
+def _has_ended(run: Run) -> bool:
+    # An import that is made again notes its new beginning beside its old end.
+    return run.ended is not None and (run.started is None or run.started <= run.ended)
+
+
+def _held(
+    directory: Directory, tables: Sequence[TopicTable], writers: FrozenSet[int]
+) -> Dict[int, _Held]:
+    """Count what lies there of some writers, by the directory where that can be."""
+    found: Dict[int, _Held] = {}
+    whose = Whose(None, writers)
+    for table in tables:
+        topic = table.metadata.topic
+        if table.named:
+            for key in list_names(table, None):
+                if whose.wrote(key.position.seq):
+                    held = found.setdefault(writer_of(key.position.seq), _Held())
+                    held.stored[topic] += 1
+            continue
+        rows = buckets_of(directory, table, whose)
+        for row in settle(directory, table, rows):
+            held = found.setdefault(row.writer, _Held())
+            held.stored[topic] += row.rows
+            held.age_sec = min(held.age_sec, row.age_sec)
+    return found
