@@ -63,14 +63,14 @@ def store(cassandra, cql):
         short["message_definition"] = String._full_text
         writer.write(writer.connect(live_connection("/short", short)), T0, 1, b"\xff\xff\xff\xff")
         writer.close()
-        for number, name in ((7, "morning"), (8, "evening")):
-            run = Run("", number, "recording", name=name)
+        for number, called in ((7, "morning"), (8, "evening")):
+            run = Run("", number, "recording", name=called)
             with rosCas.messageWriter(writer_id=number, run=run) as writer:
                 header = {"type": String._type, "md5sum": String._md5sum}
                 header["message_definition"] = String._full_text
                 handle = writer.connect(live_connection("/runs", header))
                 for n in range(3):
-                    writer.write(handle, T0 + n, n, message(String(name)))
+                    writer.write(handle, T0 + n, n, message(String(called)))
         yield rosCas
     cql.execute(f"DROP KEYSPACE {name}")
 
