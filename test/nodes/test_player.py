@@ -211,6 +211,7 @@ def test_stored_types_and_latched_messages_go_out_as_they_are(roscore, player, r
     )
     write("/mixed", [text("e"), text("f")], 3)
     write("/bare", [b"xyz"], 4, type="a/B", md5sum="1" * 32, message_definition="")
+    write("/no name", [text("g")], 4)
     writer.close()
     child = player("-s", "2.5", "-k", "--wait-for-subscribers")
     heard = {}
@@ -231,5 +232,7 @@ def test_stored_types_and_latched_messages_go_out_as_they_are(roscore, player, r
         assert b"do not match" in wrong.header["error"]
     assert child.end() == 0, child.output
     assert "stored with several types" in child.output
+    assert "topic /no name is not played" in child.output
+    assert "left out: 2 of /mixed, 1 of /no name" in child.lines[-1]
     for one in heard.values():
         one.close()

@@ -38,6 +38,7 @@ from cassandra_ros.cli.readers import (
     whole_number,
 )
 from cassandra_ros.cli.text import shown
+from cassandra_ros.errors import InvalidOption
 
 if TYPE_CHECKING:
     from cassandra_ros.nodes.player import PlayerState
@@ -178,7 +179,7 @@ def main() -> int:
     options = make_parser().parse_args(without_empty(strip_remappings(None)))
     try:
         selection, chosen = read_selection(options), read_options(options)
-    except argparse.ArgumentTypeError as exc:
+    except (InvalidOption, argparse.ArgumentTypeError) as exc:
         options.parser.error(str(exc))
     from cassandra_ros.nodes.player_node import play
 

@@ -14,7 +14,8 @@ from typing import Callable, Hashable, NamedTuple, Optional, Sequence
 import rospy
 from rosgraph_msgs.msg import Clock
 
-from cassandra_ros.errors import CassandraRosError, CorruptMessage, TypeMismatch
+from cassandra_ros.arguments import check_ros_name
+from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidName, TypeMismatch
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.nodes.publishing import AnyPublication, MessageKind, advertise
 from cassandra_ros.playing.pace import Pace
@@ -87,8 +88,8 @@ class Outlets:
                 )
             return
         try:
-            self._publications[topic] = advertise(topic, kind, latched, queue)
-        except (TypeMismatch, ValueError) as exc:  # rospy: a name that ROS does not allow
+            self._publications[topic] = advertise(check_ros_name(topic), kind, latched, queue)
+        except (TypeMismatch, InvalidName) as exc:
             self._say(topic, "topic %s is not played: %s", topic, exc)
             return
         if not channel.definition:

@@ -66,6 +66,9 @@ def play(
         show: Shows what the player does now; called many times a second.
         keys: Returns the keys that were pressed since.
     """
+    player = Player(ros_cas, selection, options)  # before there is a node: it may make no sense
+    sys.setswitchinterval(SWITCH_SEC)
+    _start_node(argv)
     signals: list[int] = []
 
     def signalled(number: int, frame: Optional[FrameType]) -> None:
@@ -73,10 +76,6 @@ def play(
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signalled)
-    player = Player(ros_cas, selection, options)  # before there is a node: it may make no sense
-    sys.setswitchinterval(SWITCH_SEC)
-    if not _start_node(argv, signals):
-        return player.status()
     try:
         Services(player).advertise()
         say(f"services under {rospy.get_name()}")
@@ -97,7 +96,7 @@ def play(
         rospy.signal_shutdown("the replay has ended")
 
 
-def _start_node(argv: Sequence[str], signals: Sequence[int]) -> bool:
+def _start_node(argv: Sequence[str]) -> None:
     """Become /player where that name is free, else a node of an anonymous name.
 
     It lives in wall time, also where /use_sim_time says otherwise: it may be what gives the time.
@@ -109,7 +108,6 @@ def _start_node(argv: Sequence[str], signals: Sequence[int]) -> bool:
     forward_logging()
     if taken:
         _log.warning("a node %s runs already; this one is %s", full_name, rospy.get_name())
-    return not signals
 
 
 def _say_what(player: Player, say: Say) -> None:

@@ -104,6 +104,14 @@ class _Link:
             self._queue.extend(wires)
             self._changed.notify_all()
 
+    def abandon(self) -> None:
+        """Send nothing more; what waits is missed, where there still is a subscriber."""
+        with self._changed:
+            if not self.transport.done:
+                begun = self._rest is not None or self._busy
+                self.missed += len(self._queue) + begun
+            self._queue.clear()
+
     def offer(self, wire: bytes) -> None:
         """Send a message now, or as soon as the subscriber takes it."""
         try:
@@ -281,7 +289,9 @@ class Publication(_PublisherImpl):
             time.sleep(0.001)
 
     def unregister(self) -> None:
-        """Do not publish the topic any more."""
+        """Do not publish the topic any more; what was not drained is missed."""
+        for link in list(self.connections):
+            link.abandon()
         manager = get_topic_manager()
         with manager.lock:
             if manager.pubs.get(self.resolved_name) is self:

@@ -1,0 +1,227 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The player among others: slow subscribers, a master that goes, keys, time, an own node."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+import xmlrpc.client
+from pathlib import Path
+
+import pytest
+from geometry_msgs.msg import PointStamped
+from nodes.children import PROGRAMS, Child, await_true, start_node
+from nodes.raw_publisher import RawPublisher, header_of, message
+from nodes.raw_subscriber import RawSubscriber
+from nodes.test_registration import listed, master  # noqa: F401 - a fixture
+from std_msgs.msg import Int32, UInt8MultiArray
+
+from cassandra_ros.store.registry import Loss, LossKind
+
+SEC = 10**9
+T0 = 1_405_015_391 * SEC
+STEP = SEC // 10
+COUNT = 20
+OWN = Path(__file__).with_name("player_process.py")
+
+
+@pytest.fixture
+def where(cassandra, keyspace):
+    return ("--host", cassandra.host, "--port", cassandra.port, "--keyspace", keyspace)
+
+
+@pytest.fixture
+def numbers(rosCas):
+    topic = rosCas.addTopic("/n", format="binary")
+    for n in range(COUNT):
+        topic.addData(Int32(n), key=T0 + n * STEP)
+    return topic
+
+
+def number(wire):
+    return struct.unpack("<i", wire)[0]
+
+
+def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
+    topic = rosCas.addTopic("/big", format="binary")
+    for n in range(40):
+        topic.addData(UInt8MultiArray(data=bytes([n]) * (1 << 20)), key=T0 + n * STEP // 10)
+    rosCas.parts.registry.put_loss(
+        Loss("/big", "", 7, LossKind.BUFFER_FULL, T0 + 5, T0 + SEC, count=12)
+    )
+    options = ("--queue", "3", "-r", "10", "--wait-for-subscribers")
+    with start_node(roscore, "player", *where, *options) as child:
+        slow = RawSubscriber(roscore.uri, "/big")
+        with RawSubscriber(roscore.uri, "/big") as fast:
+            heard = fast.rest()
+        assert child.wait() == 0, child.output
+        got = 0
+        with slow:
+            try:
+                got = len(slow.rest())
+            except OSError:
+                pass  # what was half sent is cut off
+    line = child.lines[-1]
+    assert line.startswith("played 40 messages of 1 topics; slow subscribers missed ")
+    assert len(heard) + got + int(line.split()[-1]) == 80
+    assert got < 20
+    assert "subscribers of /big missed" in child.output
+    assert "12 messages of topic /big from 2014-07-10T" in child.output
+    assert "were not recorded: buffer full" in child.output
+
+
+def test_a_master_that_is_started_anew(master, where, numbers):  # noqa: F811
+    options = ("-l", "--wait-for-subscribers")
+    with start_node(master, "player", *where, *options) as child, RawSubscriber(
+        master.uri, "/n"
+    ) as heard:
+        child.await_line("playing 1 topic")
+        master.stop()
+        child.await_line("the ROS master does not answer")
+        master.start()
+        await_true(lambda: listed(master, "/player/status"))
+        with RawSubscriber(master.uri, "/n") as new:
+            assert new.read() is not None
+        assert child.end(signal.SIGTERM) == 0, child.output
+        found = [number(wire) for wire in heard.rest()]
+    assert found == [n % COUNT for n in range(len(found))]  # nothing was missed meanwhile
+    assert len(found) > COUNT
+
+
+def test_time_is_published_and_consumers_are_waited_for(roscore, rosCas, where, numbers):
+    clock = rosCas.addTopic("/clock", msg_type="rosgraph_msgs/Clock")
+    from rosgraph_msgs.msg import Clock
+
+    clock.addData(Clock(), key=T0 + 1)
+    # So far only the player gives the time: it must not wait for it.
+    parameters = xmlrpc.client.ServerProxy(roscore.uri)
+    parameters.setParam("/test", "/use_sim_time", True)
+    options = ("--clock", "--wait-for-subscribers", "--rate-control-topic", "/control")
+    try:
+        with start_node(roscore, "player", *where, *options) as child, RawPublisher(
+            roscore.uri, "/control", header_of(PointStamped)
+        ) as control, RawSubscriber(roscore.uri, "/clock") as ticks:
+            control.await_subscribers()
+            with RawSubscriber(roscore.uri, "/n") as heard:
+                first = [number(heard.read()) for _ in range(11)]
+                for _ in range(3):  # it stands, a second behind what controls it
+                    assert child.process.poll() is None
+                    stood = ticks.read()
+                late = PointStamped()
+                late.header.stamp.secs = T0 // SEC + 1
+                control.publish(message(late))
+                rest = [number(wire) for wire in heard.rest()]
+            assert child.wait() == 0, child.output
+            times = [stood, *ticks.rest()]
+    finally:
+        parameters.deleteParam("/test", "/use_sim_time")
+    assert first + rest == list(range(COUNT))
+    stamps = [secs * SEC + nsecs for secs, nsecs in (struct.unpack("<II", t) for t in times)]
+    assert stamps == sorted(stamps)
+    assert T0 <= stamps[0] <= T0 + SEC + 2 * STEP
+    assert T0 + 15 * STEP < stamps[-1] <= T0 + COUNT * STEP
+    assert "/clock is not played as stored" in child.output
+    assert child.lines[-1] == "played 20 messages of 2 topics; 1 left out: 1 of /clock"
+
+
+class Terminal:
+    """A player on a terminal of its own."""
+
+    def __init__(self, env, command):
+        self._ours, theirs = os.openpty()
+        self.before = termios.tcgetattr(theirs)
+
+        def own():
+            os.setsid()
+            fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+        self.process = subprocess.Popen(
+            [str(word) for word in command],
+            env=env,
+            stdin=theirs,
+            stdout=theirs,
+            stderr=theirs,
+            preexec_fn=own,  # noqa: PLW1509 - no threads of ours hold locks here
+        )
+        self._theirs = theirs
+        self.shown = ""
+
+    def await_text(self, text):
+        while text not in self.shown:
+            self.shown += os.read(self._ours, 1 << 16).decode()
+
+    def press(self, key):
+        os.write(self._ours, key.encode())
+
+    @property
+    def after(self):
+        return termios.tcgetattr(self._theirs)
+
+    def close(self):
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+        os.close(self._ours)
+        os.close(self._theirs)
+
+
+def test_keys_on_a_terminal(roscore, where, numbers):
+    options = ("--pause", "-r", "100", "--pause-topics", "/n", "--wait-for-subscribers")
+    terminal = Terminal(roscore.env, [PROGRAMS / "player", *where, *options])
+    try:
+        with RawSubscriber(roscore.uri, "/n") as heard:
+            terminal.await_text("Hit space to toggle paused, or 's' to step.")
+            terminal.await_text("[PAUSED ]  Bag Time: 1405015391.000000   Duration: 0.000000 / 1.9")
+            terminal.press("s")
+            assert number(heard.read()) == 0
+            terminal.press("s")
+            assert number(heard.read()) == 1
+            terminal.press(" ")
+            time.sleep(0.3)
+            terminal.press("t")
+            terminal.press(" ")
+            assert [number(wire) for wire in heard.rest()] == list(range(2, COUNT))
+        terminal.await_text("played 20 messages")
+        assert terminal.process.wait(60) == 0, terminal.shown
+        assert terminal.after == terminal.before
+    finally:
+        terminal.close()
+
+
+def test_a_player_in_a_node_of_ones_own(roscore, cassandra, keyspace, numbers):
+    command = [sys.executable, OWN, cassandra.host, cassandra.port, keyspace]
+    with Child(command, roscore.env) as child:
+        with RawSubscriber(roscore.uri, "/own") as heard:
+            assert [number(heard.read()) for _ in range(4)] == [0, 1, COUNT - 1, 99]
+            child.process.stdin.close()
+        assert child.wait() == 0, child.output
+    end = (COUNT - 1) * STEP
+    for line in (f"stepped {STEP}", f"sought {end} True", "published /own 3", "ended True"):
+        assert line in child.lines, child.output
+
+
+@pytest.mark.long
+def test_played_and_stopped_fifty_times(roscore, where, numbers):
+    """No message is lost or doubled before the stop, and no process is left."""
+    pids = set()
+    for round_ in range(50):
+        with start_node(roscore, "player", *where, "-r", "20", "--wait-for-subscribers") as child:
+            pids.add(child.process.pid)
+            with RawSubscriber(roscore.uri, "/n") as heard:
+                for n in range(round_ % COUNT):
+                    assert number(heard.read()) == n
+                assert child.end((signal.SIGINT, signal.SIGTERM)[round_ % 2]) == 0, child.output
+                rest = [number(wire) for wire in heard.rest()]
+            assert rest == list(range(round_ % COUNT, round_ % COUNT + len(rest)))
+            total = round_ % COUNT + len(rest)
+            assert child.lines[-1] == f"played {total} messages of 1 topics"
+    assert len(pids) == 50
+    for pid in pids:
+        assert not Path(f"/proc/{pid}").exists()
