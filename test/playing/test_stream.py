@@ -115,7 +115,7 @@ def test_names():
     assert [names.of(topic) for topic in ("/a", "c", "/e")] == ["/b", "/d", "/p/e"]
     assert names.of("/a", "r1") == "/r1/b"
     assert names.of("/e", "r1") == "/p/r1/e"
-    assert Names("p_").of("/x") == "/p_/x"
+    assert [Names(prefix).of("/x") for prefix in ("p_", "/p/", "/")] == ["/p_/x", "/p/x", "/x"]
 
 
 def test_channels_come_from_the_connections(filled):

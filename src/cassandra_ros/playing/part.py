@@ -115,6 +115,8 @@ class Part:
     def latched(self, window: Stretch, sent: Optional[Sent] = None) -> List[Tuple[int, StoredRow]]:
         """List what was latched before a window, in the order of reception: time and row."""
         low, high = window.low - self.shift, window.high - self.shift
+        if low <= min(extent.first for extent in self.extents):
+            return []  # nothing was there yet
         if sent is None:
             found = self._finder.before(low, high)
         else:

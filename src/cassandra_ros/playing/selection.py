@@ -118,7 +118,7 @@ class Names:
     """
 
     def __init__(self, prefix: str = "", remap: Optional[Mapping[str, str]] = None) -> None:
-        self._prefix = prefix
+        self._prefix = prefix.rstrip("/")
         self._remap = {_rooted(old): _rooted(new) for old, new in (remap or {}).items()}
         for name in self._remap.values():
             check_ros_name("a remapped topic", name)

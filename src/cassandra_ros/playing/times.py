@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import re
-from decimal import Decimal
+from decimal import Decimal, InvalidOperation
 from numbers import Real
 from typing import NamedTuple, Optional, Union
 
@@ -57,7 +57,7 @@ def read_when(name: str, value: PlayTime) -> Optional[When]:
             return When(duration_ns(number), True)
         whole = number == int(number) and number >= NANOSECONDS_FROM
         return When(to_ns(int(number) if whole else number), False)
-    except (InvalidKey, ValueError, OverflowError) as exc:
+    except (InvalidKey, InvalidOperation, ValueError, OverflowError) as exc:
         raise InvalidOption(
             f"{name} {value!r:.80} is no time to play: write seconds from the first message (12.5)"
             ", seconds since 1970 (1368021980.25), nanoseconds since 1970 (from 13 digits on) or "
