@@ -64,19 +64,19 @@ package_list() {
   echo openjdk-17-jre-headless maven gcc g++ cmake python3-venv
   if [ -d /opt/ros/noetic ]; then
     echo ros-noetic-ros-base ros-noetic-rostest ros-noetic-tf ros-noetic-tf2-msgs ros-noetic-tf2-py
-    echo ros-noetic-{geometry,std}-msgs ros-noetic-std-srvs
+    echo ros-noetic-{diagnostic,geometry,std}-msgs ros-noetic-std-srvs
   else
     # ROS base; rosrun, rostest and tf beside it, for the metapackages leave them out.
     echo ros-core-python-dev rosbash python3-rostest python3-tf python3-tf2 python3-tf2-msgs ros-tf2-msgs
     # What the services send, for Python and for the build.
-    echo python3-{geometry,std}-msgs ros-{geometry,std}-msgs lib{geometry,std}-msgs-dev
+    echo python3-{diagnostic,geometry,std}-msgs ros-{diagnostic,geometry,std}-msgs lib{geometry,std}-msgs-dev
     echo python3-std-srvs ros-std-srvs
   fi
 }
 
 test_package_list() {
   # Only the tests need them: what brings message types, of which they send more than 200.
-  local common=(actionlib diagnostic map move-base nav pcl rosgraph sensor shape stereo trajectory visualization)
+  local common=(actionlib map move-base nav pcl rosgraph sensor shape stereo trajectory visualization)
   if [ -d /opt/ros/noetic ]; then
     printf 'ros-noetic-%s-msgs ' "${common[@]}" moveit
     echo ros-noetic-{actionlib,bond,dynamic-reconfigure,roscpp}

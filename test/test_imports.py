@@ -28,7 +28,7 @@ BELOW = {
     "arrays": {"query", "messages"},
     "transforms": {"query", "messages"},
     "topics": {"query", "arrays", "transforms", "formats", "store", "messages"},
-    "recording": {"topics", "formats", "store", "messages"},
+    "recording": {"topics", "query", "formats", "store", "messages"},
     "playing": {"topics", "store", "messages"},
     "history": {"recording", "topics", "messages"},
     "bag": {"topics", "formats", "store", "messages"},

@@ -24,6 +24,7 @@ from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import message_class
 from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.store.registry import LossKind
 
 
 def text(n):
@@ -70,7 +71,8 @@ def test_a_played_bag_is_recorded_message_for_message(bags, roscore, recorder, r
             found = expected.setdefault(RENAMED.get(topic, topic), [])
             found.append((raw[0], raw[2], raw[1]))
     child = recorder(*expected, "--format", fmt, "--node-id", "turtle")
-    assert child.lines[0] == f"recording {len(expected)} topics"
+    assert child.lines[0] == "services under /recorder"
+    assert f"recording {len(expected)} topics" in child.lines
     play = ["rosbag", "play", "-q", "-r", "40", "-d", "0.5", "--wait-for-subscribers"]
     maps = [f"{old}:={new}" for old, new in RENAMED.items()]
     total = sum(map(len, expected.values()))
@@ -304,9 +306,12 @@ def test_a_message_that_never_comes_to_its_end_is_told(roscore, recorder, rosCas
         whole.await_subscribers().publish(text(1))
         torn.await_subscribers()
         torn._sockets[0].sendall(struct.pack("<I", 100) + b"and no more")
-        assert child.end() == 0, child.output
+        assert child.end() == 1, child.output
     assert wires(rosCas, "/whole") == [text(1)]
     assert "what the publishers of /torn had sent last is not recorded" in child.output
+    assert "/torn: 1 lost: not read from the socket" in child.output
+    (loss,) = rosCas.losses()
+    assert (loss.topic, loss.kind, loss.count) == ("/torn", LossKind.NOT_READ, 1)
 
 
 def test_rosnode_kill_drains(roscore, recorder, rosCas):
@@ -344,7 +349,7 @@ def test_simulated_time(roscore, recorder, rosCas):
     assert (row.t, row.wire) == (1234 * 10**9, text("in time"))
     # rospy itself subscribes with a queue of one, and would let the others share it.
     assert sorted(wires(rosCas, "/clock")) == sorted(ticks)
-    assert "1 lost: simulated time" in child.output
+    assert "1 lost: no clock: simulated time" in child.output
     assert "1 messages were lost" in child.output
 
 

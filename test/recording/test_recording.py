@@ -26,7 +26,9 @@ from cassandra_ros.recording.buffer import (
     starts_with_header,
 )
 from cassandra_ros.recording.counts import Counts
+from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.recording import Recording
+from cassandra_ros.store.registry import LossKind
 
 T0 = 1_400_000_000 * 10**9
 
@@ -92,7 +94,7 @@ def test_buffer_ends():
 
 def gaps(*runs):
     """Gaps after runs of sequence numbers, each over a connection of its own."""
-    counts = Counts()
+    counts = Counts(LossLog("", 1))
     source = Source(live_connection("/t", header_of(Imu)))
     for run in runs:
         feed = Feed({}, source)
@@ -100,7 +102,7 @@ def gaps(*runs):
             wire = message(Imu(header=Header(seq=number)))
             counts.received("/t", wire)
             counts.attribute("/t", wire, feed)
-    return counts.reports({}, final=False)[0].gaps
+    return counts.reports({})[0].gaps
 
 
 def test_gaps_before_us():
@@ -188,7 +190,10 @@ def test_what_does_not_fit_is_counted(rosCas):
     (report,) = recorder.close()
     assert report.received == 2000 == report.stored + report.lost
     assert report.lost > 0
-    assert all("buffer" in reason for reason in report.reasons)
+    assert report.reasons == {LossKind.BUFFER_FULL: report.lost}
+    (loss,) = rosCas.losses()
+    assert (loss.topic, loss.kind, loss.count) == ("/text", LossKind.BUFFER_FULL, report.lost)
+    assert loss.first_ns <= loss.last_ns
     assert rosCas.getTopic("/text").countTopicData() == report.stored
 
 
@@ -211,7 +216,9 @@ def test_a_clock_that_is_not_set(rosCas):
     recorder = Recording(rosCas, clock=clock)
     recorder.received("/text", header_of(String), text(0))
     (report,) = recorder.close()
-    assert (report.received, report.stored, report.reasons) == (1, 0, {"no /clock": 1})
+    assert (report.received, report.stored) == (1, 0)
+    assert report.reasons == {LossKind.NO_CLOCK: 1}
+    assert report.details == {LossKind.NO_CLOCK: "no /clock"}
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _REMAPPING = re.compile(r"[A-Za-z0-9_~/]*:=")
 
 
-def add_format_option(parser: argparse.ArgumentParser) -> None:
+def add_format_option(parser: argparse._ActionsContainer) -> None:
     """Add --format; None where it is not given, or empty as a launch file may give it."""
     parser.add_argument(
         "--format",

@@ -6,8 +6,25 @@ from __future__ import annotations
 
 import argparse
 import re
+from typing import Callable, TypeVar
+
+from cassandra_ros.errors import CassandraRosError
 
 _UNITS = {"": 1, "s": 1, "m": 60, "h": 3600}
+_SIZES = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
+_Read = TypeVar("_Read")
+
+
+def checked(reader: Callable[[str], _Read]) -> Callable[[str], _Read]:
+    """Make a reader of the library, which raises errors of ours, one for argparse."""
+
+    def read(text: str) -> _Read:
+        try:
+            return reader(text)
+        except CassandraRosError as exc:
+            raise argparse.ArgumentTypeError(str(exc)) from exc
+
+    return read
 
 
 def regular_expression(text: str) -> str:
@@ -37,6 +54,14 @@ def whole_number(text: str) -> int:
 def megabytes(text: str) -> int:
     """Read a number of MB as bytes, for argparse."""
     return whole_number(text) << 20
+
+
+def byte_size(text: str) -> int:
+    """Read a size as rosbag does for --min-space: 1G, 512M, 100k or bytes."""
+    digits, unit = (text, "") if text.isdigit() else (text[:-1], text[-1:].lower())
+    if unit not in _SIZES:
+        raise argparse.ArgumentTypeError(f"{text!r} is no size: give one like 1G, 512M or 100k")
+    return whole_number(digits) * _SIZES[unit]
 
 
 def seconds(text: str) -> float:

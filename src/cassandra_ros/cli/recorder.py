@@ -4,14 +4,21 @@
 
 Ctrl-C, SIGTERM and the shutdown of the node end the recording; what has arrived is stored first.
 The exit status is 1 when messages were lost, or nobody published a topic that was named.
+
+Each recording is a run, which --run of the other programs names. The services ~start, ~stop,
+~pause, ~resume, ~status and ~snapshot steer the recorder while it runs. Every option may also be a
+private parameter of the node, by its long name with _ for -, as ~node_id; ~topics is a list.
 """
 
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 from dataclasses import fields
-from typing import TYPE_CHECKING, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Callable, Mapping, Optional, Sequence
 
 from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.cli.options import (
@@ -21,123 +28,265 @@ from cassandra_ros.cli.options import (
     program_parser,
     strip_remappings,
 )
-from cassandra_ros.cli.readers import duration, megabytes, regular_expression, whole_number
-from cassandra_ros.cli.text import format_bytes, format_table, shown
-from cassandra_ros.errors import InvalidName, UnknownFormat
+from cassandra_ros.cli.readers import byte_size, checked, duration, megabytes, whole_number
+from cassandra_ros.cli.recorder_report import StatusLine, closing_table, failures, plan_table
+from cassandra_ros.errors import InvalidName, InvalidOption, UnknownFormat
 from cassandra_ros.formats.table import format_class
-
-if TYPE_CHECKING:
-    from cassandra_ros.recording.counts import TopicReport
-    from cassandra_ros.recording.options import RecorderOptions
+from cassandra_ros.local_server.jars import default_directory
+from cassandra_ros.recording.options import RecorderOptions
+from cassandra_ros.recording.settings import (
+    Rule,
+    check_condition,
+    check_pattern,
+    read_label,
+    read_rate,
+    read_settings,
+)
+from cassandra_ros.recording.snapshot import read_bound
 
 PROGRAM = "recorder"
+_LOOPBACK = ("localhost", "127.", "::1")
+_NO_PARAMETERS = ("help", "quiet", "dry_run", "udp")
 
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line; its names are those of RecorderOptions."""
     parser = program_parser(PROGRAM, __doc__)
-    add = parser.add_argument
-    add("topics", metavar="TOPIC", nargs="*", help="record these topics")
-    add("-a", "--all", action="store_true", help="record all topics")
-    add("-e", "--regex", action="store_true", help="match topics using regular expressions")
-    text = "exclude topics matching the follow regular expression"
-    add("-x", "--exclude", metavar="EXCLUDE_REGEX", type=regular_expression, default="", help=text)
-    add_format_option(parser)
-    text = "name of the robot or entity that is recorded (default: none)"
-    add("--node-id", metavar="N", default="", help=text)
-    add("-q", "--quiet", action="store_true", help="suppress console output")
-    text = "record for this long, in seconds, unless 'm', or 'h' is appended."
-    add("--duration", type=duration, default=0.0, help=text)
-    text = "only record NUM messages on each topic"
-    add("-l", "--limit", metavar="NUM", type=whole_number, default=0, help=text)
-    text = "use an internal buffer of SIZE MB (Default: 256, 0 = infinite)"
-    add("-b", "--buffsize", metavar="SIZE", type=megabytes, default="256", help=text)
-    text = "let messages of new topics expire after this many seconds (default: never)"
-    add("--ttl", metavar="SEC", type=whole_number, default=0, help=text)
-    text = "Use the TCP_NODELAY transport hint when subscribing to topics."
-    add("--tcpnodelay", action="store_true", help=text)
+    _add_choice(parser.add_argument)
+    _add_runs(parser.add_argument_group("runs").add_argument)
+    _add_settings(parser)
+    _add_limits(parser.add_argument_group("limits").add_argument)
+    _add_rosbag(parser.add_argument_group("as rosbag record has them").add_argument)
     add_store_options(parser)
     return parser
 
 
+Add = Callable[..., object]
+
+
+def _add_choice(add: Add) -> None:
+    add("topics", metavar="TOPIC", nargs="*", help="record these topics")
+    text = "record all topics, but for what the recorder itself says on /rosout and /diagnostics"
+    add("-a", "--all", action="store_true", help=text)
+    add("-e", "--regex", action="store_true", help="match topics using regular expressions")
+    text = "exclude topics matching the follow regular expression"
+    add(
+        "-x",
+        "--exclude",
+        metavar="EXCLUDE_REGEX",
+        type=checked(check_pattern),
+        default="",
+        help=text,
+    )
+    add("--node", metavar="NODE", default="", help="record all topics subscribed to by a node")
+    text = "say what would be recorded and how, and end"
+    add("--dry-run", action="store_true", help=text)
+    add("-q", "--quiet", action="store_true", help="suppress console output")
+
+
+def _add_runs(add: Add) -> None:
+    text = "prepend PREFIX to the name of the run, which is the date (default: only the date)"
+    add("-o", "--output-prefix", metavar="PREFIX", default="", help=text)
+    text = "name of the run; another one may have it, too: both are then meant by it"
+    add("-O", "--output-name", "--name", metavar="NAME", default="", help=text)
+    text = "keep a label with the run; may be repeated"
+    add(
+        "--label",
+        dest="labels",
+        metavar="K=V",
+        type=checked(read_label),
+        action="append",
+        help=text,
+    )
+    text = "go on in a new run when size or duration is reached: NAME_0, NAME_1, ..."
+    add("--split", action="store_true", help=text)
+    text = "record this many MB of messages (with --split: into each run)"
+    add("--size", metavar="SIZE", type=megabytes, default=0, help=text)
+    text = (
+        "record for this long, in seconds, unless 'm', or 'h' is appended (with --split: each run)"
+    )
+    add("--duration", type=duration, default=0.0, help=text)
+    text = "keep at most MAX_SPLITS runs of this recording; the messages of older ones are deleted"
+    add("--max-splits", metavar="MAX_SPLITS", type=whole_number, default=0, help=text)
+    text = "begin each run of a split recording with the latched messages"
+    add("--repeat-latched", action="store_true", help=text)
+    text = "publish a latched message with the name of each run on begin_write"
+    add("-p", "--publish", action="store_true", help=text)
+    text = (
+        "keep only the newest messages, so long or so many, in memory; the service ~snapshot "
+        "writes them as a run"
+    )
+    add("-s", "--snapshot", metavar="30s|200MB", type=checked(read_bound), help=text)
+
+
+def _add_settings(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "how topics are kept", "TOPIC is a name or a regular expression; the first that fits holds"
+    )
+    add = group.add_argument
+    add_format_option(group)
+    text = "let messages of new topics expire after this many seconds (default: never)"
+    add("--ttl", metavar="SEC", type=whole_number, default=0, help=text)
+    text = (
+        "record only messages of a topic that satisfy a condition as in CQL, for example "
+        "'/cmd_vel: linear.x > 0.5'; the others are counted as left out; may be repeated"
+    )
+    condition = "'TOPIC: CONDITION'"
+    add("--where", metavar=condition, type=checked(read_where), action="append", help=text)
+    text = "record at most HZ messages a second of a topic, or of each topic; may be repeated"
+    add("--rate-limit", metavar="[TOPIC:]HZ", type=checked(read_limit), action="append", help=text)
+    text = (
+        "YAML file with format, ttl, rate_limit, where, key_part and index by pattern; see "
+        "config/recorder.yaml. --where and --rate-limit go before it, it goes before --format"
+    )
+    add("--config", metavar="FILE", type=checked(read_config), default=(), help=text)
+    text = "name of the robot or entity that is recorded (default: none)"
+    add("--node-id", metavar="N", default="", help=text)
+
+
+def _add_limits(add: Add) -> None:
+    text = "only record NUM messages on each topic"
+    add("-l", "--limit", metavar="NUM", type=whole_number, default=0, help=text)
+    text = "use an internal buffer of SIZE MB (Default: 256, 0 = infinite)"
+    add("-b", "--buffsize", metavar="SIZE", type=megabytes, default="256", help=text)
+    text = (
+        "store nothing while less is free where the local Cassandra keeps its data (default: 1G; "
+        "0 = off). Of a Cassandra elsewhere the free space is not known: watch it there"
+    )
+    add("-L", "--min-space", metavar="1G", type=byte_size, default="1G", help=text)
+    text = "tell nothing on /diagnostics"
+    add("--no-diagnostics", dest="diagnostics", action="store_false", help=text)
+
+
+def _add_rosbag(add: Add) -> None:
+    text = "Use the TCP_NODELAY transport hint when subscribing to topics."
+    add("--tcpnodelay", action="store_true", help=text)
+    text = "taken and without effect: Cassandra compresses its tables anyway, with LZ4"
+    add("-j", "--bz2", action="store_true", help=text)
+    add("--lz4", action="store_true", help=text)
+    text = "taken and without effect: messages over 512 KiB are stored in chunks of that size"
+    add("--chunksize", metavar="SIZE", type=whole_number, help=text)
+    add("--udp", action="store_true", help="refused: rospy has no UDP transport")
+
+
+def read_where(text: str) -> tuple[str, str]:
+    """Read a pattern of topics and a condition."""
+    topic, colon, condition = (part.strip() for part in text.partition(":"))
+    if not (topic and colon and condition):
+        raise InvalidOption(f"{text!r} is not of the form 'TOPIC: CONDITION'")
+    return check_pattern(topic), check_condition(condition)
+
+
+def read_limit(text: str) -> tuple[str, float]:
+    """Read a rate with or without a pattern of topics before it."""
+    topic, _, rate = text.rpartition(":")
+    return check_pattern(topic.strip() or ".*"), read_rate(rate.strip())
+
+
+def read_config(name: str) -> Sequence[Rule]:
+    """Read a file of settings; an empty name is none, as a launch file may give it."""
+    if not name:
+        return ()
+    try:
+        return read_settings(Path(name).read_text(encoding="utf-8"), name)
+    except (OSError, UnicodeDecodeError) as exc:
+        raise InvalidOption(f"the settings {name!r} cannot be read: {exc}") from exc
+
+
+def words_of(
+    parser: argparse.ArgumentParser, parameters: Mapping[str, object], given: argparse.Namespace
+) -> list[str]:
+    """Write the parameters of the node as words of a command line, which go before its own.
+
+    Topics on the command line, or -a, take the place of those of the parameters.
+    """
+    known = {action.dest: action for action in parser._actions}
+    chosen = bool(given.topics or given.all or given.node)
+    words: list[str] = []
+    for name, value in parameters.items():
+        dest = {"name": "output_name", "label": "labels"}.get(name, name)
+        action = known.get(dest)
+        if action is None or dest in _NO_PARAMETERS:
+            parser.error(f"there is no parameter ~{name}: parameters are called like options")
+        if dest in ("topics", "all", "node") and chosen:
+            continue
+        values = value if isinstance(value, list) else [value]
+        if dest == "topics":
+            texts = str(value).split() if isinstance(value, str) else map(str, values)
+            words += ["--all" if text == "-a" else text for text in texts]
+        elif action.nargs == 0:
+            # --no-diagnostics is set where the parameter says false.
+            if _truth(parser, name, value) != (dest == "diagnostics"):
+                words.append(action.option_strings[-1])
+        else:
+            words += [f"{action.option_strings[-1]}={each}" for each in values if each != ""]
+    return words
+
+
+def _truth(parser: argparse.ArgumentParser, name: str, value: object) -> bool:
+    text = str(value).lower()
+    if text not in ("true", "false", "1", "0"):
+        parser.error(f"parameter ~{name}: {value!r:.40} is neither true nor false")
+    return text in ("true", "1")
+
+
 def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> RecorderOptions:
     """Return what is to be recorded; ends the program where that makes no sense."""
-    from cassandra_ros.recording.options import RecorderOptions
-
-    if bool(options.topics) == options.all:
+    if options.udp:
+        parser.error("--udp: rospy has no UDP transport; leave it out: TCP loses nothing")
+    if bool(options.topics) == options.all and not (options.node and not options.topics):
         parser.error("give topics to record, or -a for all" + (", not both" * options.all))
+    if options.split and not (options.size or options.duration):
+        parser.error("--split needs --size or --duration: when is the next run to begin?")
+    if options.max_splits and not options.split:
+        parser.error("--max-splits needs --split")
+    if options.snapshot and (options.split or options.size or options.duration or options.limit):
+        parser.error(
+            "--snapshot writes when it is asked: leave out --split, --size, --duration and --limit"
+        )
     try:
         if options.format:
             format_class(options.format)
         for text in options.topics:
-            (regular_expression if options.regex else check_ros_name)(text)
-    except (InvalidName, UnknownFormat, argparse.ArgumentTypeError) as exc:
+            (check_pattern if options.regex else check_ros_name)(text)
+    except (InvalidName, InvalidOption, UnknownFormat) as exc:
         parser.error(str(exc))
-    given = vars(options)
-    return RecorderOptions(
-        **{f.name: given[f.name] for f in fields(RecorderOptions) if f.name in given}
-    )
+    names = {f.name for f in fields(RecorderOptions)}.intersection(vars(options))
+    values = {name: getattr(options, name) for name in names}
+    values["labels"] = dict(options.labels or ())
+    values.update(where=options.where or (), rate_limit=options.rate_limit or ())
+    return RecorderOptions(**values, free_space=local_space(options.host))
+
+
+def local_space(host: str) -> Optional[Callable[[], int]]:
+    """Return what tells the free space of the local Cassandra; None where there is none."""
+    data = default_directory()
+    if not (all(each.startswith(_LOOPBACK) for each in host.split(",")) and data.is_dir()):
+        return None
+    return lambda: shutil.disk_usage(data).free
 
 
 def main() -> int:
     """Record; return the exit status."""
     parser = make_parser()
-    options = parser.parse_args(strip_remappings(None))
+    words = strip_remappings(None)
+    given = parser.parse_args(words)  # wrong usage and --help need no master
+    if given.topics or given.all or given.node:
+        read_options(parser, given)
+    from cassandra_ros.nodes.recorder_node import record, start_node
+    from cassandra_ros.nodes.recording_plan import make_plan
+
+    options = parser.parse_args([*words_of(parser, start_node(sys.argv), given), *words])
     chosen = read_options(parser, options)
-    from cassandra_ros.nodes.recorder_node import record
-
-    def say(text: str) -> None:
-        if not options.quiet:
-            print(text, flush=True)
-
+    line = StatusLine(sys.stdout if not options.quiet and sys.stdout.isatty() else None)
+    say = partial(line.say, quiet=options.quiet)
     with open_store(options, make=True) as ros_cas:
-        reports = record(ros_cas, chosen, sys.argv, say)
+        if options.dry_run:
+            print(plan_table(make_plan(ros_cas, chosen), chosen))
+            return 0
+        reports = record(ros_cas, chosen, say, line.show if line.shows else None)
     say(closing_table(reports))
-    failures = _failures(reports)
-    for text in failures:
+    problems = failures(reports)
+    for text in problems:
         print(f"{PROGRAM}: {text}", file=sys.stderr)
-    return 1 if failures else 0
-
-
-def _failures(reports: Sequence[TopicReport]) -> list[str]:
-    """Say what was not recorded that should have been."""
-    lost = sum(report.lost for report in reports)
-    found = [f"{lost} messages were lost"] if lost else []
-    for report in reports:
-        if report.unheard_sec:
-            found.append(
-                f"for {report.unheard_sec:.0f} s new publishers of {shown(report.topic)} were not "
-                "heard, for the ROS master was started anew"
-            )
-        if not report.published:
-            found.append(f"nothing came on {shown(report.topic)}: nobody published it")
-    if not reports:
-        found.append("nothing was recorded: no topic that was published was to be")
-    return found
-
-
-def closing_table(reports: Sequence[TopicReport]) -> str:
-    """Write what became of the messages of each topic.
-
-    What is missing in the publishers' own numbers is no loss of ours: "seq gaps".
-    """
-    names = ("topic", "type", "received", "stored", "lost", "seq gaps", "bytes", "rate")
-    rows: list[Sequence[str]] = [
-        (
-            shown(r.topic),
-            shown(", ".join(r.types)),
-            *map(str, (r.received, r.stored, r.lost)),
-            "-" if r.gaps is None else str(r.gaps),
-            format_bytes(r.bytes),
-            f"{r.rate_hz:.1f} Hz",
-        )
-        for r in reports
-    ]
-    counts = [(r.received, r.stored, r.lost, r.gaps or 0) for r in reports]
-    totals = [str(sum(column)) for column in zip((0, 0, 0, 0), *counts)]
-    rows.append(("total", "", *totals, format_bytes(sum(r.bytes for r in reports)), ""))
-    lines = [format_table(names, rows, right=names[2:])]
-    for report in reports:
-        for reason, count in report.reasons.items():
-            lines.append(f"{shown(report.topic)}: {count} lost: {shown(reason)}")
-    return "\n".join(lines)
+    return 1 if problems else 0

@@ -4,31 +4,43 @@
 
 from __future__ import annotations
 
+import difflib
 import logging
-import math
+import struct
 import threading
 import time
 from dataclasses import replace
-from typing import Callable, Mapping, Optional
+from typing import Callable, Collection, Iterable, Mapping, Optional, Sequence, Union
 
 import rospy
+from std_msgs.msg import String
 
+from cassandra_ros.arguments import check_ros_name
+from cassandra_ros.errors import CassandraRosError, InvalidName, InvalidOption
 from cassandra_ros.nodes.node import MASTER_ERRORS, now_ns
 from cassandra_ros.nodes.registration import Registration
-from cassandra_ros.nodes.subscriptions import Subscriptions, published_topics
-from cassandra_ros.recording.counts import TopicReport
+from cassandra_ros.nodes.run_context import keep_context
+from cassandra_ros.nodes.subscriptions import Subscriptions, published_topics, subscribed_topics
+from cassandra_ros.recording.counts import TopicReport, merge_reports
 from cassandra_ros.recording.options import RecorderOptions
 from cassandra_ros.recording.recording import Recording
+from cassandra_ros.recording.series import Series
+from cassandra_ros.recording.snapshot import Snapshots
+from cassandra_ros.recording.status import RECORDING, SNAPSHOT, STOPPED, Status
+from cassandra_ros.store.registry import LossKind
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
 
 POLL_SEC = 0.1
+NODE_POLL_SEC = 1.0
+"""How often a node is asked what it subscribes to."""
 JOIN_SEC = 2.0
-PATIENCE_SEC = 3.0
-"""How long a store may take in the end before people are told that it does."""
+CONTEXT_SEC = 3.0
+"""How long the end of a recording waits for parameters that were asked for at its start."""
 
 Say = Callable[[str], None]
+Topics = Collection[str]
 
 
 class Recorder:
@@ -39,48 +51,222 @@ class Recorder:
 
     Args:
         rosCas: A RosCassandra connected to a keyspace; it stays the caller's.
-        options: What to record, and how.
+        options: What to record, and how; or the names of topics.
         say: Called with each line for people who watch; default: the log.
     """
 
     def __init__(
-        self, rosCas: RosCassandra, options: RecorderOptions, *, say: Optional[Say] = None
+        self,
+        rosCas: RosCassandra,
+        options: Union[RecorderOptions, Sequence[str]],
+        *,
+        say: Optional[Say] = None,
     ) -> None:
-        self._rosCas = rosCas
+        if not isinstance(options, RecorderOptions):
+            options = RecorderOptions([options] if isinstance(options, str) else list(options))
         self._options = options
         self._say: Say = _log.info if say is None else say
+        self._publisher: Optional[rospy.Publisher] = None
+        self._contexts: list[threading.Thread] = []
+        self._series = series = Series(rosCas, options, now_ns, self._begun)
+        bound = options.snapshot
+        self._snapshots = (
+            None
+            if bound is None
+            else Snapshots(bound, options.buffsize, now_ns, series.filters, series.single)
+        )
         self._subscriptions = Subscriptions(self._received, options.tcpnodelay)
         self._registration = Registration(self._unheard)
-        self._recording: Optional[Recording] = None
+        self._own = _Own(rospy.get_name()) if options.discovers else None
         self._left: set[str] = set()
         """Topics that are recorded no more."""
+        self._silent: set[str] = set()
+        """Topics of which no publisher was ever connected."""
+        self._paused: set[str] = set()
+        self._all_paused = False
+        self._active = False
         self._interrupts = 0
         self._hurry = threading.Event()
         self._done = threading.Event()
-        self._ends = float("inf")
-        self._poller = threading.Thread(target=self._poll, name="recorder-poll", daemon=True)
+        self._poller: Optional[threading.Thread] = None
+        self._asked_node = 0.0
+        self._mutex = threading.RLock()
 
-    def start(self) -> None:
-        """Begin to record; return when the publishers that exist are connected, or after 5 s."""
-        self._recording = self._begin(rospy.get_name())
-        if self._options.discovers:
-            self._discover(announce=False)
-        else:
-            for name in self._options.topics:
-                topic = rospy.resolve_name(name)
-                if not self._options.excludes(topic):
-                    self._subscribe(topic)
-            self._subscriptions.warn_of_names()
+    # ---------------------------------------------------------------- public
+
+    def start(
+        self,
+        topics: Topics = (),
+        *,
+        name: str = "",
+        labels: Optional[Mapping[str, str]] = None,
+    ) -> str:
+        """Begin a run, or record more topics in the current one.
+
+        It returns when the publishers that exist are connected, or after 5 s.
+
+        Args:
+            topics: Their names; none = those that the options say.
+            name: Of a run that begins here; '' = as the options say.
+            labels: Of a run that begins here, beside those of the options.
+
+        Returns:
+            The name of the run; '' where messages are only kept for a snapshot.
+
+        Raises:
+            InvalidOption: A run is being recorded, and no topics are given.
+            InvalidName: A topic's name is none.
+            StoreUnavailable: The store does not answer.
+        """
+        wanted = [rospy.resolve_name(check_ros_name(topic)) for topic in topics]
+        with self._mutex:
+            first, current = self._poller is None, self._series.current
+            if self._active and not topics:
+                run = f": run {current.name}" if current is not None else ""
+                raise InvalidOption(f"it is recording already{run}; stop it first, or name topics")
+            if self._snapshots is None and current is None:
+                current = self._series.begin(name, labels)
+            self._active = True
+            self._left.difference_update(wanted or list(self._left))
+            self._subscribe_chosen(wanted)
+            if first:
+                self._poller = threading.Thread(
+                    target=self._poll, name="recorder-poll", daemon=True
+                )
         self._subscriptions.await_publishers(self._hurry)
-        topics = len(self._subscriptions.topics)
-        self._say(f"recording {topics} topic{'' if topics == 1 else 's'}")
-        if self._options.duration:
-            self._ends = time.monotonic() + self._options.duration
-        self._poller.start()
-        self._registration.start()
+        number = len(self._subscriptions.topics)
+        self._say(f"recording {number} topic{'' if number == 1 else 's'}")
+        if first and self._poller is not None:
+            self._poller.start()
+            self._registration.start()
+        return "" if current is None else current.name
+
+    def stop(self, topics: Topics = ()) -> list[TopicReport]:
+        """End the run, or record some topics no more; what had come is read and stored first.
+
+        Returns:
+            What became of the topics so far, in all runs of this object together.
+
+        Raises:
+            InvalidName: A topic is not recorded.
+        """
+        wanted = self._recorded(topics)
+        with self._mutex:
+            if topics:
+                self._leave(wanted)
+                self._left.update(wanted)
+                return self.reports()
+            self._active = False
+            self._leave(self._subscriptions.topics)
+            for thread in self._contexts:
+                thread.join(CONTEXT_SEC)
+            self._contexts.clear()
+            self._series.end(self._gives_up)
+            return self.reports()
+
+    def pause(self, topics: Topics = ()) -> None:
+        """Leave out what comes on some topics, none named = on all; subscriptions stand.
+
+        Raises:
+            InvalidName: A topic is not recorded.
+        """
+        self._paused.update(self._recorded(topics))
+        self._all_paused = self._all_paused or not topics
+
+    def resume(self, topics: Topics = ()) -> None:
+        """Take what comes on some topics again, none named = on all.
+
+        Raises:
+            InvalidName: A topic is not recorded.
+        """
+        wanted = self._recorded(topics)
+        if self._all_paused:
+            self._all_paused = False
+            self._paused = set(self._subscriptions.topics)
+        self._paused.difference_update(wanted)
+        if not topics:
+            self._paused.clear()
+
+    @property
+    def run(self) -> str:
+        """Name of the run that is being recorded; '' = none."""
+        current = self._series.current
+        return "" if current is None else current.name
+
+    def status(self) -> Status:
+        """Tell how it goes."""
+        current, snapshots = self._series.current, self._snapshots
+        subscribed = self._subscriptions.topics
+        held = 0 if current is None else current.held_bytes
+        state = RECORDING if current is not None else STOPPED
+        status = Status(
+            state,
+            self.run,
+            0 if current is None else current.writer_id,
+            self.reports(),
+            subscribed,
+            sorted(subscribed if self._all_paused else self._paused),
+            held,
+            self._options.buffsize,
+        )
+        if snapshots is None:
+            return status
+        ring = snapshots.ring
+        return replace(
+            status,
+            state=SNAPSHOT if self._active else STOPPED,
+            topics=snapshots.counts(),
+            held_bytes=ring.nbytes,
+            held_sec=ring.seconds,
+            held_messages=len(ring),
+        )
+
+    def snapshot(
+        self,
+        *,
+        name: str = "",
+        labels: Optional[Mapping[str, str]] = None,
+        after: float = 0.0,
+        topics: Topics = (),
+    ) -> tuple[str, int]:
+        """Write what is kept in memory as a run of its own.
+
+        Args:
+            name: Of the run; '' = as the options say.
+            labels: Of the run, beside those of the options.
+            after: Seconds: what comes in them goes into the run, too; it is then written in the
+                background. With 0.0 everything is stored or lost when this returns.
+            topics: Only these; none = all.
+
+        Returns:
+            The name of the run, and how many messages were kept for it.
+
+        Raises:
+            InvalidOption: Nothing is kept (option snapshot), or too many are being written.
+            InvalidName: A topic is not recorded.
+        """
+        if self._snapshots is None:
+            raise InvalidOption(
+                "no messages are kept in memory: start the recorder with --snapshot 30s, say"
+            )
+        if not 0.0 <= after <= 86400.0:
+            raise InvalidOption(f"after={after!r:.40} is no number of seconds of 0 to 86400")
+        wanted = self._recorded(topics)
+        recording, kept = self._snapshots.write(name, labels or {}, after, wanted)
+        self._say(f"snapshot {recording.name}: {kept} messages")
+        return recording.name, kept
+
+    def reports(self) -> list[TopicReport]:
+        """Describe what became of each topic so far, in all runs together."""
+        written = [] if self._snapshots is None else list(self._snapshots.reports)
+        silent = self._silent | self._subscriptions.unheard()
+        return [
+            replace(report, published=report.topic not in silent or report.received > 0)
+            for report in merge_reports([self._series.reports(), *written])
+        ]
 
     def wait(self, timeout_sec: Optional[float] = None) -> bool:
-        """Wait until duration or limit has ended the recording; say whether that is so."""
+        """Wait until duration, size or limit has ended the recording; say whether that is so."""
         return self._done.wait(timeout_sec)
 
     def interrupt(self) -> None:
@@ -89,48 +275,18 @@ class Recorder:
         self._hurry.set()
 
     def close(self) -> list[TopicReport]:
-        """Read what is on its way, store it, and report on each topic."""
+        """End the run as stop does, and everything else; report on all of its runs."""
         self._done.set()
         self._registration.stop()
-        if self._poller.is_alive():
+        if self._poller is not None and self._poller.is_alive():
             self._poller.join(JOIN_SEC)
-        recording = self._recording
-        if recording is None:
-            return []
-        topics = self._subscriptions.topics
-        self._subscriptions.drain(topics, recording.count, lambda: self._interrupts > 1)
-        return self._final(self._close(recording))
-
-    def _close(self, recording: Recording) -> list[TopicReport]:
-        """Let a recording store what it has, unless it is interrupted again."""
-        # On another thread: it waits for a store that may be away, and hears no signal.
-        closing = threading.Thread(target=recording.close, name="recorder-close", daemon=True)
-        closing.start()
-        tell_at: float = time.monotonic() + PATIENCE_SEC
-        while closing.is_alive():
-            closing.join(0.05)
-            if self._interrupts > 1:
-                _log.warning("interrupted again: what is not stored yet is lost")
-                return recording.reports(final=True)
-            if time.monotonic() > tell_at or self._rosCas.cassandra.outage.seconds:
-                messages, nbytes = recording.waiting()
-                if messages and tell_at < math.inf:
-                    tell_at = math.inf
-                    _log.warning(
-                        "%d messages (%.1f MB) wait for the store; they are dropped if this is "
-                        "interrupted again (a second Ctrl-C)",
-                        messages,
-                        nbytes / 1e6,
-                    )
-        return recording.close()  # what it had returned, or raised, on that thread
-
-    def _final(self, reports: list[TopicReport]) -> list[TopicReport]:
-        """Note in the reports which topics nobody ever published."""
-        silent = self._subscriptions.unheard()
-        return [
-            replace(report, published=report.topic not in silent or report.received > 0)
-            for report in reports
-        ]
+        self.stop()
+        if self._snapshots is not None:
+            while not self._snapshots.close(timeout_sec=0.2) and not self._gives_up():
+                pass
+        if self._publisher is not None:
+            self._publisher.unregister()
+        return self.reports()
 
     def __enter__(self) -> Recorder:
         self.start()
@@ -139,63 +295,159 @@ class Recorder:
     def __exit__(self, *exc_info: object) -> None:
         self.close()
 
-    def _begin(self, name: str) -> Recording:
-        options = self._options
-        return Recording(
-            self._rosCas,
-            clock=now_ns,
-            format=options.format,
-            node=options.node_id,
-            buffer_bytes=options.buffsize,
-            limit=options.limit,
-            ttl=options.ttl,
-            name=name,
-        )
+    # ---------------------------------------------------------------- topics
 
-    def _received(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
-        recording = self._recording
-        if recording is not None:
-            recording.received(topic, header, wire)
+    def _recorded(self, topics: Topics) -> list[str]:
+        """Return the names of topics that are recorded, or raise InvalidName."""
+        names, known = [], self._subscriptions.topics
+        for topic in topics:
+            name = str(rospy.resolve_name(check_ros_name(topic)))
+            if name not in known:
+                near = difflib.get_close_matches(name, known, n=3)
+                hint = f"did you mean {', '.join(near)}?" if near else f"{len(known)} topics are"
+                raise InvalidName(f"topic {name} is not recorded; {hint}")
+            names.append(name)
+        return names
 
-    def _unheard(self, topic: str, first_ns: int, last_ns: int) -> None:
-        recording = self._recording
-        if recording is not None:
-            recording.unheard(topic, first_ns, last_ns)
+    def _subscribe_chosen(self, wanted: Sequence[str]) -> None:
+        if wanted:
+            for topic in wanted:
+                self._subscribe(topic)
+            return
+        if not self._options.regex:
+            for name in self._options.topics:
+                topic = rospy.resolve_name(name)
+                if not self._options.excludes(topic):
+                    self._subscribe(topic)
+            self._subscriptions.warn_of_names()
+        self._discover(announce=False)
 
     def _subscribe(self, topic: str) -> None:
-        if self._recording is not None:
-            self._recording.expect(topic)
+        self._series.expect(topic)
+        if self._snapshots is not None:
+            self._snapshots.expect(topic)
         self._subscriptions.add(topic)
 
+    def _leave(self, topics: Collection[str]) -> None:
+        """Read topics to their end and unsubscribe; what could not be read counts as lost."""
+        unread = self._subscriptions.drain(topics, self._series.count, self._gives_up)
+        current = self._series.current
+        for topic in unread:
+            if current is not None:
+                now = current.now()
+                current.lose(topic, LossKind.NOT_READ, 1, now, now)
+        self._silent |= self._subscriptions.unheard().intersection(topics)
+        self._subscriptions.remove(topics)
+        self._paused.difference_update(topics)
+
+    def _gives_up(self) -> bool:
+        return self._interrupts > 1
+
+    # ---------------------------------------------------------------- messages
+
+    def _received(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
+        if self._own is not None and self._own.said(topic, header, wire):
+            return
+        paused = self._all_paused or topic in self._paused
+        sink = self._series if self._snapshots is None else self._snapshots
+        sink.received(topic, header, wire, paused=paused)
+
+    def _unheard(self, topic: str, first_ns: int, last_ns: int) -> None:
+        current = self._series.current
+        if current is not None:
+            current.unheard(topic, first_ns, last_ns)
+
+    def _begun(self, recording: Recording) -> None:
+        """Tell of a run that begins, and keep what stands around it."""
+        running = [thread for thread in self._contexts if thread.is_alive()]
+        self._contexts = [*running, keep_context(recording)]
+        if self._options.publish:
+            if self._publisher is None:
+                self._publisher = rospy.Publisher("begin_write", String, latch=True, queue_size=10)
+            self._publisher.publish(String(recording.name))
+        self._say(f"run {recording.name}")
+
+    # ---------------------------------------------------------------- time
+
     def _poll(self) -> None:
-        """Look after new topics, the limit and the end, on a thread of its own."""
+        """Look after new topics, the limit, splits and the end, on a thread of its own."""
         while not self._done.wait(POLL_SEC):
-            if self._options.discovers:
-                self._discover(announce=True)
-            if self._is_complete() or time.monotonic() >= self._ends:
-                self._done.set()
+            with self._mutex:
+                if self._done.is_set() or not self._active:
+                    continue
+                try:
+                    self._discover(announce=True)
+                    if self._is_complete() or self._series.poll():
+                        self._done.set()
+                except CassandraRosError as exc:
+                    _log.error("the recorder could not look after its topics: %s", exc)
 
     def _discover(self, announce: bool) -> None:
         try:
-            published = published_topics()
+            found = published_topics() if self._options.discovers else []
+            chosen = [topic for topic in found if self._options.chooses(topic)]
+            chosen += self._of_node()
         except MASTER_ERRORS as exc:
             _log.debug("new topics are not seen: %s", exc)  # the registration warns
             self._done.wait(1.0)
             return
         known = self._left.union(self._subscriptions.topics)
-        for topic in published:
-            if topic not in known and self._options.chooses(topic):
+        for topic in chosen:
+            if topic not in known:
                 if announce:
                     self._say(f"recording {topic}, too")
                 self._subscribe(topic)
 
+    def _of_node(self) -> Iterable[str]:
+        """Return the topics that the node of option --node subscribes to, from time to time."""
+        now = time.monotonic()
+        if not self._options.node or now < self._asked_node + NODE_POLL_SEC:
+            return ()
+        first, self._asked_node = not self._asked_node, now
+        node = rospy.resolve_name(self._options.node)
+        found = subscribed_topics(node)
+        if first and not found:
+            _log.warning("node %s subscribes to nothing yet, or is not there", node)
+        return [topic for topic in found if not self._options.excludes(topic)]
+
     def _is_complete(self) -> bool:
         """Leave the topics that reached the limit; say whether all have."""
-        recording = self._recording
         topics = self._subscriptions.topics
-        if not (self._options.limit and topics) or recording is None:
+        if not (self._options.limit and topics):
             return False
-        complete = [topic for topic in topics if recording.is_complete(topic)]
+        complete = [topic for topic in topics if self._series.is_complete(topic)]
         self._left.update(complete)
         self._subscriptions.remove(complete)
         return len(complete) == len(topics)
+
+
+class _Own:
+    """Knows what a recorder of all topics says itself: that is not recorded.
+
+    Args:
+        name: Full name of its node.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def said(self, topic: str, header: Mapping[str, str], wire: bytes) -> bool:
+        """Say whether a message is our own: by its publisher, on /rosout_agg by Log.name."""
+        if header.get("callerid") == self._name:
+            return True
+        return topic == "/rosout_agg" and log_name(wire) == self._name
+
+
+_U32 = struct.Struct("<I").unpack_from
+_FRAME_ID = 12
+"""Where the length of header.frame_id stands in a message with a Header."""
+
+
+def log_name(wire: bytes) -> str:
+    """Return the name in a serialised rosgraph_msgs/Log; '' where it is none."""
+    try:
+        # header.seq, header.stamp, header.frame_id, byte level, string name
+        at = _FRAME_ID + 4 + _U32(wire, _FRAME_ID)[0] + 1
+        return wire[at + 4 : at + 4 + _U32(wire, at)[0]].decode("utf-8", "replace")
+    except struct.error:
+        return ""

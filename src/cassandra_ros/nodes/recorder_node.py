@@ -1,30 +1,55 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Node recorder: its name, its signals; class Recorder does the work."""
+"""Node recorder: its name, parameters, signals and services; class Recorder does the work."""
 
 from __future__ import annotations
 
 import logging
 import signal
+import time
 from types import FrameType
-from typing import Optional, Sequence
+from typing import Callable, Mapping, Optional, Sequence
 
 import rospy
 
+from cassandra_ros.nodes.diagnostics import Diagnostics
 from cassandra_ros.nodes.node import REMAP, follow_clock, forward_logging, own_name
 from cassandra_ros.nodes.recorder import POLL_SEC, Recorder, Say
+from cassandra_ros.nodes.recorder_services import serve
 from cassandra_ros.recording.counts import TopicReport
 from cassandra_ros.recording.options import RecorderOptions
+from cassandra_ros.recording.status import Rates, Status
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
 
+TICK_SEC = 1.0
+Show = Callable[[Status, Rates], None]
+
+
+def start_node(argv: Sequence[str]) -> Mapping[str, object]:
+    """Become /recorder where that name is free, else an anonymous one; return its parameters."""
+    name, full_name, taken = own_name("recorder", argv)
+    # A name that is given forbids an anonymous one.
+    words = [word for word in argv if not (taken and word.startswith(REMAP))]
+    rospy.init_node(name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True)
+    forward_logging()
+    follow_clock()
+    if taken:
+        _log.warning("a node %s runs already; this one is %s", full_name, rospy.get_name())
+    given = rospy.get_param("~", {})
+    return given if isinstance(given, dict) else {}
+
 
 def record(
-    ros_cas: RosCassandra, options: RecorderOptions, argv: Sequence[str], say: Say
+    ros_cas: RosCassandra, options: RecorderOptions, say: Say, show: Optional[Show] = None
 ) -> list[TopicReport]:
-    """Record until a signal, the master, the duration or the limit ends it; report each topic."""
-    _start_node(argv)
+    """Record until a signal, the master or the options end it; report on each topic.
+
+    Args:
+        say: Called with each line for people who watch.
+        show: Called each second with how it goes.
+    """
     recorder = Recorder(ros_cas, options, say=say)
 
     def signalled(number: int, frame: Optional[FrameType]) -> None:
@@ -35,9 +60,12 @@ def record(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signalled)
     try:
+        serve(recorder)
+        say(f"services under {rospy.get_name()}")
         recorder.start()
+        tick = _ticker(recorder, ros_cas, options, show)
         while not (signals or rospy.is_shutdown() or recorder.wait(POLL_SEC)):
-            pass
+            tick()
         return recorder.close()
     except BaseException:
         recorder.interrupt()
@@ -47,14 +75,23 @@ def record(
         rospy.signal_shutdown("the recording has ended")
 
 
-def _start_node(argv: Sequence[str]) -> str:
-    """Become /recorder where that name is free, else a node of an anonymous name."""
-    name, full_name, taken = own_name("recorder", argv)
-    # A name that is given forbids an anonymous one.
-    words = [word for word in argv if not (taken and word.startswith(REMAP))]
-    rospy.init_node(name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True)
-    forward_logging()
-    follow_clock()
-    if taken:
-        _log.warning("a node %s runs already; this one is %s", full_name, rospy.get_name())
-    return str(rospy.get_name())
+def _ticker(
+    recorder: Recorder, ros_cas: RosCassandra, options: RecorderOptions, show: Optional[Show]
+) -> Callable[[], None]:
+    """Return what tells once a second how it goes, however often it is called."""
+    diagnostics = Diagnostics(ros_cas) if options.diagnostics else None
+    rates, due = Rates(), time.monotonic()
+
+    def tick() -> None:
+        nonlocal due
+        if time.monotonic() < due or (diagnostics is None and show is None):
+            return
+        due = time.monotonic() + TICK_SEC
+        status = recorder.status()
+        rates.update(status)
+        if diagnostics is not None:
+            diagnostics.publish(status, rates)
+        if show is not None:
+            show(status, rates)
+
+    return tick

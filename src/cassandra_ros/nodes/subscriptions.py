@@ -136,6 +136,12 @@ def published_topics() -> list[str]:
     return [topic for topic, _ in published]
 
 
+def subscribed_topics(node: str) -> list[str]:
+    """List the topics that a node subscribes to; raises one of MASTER_ERRORS."""
+    _, _, (_, subscribers, _) = rospy.get_master().getSystemState()
+    return [topic for topic, nodes in subscribers if node in nodes]
+
+
 def _publishers(topics: Optional[Collection[str]]) -> dict[str, int]:
     """Return how many publishers each topic has, where it has any; None = of all topics."""
     try:

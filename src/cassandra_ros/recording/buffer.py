@@ -119,6 +119,12 @@ class Buffer:
                 self._changed.notify()
         return dropped
 
+    def wait_for_room(self, nbytes: int) -> None:
+        """Return when a message of this size fits without another one being dropped for it."""
+        with self._changed:
+            while self.held_bytes and self.held_bytes + nbytes + ITEM_BYTES > self._bound // 2:
+                self._changed.wait(0.05)
+
     def take(self, most: int, most_bytes: int, timeout_sec: float) -> list[Item]:
         """Take the oldest, at least one, until a bound is met; [] after the timeout or a wake."""
         taken: list[Item] = []

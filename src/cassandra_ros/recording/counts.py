@@ -8,23 +8,24 @@ import logging
 import struct
 import threading
 import time
-from collections import defaultdict
-from dataclasses import dataclass, field
-from typing import Mapping, Optional
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field, replace
+from typing import Iterable, Mapping, Optional, Sequence
 
 from cassandra_ros.recording.buffer import Feed
+from cassandra_ros.recording.losses import LossLog
+from cassandra_ros.store.registry import LossKind
 
 _log = logging.getLogger(__name__)
 
 REPORT_SEC = 10.0
 """A topic that loses messages is warned of at once, then at most this often."""
-MAX_REASONS = 5
 MAX_SEQUENCES = 1024
 """Publishers of a topic whose numbers are followed: anonymous ones come without end."""
-LEFT_OVER = "the recorder ended before they were stored"
-
 MIN_STEPS = 4
 """Fewer numbers do not show whether they are those of a counter."""
+_NEVER_CAME = (LossKind.NOT_READ, LossKind.UNHEARD)
+"""Losses of messages that were never received."""
 _JUMP = 100_000
 """A sequence number that leaps further was set anew, nothing was lost."""
 _sequence = struct.Struct("<I").unpack_from
@@ -39,8 +40,10 @@ class TopicReport:
     received: int
     stored: int
     lost: int
-    reasons: Mapping[str, int]
-    """Why messages were lost → how many."""
+    reasons: Mapping[LossKind, int]
+    """Why messages were lost → how many; 0 = nobody knows how many."""
+    details: Mapping[LossKind, str]
+    """A sentence about the first loss of a kind, where there is one."""
     gaps: Optional[int]
     """Numbers of header.seq that never came here: not sent, or lost on the way to us.
 
@@ -53,6 +56,54 @@ class TopicReport:
     """How long publishers may have sent what never came here, for the master had forgotten us."""
     published: bool = True
     """Whether something came, or a publisher was connected at some time."""
+    left_out: int = 0
+    """Messages that were left out on purpose: by a condition, or above a rate."""
+    paused: int = 0
+    """Messages that came while their recording was paused."""
+    last: float = 0.0
+    """When the last message came, by time.monotonic(); 0 = none came."""
+
+    @property
+    def waiting(self) -> int:
+        """Messages that are to be stored, and are neither stored nor lost."""
+        lost = sum(n for kind, n in self.reasons.items() if kind not in _NEVER_CAME)
+        return self.received - self.left_out - self.paused - self.stored - lost
+
+    def plus(self, later: TopicReport) -> TopicReport:
+        """Return one of this and a later run together."""
+        add: Counter[LossKind] = Counter(self.reasons)
+        add.update(later.reasons)
+        gaps = [report.gaps for report in (self, later) if report.gaps is not None]
+        messages = self.received + later.received
+        spans = [(r.received, r.rate_hz) for r in (self, later) if r.rate_hz > 0]
+        seconds = sum(received / rate for received, rate in spans)
+        return replace(
+            self,
+            types=tuple(sorted({*self.types, *later.types})),
+            received=messages,
+            stored=self.stored + later.stored,
+            lost=self.lost + later.lost,
+            reasons=dict(add),
+            details={**later.details, **self.details},
+            gaps=sum(gaps) if gaps else None,
+            bytes=self.bytes + later.bytes,
+            rate_hz=sum(received for received, _ in spans) / seconds if seconds else 0.0,
+            unheard_sec=self.unheard_sec + later.unheard_sec,
+            published=self.published or later.published,
+            left_out=self.left_out + later.left_out,
+            paused=self.paused + later.paused,
+            last=max(self.last, later.last),
+        )
+
+
+def merge_reports(runs: Iterable[Sequence[TopicReport]]) -> list[TopicReport]:
+    """Return a report for each topic of several runs, in the order of the runs; sorted by name."""
+    found: dict[str, TopicReport] = {}
+    for reports in runs:
+        for report in reports:
+            known = found.get(report.topic)
+            found[report.topic] = report if known is None else known.plus(report)
+    return [found[name] for name in sorted(found)]
 
 
 @dataclass
@@ -62,7 +113,8 @@ class _Topic:
     nbytes: int = 0
     first: float = 0.0
     last: float = 0.0
-    lost: dict[str, int] = field(default_factory=dict)
+    left_out: int = 0
+    paused: int = 0
     warned: float = -REPORT_SEC
     sequences: dict[str, _Sequence] = field(default_factory=dict)
     unheard: float = 0.0
@@ -114,11 +166,18 @@ class _Sequence:
 
 
 class Counts:
-    """Counts by topic. Thread-safe."""
+    """Counts by topic. Thread-safe.
 
-    def __init__(self) -> None:
+    Args:
+        losses: Keeps what was lost.
+    """
+
+    def __init__(self, losses: LossLog) -> None:
+        self._losses = losses
         self._topics: defaultdict[str, _Topic] = defaultdict(_Topic)
         self._mutex = threading.Lock()
+        self.total_bytes = 0
+        """Serialised bytes of all messages that arrived."""
 
     def expect(self, topic: str) -> None:
         """List a topic from which nothing may come."""
@@ -140,61 +199,93 @@ class Counts:
             counted.last = now
             counted.received += 1
             counted.nbytes += len(wire)
+            self.total_bytes += len(wire)
 
     def attribute(self, topic: str, wire: bytes, feed: Feed) -> None:
         """Note the connection over which a message arrived, and its sequence number."""
-        connection = feed.source.connection
+        source = feed.source
         with self._mutex:
             counted = self._topics[topic]
-            counted.types.add(connection.type)
-            if feed.source.has_header and len(wire) >= 4:
-                counted.sequence(connection.callerid).see(_sequence(wire, 0)[0], feed)
+            counted.types.add(source.connection.type)
+            if source.has_header and len(wire) >= 4:
+                number = _sequence(wire, 0)[0]
+                counted.sequence(source.connection.callerid).see(number, feed)
 
-    def lost(self, topic: str, messages: int, reason: str) -> None:
-        """Count messages that will not be stored."""
+    def leave_out(self, topic: str, paused: bool) -> None:
+        """Count a message that arrived and is not to be stored."""
+        with self._mutex:
+            counted = self._topics[topic]
+            counted.paused += paused
+            counted.left_out += not paused
+
+    def lost(
+        self,
+        topic: str,
+        messages: int,
+        kind: LossKind,
+        t: int,
+        detail: str = "",
+        last: Optional[int] = None,
+    ) -> None:
+        """Count messages that will not be stored.
+
+        Args:
+            messages: How many; 0 = nobody knows.
+            t, last: When the first and the last of them came, ns; last None = as t.
+            detail: A sentence, where the kind does not say it all.
+        """
+        total = self._losses.add(topic, kind, messages, t, t if last is None else last, detail)
         now = time.monotonic()
         with self._mutex:
             counted = self._topics[topic]
-            known = reason in counted.lost or len(counted.lost) < MAX_REASONS
-            reason = reason if known else "other reasons"
-            counted.lost[reason] = counted.lost.get(reason, 0) + messages
-            total = sum(counted.lost.values())
-            if now - counted.warned < REPORT_SEC:
+            if not messages or now - counted.warned < REPORT_SEC:
                 return
             counted.warned = now
-        _log.warning("topic %s: %d messages lost so far: %s", topic, total, reason)
+        why = f"{kind.value}: {detail}" if detail else kind.value
+        _log.warning("topic %s: %d messages lost so far: %s", topic, total, why)
 
     def of(self, topic: str) -> int:
         """Return how many messages of a topic arrived."""
         with self._mutex:
             return self._topics[topic].received if topic in self._topics else 0
 
-    def reports(self, stored: Mapping[str, int], final: bool) -> list[TopicReport]:
-        """Describe all topics, sorted by name, beside the messages that the store acknowledged.
-
-        ``final``: Nothing is on its way any more: what is neither stored nor lost is lost.
-        """
+    def kept(self, topic: str) -> int:
+        """Return how many messages of a topic arrived and were not left out."""
         with self._mutex:
-            names = sorted(self._topics)
-            return [_report(n, self._topics[n], stored.get(n, 0), final) for n in names]
+            counted = self._topics.get(topic)
+            if counted is None:
+                return 0
+            return counted.received - counted.left_out - counted.paused
 
+    def settle(self, stored: Mapping[str, int], t: int) -> None:
+        """Count as lost what is neither stored nor lost: nothing is on its way any more."""
+        for report in self.reports(stored):
+            if report.waiting > 0:
+                self.lost(report.topic, report.waiting, LossKind.AT_END, t)
 
-def _report(name: str, counted: _Topic, stored: int, final: bool) -> TopicReport:
-    reasons = dict(counted.lost)
-    left = counted.received - stored - sum(reasons.values())
-    if final and left > 0:
-        reasons[LEFT_OVER] = left
-    gaps = [s.gaps for s in counted.sequences.values() if s.gaps is not None]
-    span = counted.last - counted.first
-    return TopicReport(
-        topic=name,
-        types=tuple(sorted(counted.types)),
-        received=counted.received,
-        stored=stored,
-        lost=sum(reasons.values()),
-        reasons=reasons,
-        gaps=counted.past_gaps + sum(gaps) if gaps else None,
-        bytes=counted.nbytes,
-        unheard_sec=counted.unheard,
-        rate_hz=(counted.received - 1) / span if span > 0 else 0.0,
-    )
+    def reports(self, stored: Mapping[str, int]) -> list[TopicReport]:
+        """Describe all topics, sorted by name, beside the messages that the store acknowledged."""
+        with self._mutex:
+            return [self._report(name, stored.get(name, 0)) for name in sorted(self._topics)]
+
+    def _report(self, name: str, stored: int) -> TopicReport:
+        counted = self._topics[name]
+        lost = self._losses.of(name)
+        gaps = [s.gaps for s in counted.sequences.values() if s.gaps is not None]
+        span = counted.last - counted.first
+        return TopicReport(
+            topic=name,
+            types=tuple(sorted(counted.types)),
+            received=counted.received,
+            stored=stored,
+            lost=sum(lost.values()),
+            reasons=lost,
+            details=self._losses.details(name),
+            gaps=counted.past_gaps + sum(gaps) if gaps else None,
+            bytes=counted.nbytes,
+            unheard_sec=counted.unheard,
+            rate_hz=(counted.received - 1) / span if span > 0 else 0.0,
+            left_out=counted.left_out,
+            paused=counted.paused,
+            last=counted.last,
+        )

@@ -10,21 +10,24 @@ cannot be stored, is counted by topic and reason.
 from __future__ import annotations
 
 import logging
-import math
-import queue
 import threading
 import time
 import weakref
-from collections import Counter, deque
+from collections import Counter
 from functools import partial
-from typing import Callable, Mapping, Optional
+from typing import Callable, Iterable, Mapping, MutableMapping, Optional, Sequence, Tuple
 
-from cassandra_ros.errors import CassandraRosError, ClockNotSet, SchemaConflict, StoreUnavailable
+from cassandra_ros.errors import CassandraRosError, ClockNotSet, StoreUnavailable
 from cassandra_ros.keys import COUNTER_BITS, SECOND_NS, new_writer_id
 from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.recording.buffer import Buffer, Feed, Item, Source
 from cassandra_ros.recording.counts import Counts, TopicReport
-from cassandra_ros.store.registry import Loss, LossKind, Run
+from cassandra_ros.recording.filters import Filters
+from cassandra_ros.recording.losses import LossLog
+from cassandra_ros.recording.settings import Settings, TopicSettings
+from cassandra_ros.recording.tables import TableMaker, connect
+from cassandra_ros.store.registry import LossKind, Run
+from cassandra_ros.store.run_context import RunContext
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 
@@ -34,30 +37,42 @@ DEFAULT_BUFFER_BYTES = 256 * 1024 * 1024
 BATCH_ITEMS = 256
 BATCH_BYTES = 1024 * 1024
 POLL_SEC = 0.05
-PAUSE_SEC = 1.0
-MAX_CONFLICTS = 5
-"""A schema lock may be held by others for a while; a table of another kind stays one."""
-LAST_TRIES_SEC = 20.0
-"""How long a store that does not answer is waited for when the recorder ends."""
 GIVE_UP_SEC = 300.0
 """How long the writing of one message is tried."""
 MAX_FEEDS = 4096
 """Connections remembered by their header object; publishers come and go for days."""
+LAST_WORD_SEC = 2.0
+"""How long a recorder that drops what waits tries to tell the store so."""
+SAVE_SEC = 2.0
+"""How often losses are written while messages are being lost."""
+MAX_STEP_BACK_NS = SECOND_NS
+"""A clock that goes back further is warned of."""
+
+_Sources = MutableMapping[Tuple[str, bytes], Source]
+Kept = Tuple[str, Mapping[str, str], bytes, int]
+"""Topic, connection header, serialised message and time of arrival, ns."""
 
 
 class Recording:
-    """Stores messages as they arrive.
+    """Stores messages as they arrive: one run.
 
     Args:
         ros_cas: A RosCassandra connected to a keyspace.
         clock: Returns the time of arrival, ns; raises ClockNotSet while it is unknown.
-        format: As addTopic takes it, for all topics.
+        format: As addTopic takes it, for topics of which the settings say nothing.
+        settings: How each topic is recorded; None = as ``format`` says.
+        filters: Which messages are left out; None = those that the settings say.
         node: The robot or entity that is recorded.
         buffer_bytes: Bound of all messages that wait; the oldest are dropped. 0 = none.
         limit: Record only so many messages of each topic; 0 = all.
-        ttl: Seconds until a message expires; 0 = never.
-        name: Name of the run in the store.
+        before: Messages by topic that count for the limit already.
+        name, labels: Of the run in the store.
+        restored: Messages that ``restore`` will bring: they come before those that arrive.
     """
+
+    refusal = ""
+    """Why nothing may be stored for now: what comes is lost; '' = it may."""
+    _context: Optional[RunContext] = None
 
     def __init__(
         self,
@@ -65,90 +80,170 @@ class Recording:
         *,
         clock: Callable[[], int] = time.time_ns,
         format: Optional[str] = None,
+        settings: Optional[Settings] = None,
+        filters: Optional[Filters] = None,
         node: str = "",
         buffer_bytes: int = DEFAULT_BUFFER_BYTES,
         limit: int = 0,
-        ttl: int = 0,
+        before: Optional[Mapping[str, int]] = None,
         name: str = "",
+        labels: Optional[Mapping[str, str]] = None,
+        restored: int = 0,
     ) -> None:
         self._rosCas = ros_cas
         self._clock = clock
-        self._format, self._node, self._ttl, self._name = format, node, ttl, name
-        self._limit = limit
-        self._buffer_bytes = buffer_bytes
+        self._settings = settings = settings or Settings(TopicSettings(format))
+        self._filters = filters or Filters(settings, node)
+        self.node, self.name, self._labels = node, name, dict(labels or {})
+        self._limit, self._before = limit, dict(before or {})
         self._lock = threading.Lock()
-        self._accepting = True
-        self._counter = 0
+        self._accepting, self._counter, self._latest = True, restored, 0
         self._feeds: dict[int, Feed] = {}
-        # Feeds, queued messages and waiting lists hold the sources that are in use.
-        self._sources: weakref.WeakValueDictionary[tuple[str, bytes], Source]
-        self._sources = weakref.WeakValueDictionary()
-        self._counts = Counts()
-        self._writers = [self._make_writer()]
+        # They are held by feeds, queued messages and waiting lists.
+        self._sources: _Sources = weakref.WeakValueDictionary()
+        self.writer_id = new_writer_id()
+        self._losses = LossLog(node, self.writer_id)
+        self._counts = Counts(self._losses)
+        self._writers = [self._make_writer(self.writer_id)]
         self._buffer = Buffer(buffer_bytes)
+        self._buffer_bytes = buffer_bytes
         self._most_waiting = buffer_bytes // 2 or 2**63
         self._waiting: list[Source] = []
         self._waiting_bytes = 0
-        # Sources whose tables are to be made (None: no more), and those of which that is decided.
-        self._asked: queue.Queue[Optional[Source]] = queue.Queue()
-        self._decided: deque[Source] = deque()
-        self._deadline = math.inf
+        self._tables = TableMaker(self._connect, self._buffer.wake)
+        self._ended = threading.Event()
         ros_cas.cassandra.outage.waiting = self._waiting_for_long
-        self._maker = threading.Thread(
-            target=self._make_tables, name="recorder-tables", daemon=True
-        )
-        self._thread = threading.Thread(target=self._run, name="recorder-writer", daemon=True)
-        self._maker.start()
-        self._thread.start()
+        self._start()
+
+    def _start(self) -> None:
+        self._thread = self._thread_of(self._run, "recorder-writer")
+        self._thread_of(self._keep, "recorder-losses")
+
+    @staticmethod
+    def _thread_of(work: Callable[[], None], name: str) -> threading.Thread:
+        thread = threading.Thread(target=work, name=name, daemon=True)
+        thread.start()
+        return thread
 
     def expect(self, topic: str) -> None:
         """Let a topic appear in the reports even if nothing ever comes."""
         self._counts.expect(topic)
 
+    def received(
+        self, topic: str, header: Mapping[str, str], wire: bytes, *, paused: bool = False
+    ) -> bool:
+        """Take one serialised message that has just arrived. Never waits for the store.
+
+        The header is the same object for all messages of a connection.
+
+        Args:
+            paused: Only count it.
+
+        Returns:
+            Whether it was looked at; False where the recording has ended.
+        """
+        # Stamp and counter together: rospy has a thread per publisher, and the order of the
+        # stamps must be that of the counters.
+        with self._lock:
+            if not self._accepting:
+                return False
+            if self.is_complete(topic):
+                return True
+            self._counts.received(topic, wire)
+            try:
+                lost = self._take(topic, header, wire, paused)
+            except Exception as exc:  # noqa: BLE001 - rospy would only log it: counted
+                self._lose(topic, LossKind.MISTAKE, _mistake(exc))
+                return True
+        for item in lost:
+            self._lose(item.source.topic, LossKind.BUFFER_FULL, "option -b", item.t)
+        return True
+
+    def _take(
+        self, topic: str, header: Mapping[str, str], wire: bytes, paused: bool
+    ) -> Sequence[Item]:
+        """Stamp and queue a message; return what is lost by that."""
+        feed = self._feed(topic, header)
+        self._counts.attribute(topic, wire, feed)
+        if paused:
+            self._counts.leave_out(topic, paused=True)
+            return ()
+        try:
+            t = self._clock()
+        except ClockNotSet as exc:
+            self._lose(topic, LossKind.NO_CLOCK, str(exc), time.time_ns())
+            return ()
+        if t < self._latest - MAX_STEP_BACK_NS:
+            _log.warning(
+                "time went back by %.3f s: what comes now is kept at times that lie before what "
+                "was recorded last",
+                (self._latest - t) / SECOND_NS,
+            )
+        self._latest = t
+        if not self._filters.passes(topic, header, t, wire):
+            self._counts.leave_out(topic, paused=False)
+            return ()
+        if self.refusal:
+            self._lose(topic, LossKind.REFUSED, self.refusal, t)
+            return ()
+        return self._put(feed, t, wire)
+
+    def _put(self, feed: Feed, t: int, wire: bytes) -> Sequence[Item]:
+        counter = self._counter
+        self._counter += 1
+        return self._buffer.put(Item(feed.source, t, counter, wire))
+
+    def follow(self, kept: Kept) -> None:
+        """Take a message that was stamped and filtered already; never waits for the store."""
+        topic, header, wire, t = kept
+        with self._lock:
+            if not self._accepting:
+                return
+            self._counts.received(topic, wire)
+            feed = self._feed(topic, header)
+            self._counts.attribute(topic, wire, feed)
+            lost = self._put(feed, t, wire)
+        for item in lost:
+            self._lose(item.source.topic, LossKind.BUFFER_FULL, "option -b", item.t)
+
+    def restore(self, kept: Iterable[Kept]) -> None:
+        """Take messages that came before the recording began; waits for the store.
+
+        They must be as many as the constructor was told, in the order of their arrival.
+        """
+        for counter, (topic, header, wire, t) in enumerate(kept):
+            with self._lock:
+                self._counts.received(topic, wire)
+                feed = self._feed(topic, header)
+                self._counts.attribute(topic, wire, feed)
+            self._buffer.wait_for_room(len(wire))
+            for item in self._buffer.put(Item(feed.source, t, counter, wire)):
+                self._lose(item.source.topic, LossKind.BUFFER_FULL, "option -b", item.t)
+
     def unheard(self, topic: str, first_ns: int, last_ns: int) -> None:
-        """Note that publishers of a topic may have sent what never came here; waits for the store.
+        """Note that publishers of a topic may have sent what never came here.
 
         Args:
             first_ns, last_ns: When that may have been, ns, both included.
         """
         self._counts.unheard(topic, (last_ns - first_ns) / SECOND_NS)
-        writer, kind = self._writers[0].writer_id, LossKind.UNHEARD
-        loss = Loss(topic, self._node, writer, kind, first_ns, last_ns, 0)
+        self.lose(topic, LossKind.UNHEARD, 0, first_ns, last_ns)
+
+    def lose(self, topic: str, kind: LossKind, messages: int, first_ns: int, last_ns: int) -> None:
+        """Note messages that never came here; 0 = nobody knows how many."""
+        self._counts.lost(topic, messages, kind, first_ns, last=last_ns)
+
+    def now(self) -> int:
+        """Tell the time as messages are stamped, ns; the wall clock's while it is unknown."""
         try:
-            self._rosCas.parts.registry.put_loss(loss)
-        except CassandraRosError as exc:
-            _log.error("a loss of topic %s could not be noted in the store: %s", topic, exc)
+            return self._clock()
+        except ClockNotSet:
+            return time.time_ns()
 
-    def received(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
-        """Take one serialised message that has just arrived. Never waits for the store.
-
-        The header is the same object for all messages of a connection.
-        """
-        # Stamp and counter together: rospy has a thread per publisher, and the order of the
-        # stamps must be that of the counters.
-        with self._lock:
-            if not self._accepting or self.is_complete(topic):
-                return
-            self._counts.received(topic, wire)
-            try:
-                lost = self._take(topic, header, wire)
-            except Exception as exc:  # noqa: BLE001 - rospy would only log it: counted
-                lost = [(topic, _mistake(exc))]
-        for lost_topic, reason in lost:
-            self._counts.lost(lost_topic, 1, reason)
-
-    def _take(self, topic: str, header: Mapping[str, str], wire: bytes) -> list[tuple[str, str]]:
-        """Stamp and queue a message; return topic and reason of what is lost by that."""
-        try:
-            t = self._clock()
-        except ClockNotSet as exc:
-            return [(topic, str(exc))]
-        counter = self._counter
-        self._counter += 1
-        feed = self._feed(topic, header)
-        self._counts.attribute(topic, wire, feed)
-        dropped = self._buffer.put(Item(feed.source, t, counter, wire))
-        return [(item.source.topic, "the buffer was full (option -b)") for item in dropped]
+    def _lose(
+        self, topic: str, kind: LossKind, detail: str, t: Optional[int] = None, messages: int = 1
+    ) -> None:
+        self._counts.lost(topic, messages, kind, self.now() if t is None else t, detail)
 
     def _feed(self, topic: str, header: Mapping[str, str]) -> Feed:
         feed = self._feeds.get(id(header))
@@ -163,7 +258,26 @@ class Recording:
 
     def is_complete(self, topic: str) -> bool:
         """Say whether a topic has all the messages that the limit allows."""
-        return bool(self._limit) and self.count(topic) >= self._limit
+        if not self._limit:
+            return False
+        return self._before.get(topic, 0) + self._counts.kept(topic) >= self._limit
+
+    def kept(self) -> dict[str, int]:
+        """Return how many messages of each topic count for the limit by now."""
+        found = Counter(self._before)
+        for report in self.reports():
+            found[report.topic] += report.received - report.left_out - report.paused
+        return dict(found)
+
+    @property
+    def received_bytes(self) -> int:
+        """Serialised bytes that have come."""
+        return self._counts.total_bytes
+
+    @property
+    def held_bytes(self) -> int:
+        """How much waits for the store, in bytes of memory."""
+        return self._buffer.held_bytes
 
     def count(self, topic: str) -> int:
         """Return how many messages of a topic arrived."""
@@ -172,15 +286,14 @@ class Recording:
     def _run(self) -> None:
         while not self._step():
             pass
-        self._asked.put(None)
-        self._maker.join()
+        self._tables.close()
 
     def _step(self) -> bool:
         """Move some messages on; return whether all are gone."""
         for item in self._buffer.take(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
             self._route(item)
-        while self._decided:
-            source = self._decided.popleft()
+        while self._tables.decided:
+            source = self._tables.decided.popleft()
             self._waiting.remove(source)
             while source.waiting:
                 self._route(self._released(source))
@@ -188,9 +301,9 @@ class Recording:
         for source in self._waiting:
             if not source.submitted and (ending or source.is_ripe()):
                 source.submitted = True
-                self._asked.put(source)
+                self._tables.make(source)
         if ending:  # a store that is gone is not waited for much longer
-            self._deadline = min(self._deadline, time.monotonic() + LAST_TRIES_SEC)
+            self._tables.hurry()
         return ending and not self._waiting
 
     def _route(self, item: Item) -> None:
@@ -202,11 +315,13 @@ class Recording:
             self._waiting_bytes += item.nbytes
             # What waits for tables stays within half of the buffer: topics with one go on.
             while self._waiting_bytes > self._most_waiting and len(source.waiting) > 1:
-                self._buffer.release(self._released(source))
-                self._counts.lost(source.topic, 1, "the buffer was full before its table stood")
+                old = self._released(source)
+                self._buffer.release(old)
+                why = "before its table stood"
+                self._lose(source.topic, LossKind.BUFFER_FULL, why, old.t)
             return
         if source.handle is None:
-            self._counts.lost(source.topic, 1, source.error)
+            self._lose(source.topic, LossKind.NO_TABLE, source.error, item.t)
         else:
             self._write(item, source.handle)
         self._buffer.release(item)
@@ -221,62 +336,67 @@ class Recording:
         source = item.source
         try:
             while len(self._writers) <= generation:
-                self._writers.append(self._make_writer())
+                self._writers.append(self._make_writer(new_writer_id()))
             writer = self._writers[generation]
             if generation:  # the counter ran over: another writer, with handles of its own
-                handle = writer.connect(source.connection)
+                handle = connect(writer, source.connection, None, self._settings)
             writer.write(handle, item.t, counter, item.wire)
         except CassandraRosError as exc:
-            self._counts.lost(source.topic, 1, str(exc))
+            self._lose(source.topic, LossKind.REFUSED, str(exc), item.t)
         except Exception as exc:  # noqa: BLE001 - our mistake: counted, the other topics go on
             _log.exception("a message of topic %s could not be stored", source.topic)
-            self._counts.lost(source.topic, 1, _mistake(exc))
+            self._lose(source.topic, LossKind.MISTAKE, _mistake(exc), item.t)
 
-    def _make_tables(self) -> None:
-        """Give sources their handles, one after the other, on a thread of its own."""
-        for source in iter(self._asked.get, None):
-            if self._decide(source):
-                self._decided.append(source)
-                self._buffer.wake()
-            else:
-                time.sleep(PAUSE_SEC)
-                self._asked.put(source)
+    def _connect(self, source: Source) -> Handle:
+        """Make the table of a source, on the thread of the table maker."""
+        length = source.bucket_length()
+        return connect(self._writers[0], source.connection, length, self._settings)
 
-    def _decide(self, source: Source) -> bool:
-        """Return whether it is decided what becomes of a source."""
-        try:
-            connection, length = source.connection, source.bucket_length()
-            source.handle = self._writers[0].connect(connection, length)
-            return True
-        except (StoreUnavailable, SchemaConflict) as exc:
-            source.conflicts += isinstance(exc, SchemaConflict)
-            if source.conflicts < MAX_CONFLICTS and time.monotonic() <= self._deadline:
-                if not source.told:
-                    _log.warning("topic %s waits for its table: %s", source.topic, exc)
-                source.told = True
-                return False
-            source.error = str(exc)
-        except CassandraRosError as exc:
-            source.error = str(exc)
-        except Exception as exc:  # noqa: BLE001 - our mistake: counted, the other topics go on
-            _log.exception("the table of topic %s could not be made", source.topic)
-            source.error = _mistake(exc)
-        _log.error("topic %s cannot be recorded: %s", source.topic, source.error)
-        return True
-
-    def _make_writer(self) -> MessageWriter:
-        number = new_writer_id()
-        run = Run(self._node, number, "recording", name=self._name, format=self._format or "")
+    def _make_writer(self, number: int) -> MessageWriter:
+        run = Run(
+            self.node,
+            number,
+            "recording",
+            name=self.name,
+            format=self._settings.default.format or "",
+            labels=self._labels,
+        )
         return self._rosCas.messageWriter(
             writer_id=number,
-            format=self._format,
-            nodeID=self._node,
-            ttl=self._ttl,
+            format=self._settings.default.format,
+            nodeID=self.node,
+            ttl=self._settings.default.ttl,
             run=run,
             # The buffer is the bound: a Cassandra that restarts costs nothing while it lasts.
             give_up_after_sec=GIVE_UP_SEC,
-            on_loss=lambda topic, messages, error: self._counts.lost(topic, messages, str(error)),
+            on_loss=self._refused,
         )
+
+    def _refused(self, topic: str, messages: int, error: CassandraRosError) -> None:
+        self._lose(topic, LossKind.REFUSED, str(error), messages=messages)
+
+    def put_context(self, context: RunContext) -> None:
+        """Keep parameters and node graph with the run, in the background."""
+        self._context = context
+
+    def _keep(self) -> None:
+        """Write losses and the context, on a thread of its own, until the end."""
+        while not self._ended.wait(SAVE_SEC):
+            self._save()
+
+    def _save(self) -> None:
+        registry = self._rosCas.parts.registry
+        try:
+            if self._context is not None:
+                context, self._context = self._context, None
+                registry.put_context(self.writer_id, self.node, context)
+            for loss in self._losses.unsaved():
+                registry.put_loss(loss)
+                self._losses.saved(loss)
+        except StoreUnavailable as exc:
+            _log.debug("losses are written later: %s", exc)
+        except CassandraRosError as exc:
+            _log.warning("losses or parameters of the run cannot be kept: %s", exc)
 
     def stop(self, timeout_sec: Optional[float] = None) -> bool:
         """Take no more messages and store what is here; say whether all is stored or lost.
@@ -292,17 +412,19 @@ class Recording:
     def close(self) -> list[TopicReport]:
         """Stop, close the buckets, note the end of the run; return the final report."""
         self.stop()
-        for writer in self._writers:
-            _try_to(writer.flush)
-        lost = {report.topic: report.lost for report in self.reports(final=True) if report.lost}
+        if not self._ended.is_set():
+            for writer in self._writers:
+                _try_to(writer.flush)
+            self._settle()
+            self._save()
+        lost = {report.topic: report.lost for report in self.reports() if report.lost}
         for writer in self._writers:
             _try_to(partial(writer.close, lost))
-        return self.reports(final=True)
+        return self.reports()
 
     def waiting(self) -> tuple[int, int]:
         """Return how many messages wait for the store, and about how many bytes they take."""
-        reports = self.reports()
-        messages = sum(r.received - r.stored - r.lost for r in reports)
+        messages = sum(report.waiting for report in self.reports())
         nbytes = self._buffer.held_bytes + sum(w.pending_bytes for w in list(self._writers))
         return max(messages, 0), nbytes
 
@@ -319,12 +441,26 @@ class Recording:
             f"being sent is dropped after {GIVE_UP_SEC:.0f} s"
         )
 
-    def reports(self, final: bool = False) -> list[TopicReport]:
-        """Describe what became of each topic; ``final`` counts what is on its way as lost."""
+    def abandon(self) -> list[TopicReport]:
+        """Count as lost what is not stored by now, and wait for nothing; return the report."""
+        self._settle()
+        # The store is told if it answers; the process may end meanwhile.
+        self._thread_of(self._save, "recorder-losses").join(LAST_WORD_SEC)
+        return self.reports()
+
+    def _settle(self) -> None:
+        self._ended.set()
+        self._counts.settle(self._stored(), self._latest or time.time_ns())
+
+    def reports(self) -> list[TopicReport]:
+        """Describe what became of each topic so far."""
+        return self._counts.reports(self._stored())
+
+    def _stored(self) -> Counter[str]:
         stored: Counter[str] = Counter()
         for writer in self._writers:
             stored.update({topic: part.stored for topic, part in writer.stats().items()})
-        return self._counts.reports(stored, final)
+        return stored
 
 
 def _mistake(exc: Exception) -> str:

@@ -1,0 +1,145 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the recorder shows: a line while it runs, a table at the end, a plan before."""
+
+from __future__ import annotations
+
+import shutil
+from typing import TYPE_CHECKING, Optional, Sequence, TextIO
+
+from cassandra_ros.cli.text import format_bytes, format_table, shown
+
+if TYPE_CHECKING:
+    from cassandra_ros.recording.counts import TopicReport
+    from cassandra_ros.recording.options import RecorderOptions
+    from cassandra_ros.recording.plan import PlannedTopic
+    from cassandra_ros.recording.status import Rates, Status
+
+_CLEAR = "\r\033[K"
+
+
+class StatusLine:
+    """One line at the bottom of a terminal that tells how it goes.
+
+    Args:
+        terminal: Where it is shown; None = it is not.
+    """
+
+    def __init__(self, terminal: Optional[TextIO]) -> None:
+        self._terminal = terminal
+        self._stands = False
+
+    @property
+    def shows(self) -> bool:
+        """Whether there is a terminal."""
+        return self._terminal is not None
+
+    def say(self, text: str, quiet: bool) -> None:
+        """Print a line above the status."""
+        if not quiet:
+            print((_CLEAR if self._stands else "") + text, flush=True)
+        self._stands = False
+
+    def show(self, status: Status, rates: Rates) -> None:
+        """Show how it goes now."""
+        if self._terminal is not None:
+            width = shutil.get_terminal_size().columns - 1
+            self._terminal.write(_CLEAR + status_text(status, rates)[:width])
+            self._terminal.flush()
+            self._stands = True
+
+
+def status_text(status: Status, rates: Rates) -> str:
+    """Write how it goes in one line."""
+    hertz, nbytes = rates.total
+    topics = status.topics
+    parts = [
+        f"{status.state} {shown(status.run)}".rstrip(),
+        f"{len(status.subscribed)} topics",
+        f"{hertz:.0f} msg/s",
+        f"{format_bytes(int(nbytes))}/s",
+        f"{sum(report.stored for report in topics)} stored",
+        f"{sum(report.lost for report in topics)} lost",
+    ]
+    if status.held_messages:
+        parts[4] = f"{status.held_messages} kept of {status.held_sec:.0f} s"
+    parts.append(f"{format_bytes(status.held_bytes)} in memory")
+    if status.paused:
+        parts.append(f"{len(status.paused)} paused")
+    return ", ".join(parts)
+
+
+def failures(reports: Sequence[TopicReport]) -> list[str]:
+    """Say what was not recorded that should have been."""
+    lost = sum(report.lost for report in reports)
+    found = [f"{lost} messages were lost"] if lost else []
+    for report in reports:
+        if report.unheard_sec:
+            found.append(
+                f"for {report.unheard_sec:.0f} s new publishers of {shown(report.topic)} were not "
+                "heard, for the ROS master was started anew"
+            )
+        if not report.published:
+            found.append(f"nothing came on {shown(report.topic)}: nobody published it")
+    if not reports:
+        found.append("nothing was recorded: no topic that was published was to be")
+    return found
+
+
+def closing_table(reports: Sequence[TopicReport]) -> str:
+    """Write what became of the messages of each topic.
+
+    What is missing in the publishers' own numbers is no loss of ours: "seq gaps".
+    """
+    names = ["topic", "type", "received", "stored", "lost", "seq gaps", "bytes", "rate"]
+    optional = [
+        (name, [getattr(report, name.replace(" ", "_")) for report in reports])
+        for name in ("left out", "paused")
+    ]
+    extra = [(name, counts) for name, counts in optional if any(counts)]
+    names[5:5] = [name for name, _ in extra]
+    rows: list[Sequence[str]] = [
+        (
+            shown(r.topic),
+            shown(", ".join(r.types)),
+            *map(str, (r.received, r.stored, r.lost)),
+            *(str(counts[number]) for _, counts in extra),
+            "-" if r.gaps is None else str(r.gaps),
+            format_bytes(r.bytes),
+            f"{r.rate_hz:.1f} Hz",
+        )
+        for number, r in enumerate(reports)
+    ]
+    sums = [[getattr(r, name) for r in reports] for name in ("received", "stored", "lost")]
+    sums += [counts for _, counts in extra]
+    sums.append([r.gaps or 0 for r in reports])
+    totals = [str(sum(column)) for column in sums]
+    rows.append(("total", "", *totals, format_bytes(sum(r.bytes for r in reports)), ""))
+    lines = [format_table(names, rows, right=names[2:])]
+    for report in reports:
+        for kind, count in report.reasons.items():
+            why = ": ".join(filter(None, (kind.value, report.details.get(kind, ""))))
+            lines.append(f"{shown(report.topic)}: {count or 'some'} lost: {shown(why)}")
+    return "\n".join(lines)
+
+
+def plan_table(plan: Sequence[PlannedTopic], options: RecorderOptions) -> str:
+    """Write what would be recorded, and how."""
+    names = ("topic", "type", "format", "ttl", "table", "settings")
+    rows = [
+        (
+            shown(each.topic),
+            shown(each.msg_type or "?"),
+            each.format,
+            f"{each.ttl} s" if each.ttl else "never",
+            "there" if each.stored else "new",
+            shown("; ".join(each.settings)) or "-",
+        )
+        for each in plan
+    ]
+    lines = [f"run {shown(options.run_name(0))}"]
+    lines += [f"label {shown(key)}={shown(value)}" for key, value in options.labels.items()]
+    lines.append(format_table(names, rows) if rows else "no topic would be recorded now")
+    for each in plan:
+        lines += [f"{shown(each.topic)} {shown(text)}" for text in each.differences]
+    return "\n".join(lines)

@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How a recorder stands, on /diagnostics: one status for the store, one for each topic."""
+
+from __future__ import annotations
+
+from typing import Mapping
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from cassandra_ros.recording.counts import TopicReport
+from cassandra_ros.recording.status import Rates, Status
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+FULL = 0.5
+"""A buffer that is fuller is warned of."""
+
+
+class Diagnostics:
+    """Publishes how a recorder stands. Losses are errors while they go on, then warnings."""
+
+    def __init__(self, ros_cas: RosCassandra) -> None:
+        self._rosCas = ros_cas
+        self._name = rospy.get_name().lstrip("/")
+        self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=1)
+        self._lost: dict[str, int] = {}
+
+    def publish(self, status: Status, rates: Rates) -> None:
+        """Publish a status."""
+        array = DiagnosticArray()
+        array.header.stamp = rospy.Time.now()
+        array.status.append(self._of_store(status, rates))
+        array.status += [self._of_topic(report, status, rates) for report in status.topics]
+        self._lost = {report.topic: report.lost for report in status.topics}
+        self._publisher.publish(array)
+
+    def _of_store(self, status: Status, rates: Rates) -> DiagnosticStatus:
+        fill = status.held_bytes / status.bound_bytes if status.bound_bytes else 0.0
+        level, text = DiagnosticStatus.OK, status.state
+        if status.run:
+            text += f" run {status.run}"
+        if fill > FULL and status.run:
+            level, text = DiagnosticStatus.WARN, f"the buffer is {fill:.0%} full"
+        lost = {report.topic: report.lost for report in status.topics}
+        if any(count > self._lost.get(topic, 0) for topic, count in lost.items()):
+            level, text = DiagnosticStatus.ERROR, "messages are being lost"
+        hertz, nbytes = rates.total
+        values = {
+            "hosts": ",".join(self._rosCas.cassandra.hosts),
+            "keyspace": str(self._rosCas.keyspace),
+            "state": status.state,
+            "run": status.run,
+            "waiting bytes": str(status.held_bytes),
+            "buffer bytes": str(status.bound_bytes),
+            "messages/s": f"{hertz:.1f}",
+            "bytes/s": f"{nbytes:.0f}",
+            "stored": str(sum(report.stored for report in status.topics)),
+            "lost": str(sum(lost.values())),
+        }
+        return self._status(level, "store", text, values)
+
+    def _of_topic(self, report: TopicReport, status: Status, rates: Rates) -> DiagnosticStatus:
+        hertz, nbytes = rates.of.get(report.topic, (0.0, 0.0))
+        level, text = DiagnosticStatus.OK, "recording"
+        if report.topic in status.paused:
+            text = "paused"
+        elif report.topic not in status.subscribed:
+            text = "not recorded any more"
+        elif not report.published:
+            level, text = DiagnosticStatus.WARN, "nobody publishes it"
+        if report.lost > self._lost.get(report.topic, 0):
+            level, text = DiagnosticStatus.ERROR, "messages are being lost"
+        elif report.lost:
+            level, text = DiagnosticStatus.WARN, "messages were lost"
+        values = {
+            "type": ", ".join(report.types),
+            "received": str(report.received),
+            "stored": str(report.stored),
+            "lost": str(report.lost),
+            "left out": str(report.left_out),
+            "paused": str(report.paused),
+            "messages/s": f"{hertz:.1f}",
+            "bytes/s": f"{nbytes:.0f}",
+        }
+        values.update({f"lost, {kind.value}": str(n) for kind, n in report.reasons.items()})
+        return self._status(level, report.topic, text, values)
+
+    def _status(
+        self, level: bytes, what: str, text: str, values: Mapping[str, str]
+    ) -> DiagnosticStatus:
+        pairs = [KeyValue(key, value) for key, value in values.items()]
+        host = ",".join(self._rosCas.cassandra.hosts)
+        return DiagnosticStatus(level, f"{self._name}: {what}", text, host, pairs)

@@ -1,0 +1,143 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The services of the node recorder: they unpack, call class Recorder, pack."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import Callable, Mapping, Sequence
+
+import rospy
+
+from cassandra_ros.errors import CassandraRosError
+from cassandra_ros.msg import RecordedTopic
+from cassandra_ros.nodes.recorder import Recorder
+from cassandra_ros.recording.counts import TopicReport
+from cassandra_ros.recording.settings import read_label
+from cassandra_ros.recording.status import Status
+from cassandra_ros.srv import (
+    RecorderStatus,
+    RecorderStatusRequest,
+    RecorderStatusResponse,
+    RecordTopics,
+    RecordTopicsRequest,
+    RecordTopicsResponse,
+    Snapshot,
+    SnapshotRequest,
+    SnapshotResponse,
+)
+
+_log = logging.getLogger(__name__)
+
+
+def serve(recorder: Recorder) -> None:
+    """Advertise the services of a recorder under the node's name."""
+    services = _Services(recorder)
+    for name, work in (
+        ("start", services.start),
+        ("stop", services.stop),
+        ("pause", services.pause),
+        ("resume", services.resume),
+    ):
+        rospy.Service(f"~{name}", RecordTopics, services.of_topics(work))
+    rospy.Service("~status", RecorderStatus, services.status)
+    rospy.Service("~snapshot", Snapshot, services.snapshot)
+
+
+@dataclass(frozen=True)
+class _Services:
+    """The handlers, for one recorder. Thread-safe."""
+
+    recorder: Recorder
+
+    def of_topics(
+        self, work: Callable[[RecordTopicsRequest], None]
+    ) -> Callable[[RecordTopicsRequest], RecordTopicsResponse]:
+        """Return a handler that does some work and tells whether it could be done."""
+
+        def handle(request: RecordTopicsRequest) -> RecordTopicsResponse:
+            problem = _attempt(lambda: work(request))
+            run = self.recorder.run
+            return RecordTopicsResponse(success=not problem, message=problem, run=run)
+
+        return handle
+
+    def start(self, request: RecordTopicsRequest) -> None:
+        labels = read_labels(request.labels)
+        self.recorder.start(request.topics, name=request.name, labels=labels)
+
+    def stop(self, request: RecordTopicsRequest) -> None:
+        self.recorder.stop(request.topics)
+
+    def pause(self, request: RecordTopicsRequest) -> None:
+        self.recorder.pause(request.topics)
+
+    def resume(self, request: RecordTopicsRequest) -> None:
+        self.recorder.resume(request.topics)
+
+    def status(self, request: RecorderStatusRequest) -> RecorderStatusResponse:
+        """Answer RecorderStatus."""
+        response = RecorderStatusResponse(success=True)
+
+        def work() -> None:
+            status = self.recorder.status()
+            response.state, response.run, response.writer = status.state, status.run, status.writer
+            response.topics = [_packed(report, status) for report in status.topics]
+            response.held_bytes, response.bound_bytes = status.held_bytes, status.bound_bytes
+            response.held_seconds = status.held_sec
+            response.held_messages = status.held_messages
+
+        response.message = _attempt(work)
+        response.success = not response.message
+        return response
+
+    def snapshot(self, request: SnapshotRequest) -> SnapshotResponse:
+        """Answer Snapshot."""
+        response = SnapshotResponse()
+
+        def work() -> None:
+            response.run, response.messages = self.recorder.snapshot(
+                name=request.name,
+                labels=read_labels(request.labels),
+                after=request.after,
+                topics=request.topics,
+            )
+
+        response.message = _attempt(work)
+        response.success = not response.message
+        return response
+
+
+def read_labels(texts: Sequence[str]) -> Mapping[str, str]:
+    """Read labels KEY=VALUE; raises InvalidOption."""
+    return dict(map(read_label, texts))
+
+
+def _attempt(work: Callable[[], None]) -> str:
+    """Return why something could not be done; '' = it was."""
+    try:
+        work()
+    except CassandraRosError as exc:
+        return str(exc)
+    except Exception as exc:  # noqa: BLE001 - a mistake of ours must not end the node
+        _log.exception("a service of the recorder failed")
+        return f"internal error: {type(exc).__name__}: {exc}; the node's log has more"
+    return ""
+
+
+def _packed(report: TopicReport, status: Status) -> RecordedTopic:
+    return RecordedTopic(
+        topic=report.topic,
+        types=list(report.types),
+        received=report.received,
+        stored=report.stored,
+        lost=report.lost,
+        reasons=[f"{kind.value}: {count}" for kind, count in report.reasons.items()],
+        left_out=report.left_out,
+        paused=report.paused,
+        bytes=report.bytes,
+        rate=report.rate_hz,
+        is_paused=report.topic in status.paused,
+        subscribed=report.topic in status.subscribed,
+    )

@@ -1,0 +1,24 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which topics a recorder would record now."""
+
+from __future__ import annotations
+
+import rospy
+
+from cassandra_ros.nodes.subscriptions import published_topics, subscribed_topics
+from cassandra_ros.recording.options import RecorderOptions
+from cassandra_ros.recording.plan import PlannedTopic, plan_topics
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+
+def make_plan(ros_cas: RosCassandra, options: RecorderOptions) -> list[PlannedTopic]:
+    """Say what would be recorded now, and how; raises one of MASTER_ERRORS."""
+    named = [] if options.regex else [rospy.resolve_name(name) for name in options.topics]
+    if options.node:
+        named += subscribed_topics(rospy.resolve_name(options.node))
+    topics = {topic for topic in named if not options.excludes(topic)}
+    topics.update(filter(options.chooses, published_topics()))
+    _, _, pairs = rospy.get_master().getTopicTypes()
+    types = dict(pairs)
+    return plan_topics(ros_cas, options.settings, {t: types.get(t, "") for t in topics})

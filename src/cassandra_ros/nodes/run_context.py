@@ -1,0 +1,44 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What stands around a recording when it begins: ROS parameters and node graph."""
+
+from __future__ import annotations
+
+import logging
+import threading
+
+import rospy
+
+from cassandra_ros.messages.graph import master_proxy
+from cassandra_ros.nodes.node import MASTER_ERRORS
+from cassandra_ros.recording.recording import Recording
+from cassandra_ros.store.run_context import NodeGraph, RunContext
+
+_log = logging.getLogger(__name__)
+
+TIMEOUT_SEC = 5.0
+"""How long the master may take for each of three answers."""
+
+
+def take_context() -> RunContext:
+    """Ask the master; raises one of MASTER_ERRORS, or ValueError where it answers nonsense."""
+    name, master = rospy.get_name(), master_proxy(TIMEOUT_SEC)
+    _, _, params = master.getParam(name, "/")
+    _, _, (publishers, subscribers, services) = master.getSystemState(name)
+    _, _, types = master.getTopicTypes(name)
+    graph = NodeGraph(dict(publishers), dict(subscribers), dict(services), dict(types))
+    return RunContext(params if isinstance(params, dict) else {}, graph)
+
+
+def keep_context(recording: Recording) -> threading.Thread:
+    """Keep the context of now with a run, in the background."""
+
+    def work() -> None:
+        try:
+            recording.put_context(take_context())
+        except (*MASTER_ERRORS, ValueError, TypeError) as exc:
+            _log.warning("the parameters of run %s could not be read: %s", recording.name, exc)
+
+    thread = threading.Thread(target=work, name="recorder-context", daemon=True)
+    thread.start()
+    return thread

@@ -1,0 +1,187 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which messages are left out on purpose: by a condition on their fields, or above a rate."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from dataclasses import dataclass
+from typing import Callable, FrozenSet, Mapping, Optional
+
+from cassandra_ros.errors import CassandraRosError, InvalidQuery
+from cassandra_ros.formats.table import FALLBACK_FORMAT
+from cassandra_ros.keys import SECOND_NS, Position
+from cassandra_ros.messages.connection import Connection, live_connection
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.index_field import IndexField
+from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.query.protocols import Row
+from cassandra_ros.query.run import Condition
+from cassandra_ros.recording.settings import Settings
+from cassandra_ros.topics.message_writer import usable_definition
+
+_log = logging.getLogger(__name__)
+
+MAX_HEADERS = 4096
+"""Connections remembered by their header object; publishers come and go for days."""
+
+
+class Filters:
+    """Says of each message whether it is recorded. Thread-safe.
+
+    Args:
+        settings: Conditions and rates by topic.
+        node: The nodeID that conditions know as NODE.
+    """
+
+    def __init__(self, settings: Settings, node: str = "") -> None:
+        self._settings = settings
+        self._node = node
+        self._topics: dict[str, Optional[_TopicFilter]] = {}
+        self._mutex = threading.Lock()
+
+    def passes(self, topic: str, header: Mapping[str, str], t: int, wire: bytes) -> bool:
+        """Say whether a message is recorded; the condition is looked at first, then the rate.
+
+        Args:
+            header: Of the connection; the same object for all messages of it.
+            t: Time of arrival, ns.
+        """
+        try:
+            found = self._topics[topic]
+        except KeyError:
+            found = self._make(topic)
+        if found is None:
+            return True
+        with self._mutex:
+            return found.passes(header, t, wire)
+
+    def _make(self, topic: str) -> Optional[_TopicFilter]:
+        settings = self._settings.of(topic)
+        found = None
+        if settings.where or settings.rate_limit:
+            condition = _TopicCondition(topic, settings.where, self._node)
+            found = _TopicFilter(
+                condition if settings.where else None,
+                _Throttle(settings.rate_limit) if settings.rate_limit else None,
+            )
+        with self._mutex:
+            return self._topics.setdefault(topic, found)
+
+
+class _Throttle:
+    """Keeps at most so many messages a second; late ones do not lower the rate."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self._period = max(1, int(SECOND_NS / rate_hz))
+        self._due: Optional[int] = None
+
+    def passes(self, t: int) -> bool:
+        due = t if self._due is None else self._due
+        if due - t > self._period:  # time went back
+            due = t
+        if t < due:
+            self._due = due
+            return False
+        self._due = max(due, t - self._period) + self._period
+        return True
+
+
+@dataclass
+class _TopicFilter:
+    condition: Optional[_TopicCondition]
+    throttle: Optional[_Throttle]
+
+    def passes(self, header: Mapping[str, str], t: int, wire: bytes) -> bool:
+        if self.condition is not None and not self.condition.holds(header, t, wire):
+            return False
+        return self.throttle is None or self.throttle.passes(t)
+
+
+Test = Callable[[Row], bool]
+
+
+class _TopicCondition:
+    """A condition on the messages of one topic, whatever their types."""
+
+    def __init__(self, topic: str, where: str, node: str) -> None:
+        self._topic, self._where, self._node = topic, where, node
+        self._by_header: dict[int, tuple[Mapping[str, str], _Table, Optional[Test]]] = {}
+
+    def holds(self, header: Mapping[str, str], t: int, wire: bytes) -> bool:
+        found = self._by_header.get(id(header))
+        if found is None:
+            if len(self._by_header) >= MAX_HEADERS:
+                self._by_header.pop(next(iter(self._by_header)))
+            found = self._by_header[id(header)] = (header, *self._compile(header))
+        _, table, test = found
+        return test is None or test(_Row(table, self._topic, self._node, t, wire, len(wire)))
+
+    def _compile(self, header: Mapping[str, str]) -> tuple[_Table, Optional[Test]]:
+        connection = live_connection(self._topic, header)
+        table = _Table(connection)
+        if table.definition is not None:
+            try:
+                return table, Condition(self._where).test([table])
+            except InvalidQuery as exc:
+                problem = str(exc)
+        else:
+            problem = "its definition cannot be used"
+        _log.error(
+            "topic %s is recorded whole, for its condition %r cannot be checked: %s",
+            self._topic,
+            self._where,
+            problem,
+        )
+        return table, None
+
+
+class _NoRuns:
+    """Runs by name: a message that is not stored yet belongs to none."""
+
+    def called(self, text: str) -> FrozenSet[int]:
+        return frozenset()
+
+
+class _Table:
+    """What a condition needs of a table, for messages that are in none yet."""
+
+    name = ""
+    named = False
+    by_field = False
+    columns: tuple[str, ...] = ()
+    longest_text = 0
+    runs = _NoRuns()
+
+    def __init__(self, connection: Connection) -> None:
+        self.definition: Optional[Definition] = None
+        try:
+            self.definition, _ = usable_definition(connection, FALLBACK_FORMAT)
+            self.msg_type = connection.type
+        except CassandraRosError:  # not even a header
+            self.msg_type = ""
+        self.index_fields: Mapping[str, IndexField] = {}
+
+
+@dataclass
+class _Row:
+    """What a condition needs of a stored message, for one that is not stored yet."""
+
+    table: _Table
+    topic: str
+    node: str
+    t: int
+    wire: bytes
+    size: int
+    name: str = ""
+    columns: tuple[Optional[bytes], ...] = ()
+    run: str = ""
+
+    @property
+    def key(self) -> Stamp:
+        return Stamp.from_ns(self.t)
+
+    @property
+    def position(self) -> Position:
+        return Position(self.t, self.node, 0, "")

@@ -1,0 +1,92 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a run lost: of which topic, why, from when to when, how many; rows for the store."""
+
+from __future__ import annotations
+
+import threading
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from typing import Mapping
+
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.store.registry import Loss, LossKind
+
+STRETCH_NS = 60 * SECOND_NS
+"""Losses of a kind that lie further apart are two rows."""
+
+
+@dataclass
+class _Stretch:
+    loss: Loss
+    saved: bool = False
+
+
+class LossLog:
+    """The losses of one run. Thread-safe.
+
+    Args:
+        node: The robot or entity that is recorded.
+        writer: The run's writer id.
+    """
+
+    def __init__(self, node: str, writer: int) -> None:
+        self._node, self._writer = node, writer
+        self._stretches: dict[tuple[str, LossKind], list[_Stretch]] = defaultdict(list)
+        self._totals: dict[str, dict[LossKind, int]] = defaultdict(dict)
+        self._details: dict[str, dict[LossKind, str]] = defaultdict(dict)
+        self._mutex = threading.Lock()
+
+    def add(
+        self, topic: str, kind: LossKind, messages: int, first_ns: int, last_ns: int, detail: str
+    ) -> int:
+        """Note a loss; return how many messages of the topic are lost by now.
+
+        Args:
+            messages: How many; 0 = nobody knows.
+            first_ns, last_ns: When the first and the last of them came, ns.
+            detail: A sentence about the first of its kind; '' = the kind says it all.
+        """
+        with self._mutex:
+            totals = self._totals[topic]
+            totals[kind] = totals.get(kind, 0) + messages
+            self._details[topic].setdefault(kind, detail)
+            stretches = self._stretches[topic, kind]
+            last = stretches[-1].loss if stretches else None
+            if last is None or not 0 <= first_ns - last.first_ns <= _reach(last):
+                new = Loss(topic, self._node, self._writer, kind, first_ns, last_ns, messages)
+                stretches.append(_Stretch(new))
+            else:
+                ends, count = max(last.last_ns, last_ns), last.count + messages
+                stretches[-1] = _Stretch(replace(last, last_ns=ends, count=count))
+            return sum(totals.values())
+
+    def of(self, topic: str) -> Mapping[LossKind, int]:
+        """Return how many messages of a topic are lost, by kind."""
+        with self._mutex:
+            return dict(self._totals.get(topic, {}))
+
+    def details(self, topic: str) -> Mapping[LossKind, str]:
+        """Return a sentence for each kind of loss of a topic, where there is one."""
+        with self._mutex:
+            return {kind: text for kind, text in self._details.get(topic, {}).items() if text}
+
+    def unsaved(self) -> list[Loss]:
+        """Return what the store does not know yet."""
+        with self._mutex:
+            every = [s for stretches in self._stretches.values() for s in stretches]
+            return [stretch.loss for stretch in every if not stretch.saved]
+
+    def saved(self, loss: Loss) -> None:
+        """Note that the store knows a loss; one that has grown since stays unsaved."""
+        with self._mutex:
+            stretches = self._stretches[loss.topic, loss.kind]
+            for stretch in stretches:
+                stretch.saved = stretch.saved or stretch.loss == loss
+            # Only the last one grows.
+            stretches[:-1] = [stretch for stretch in stretches[:-1] if not stretch.saved]
+
+
+def _reach(loss: Loss) -> int:
+    """How far behind its first message the next one of the same row may lie, ns."""
+    return loss.last_ns - loss.first_ns + STRETCH_NS

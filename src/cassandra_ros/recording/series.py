@@ -1,0 +1,260 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The runs of one recorder: begun, split where they get too large, ended, counted together."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from typing import Callable, Mapping, Optional, Sequence
+
+from cassandra_ros.errors import CassandraRosError
+from cassandra_ros.recording.counts import TopicReport, merge_reports
+from cassandra_ros.recording.filters import Filters
+from cassandra_ros.recording.options import RecorderOptions
+from cassandra_ros.recording.recording import Recording
+from cassandra_ros.recording.space import SpaceGuard
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+_log = logging.getLogger(__name__)
+
+MAX_ENDING = 2
+"""Runs that are still being stored; the current one is not split while there are so many."""
+SPACE_SEC = 20.0
+"""How often the free space is looked at; rosbag record does so, too."""
+PATIENCE_SEC = 3.0
+"""How long a store may take in the end before people are told that it does."""
+RETRY_SEC = 2.0
+"""How long a store that does not answer is left alone before the next run is tried."""
+MAX_LATCHED = 4096
+"""Publishers whose latched message is repeated."""
+
+
+class Series:
+    """Stores what comes in one run after the other. Thread-safe.
+
+    Args:
+        ros_cas: A RosCassandra connected to a keyspace.
+        options: How to record.
+        clock: Returns the time of arrival, ns; raises ClockNotSet while it is unknown.
+        begun: Called with each run when it has begun.
+    """
+
+    def __init__(
+        self,
+        ros_cas: RosCassandra,
+        options: RecorderOptions,
+        clock: Callable[[], int],
+        begun: Callable[[Recording], None],
+    ) -> None:
+        self._rosCas, self._options, self._clock, self._begun = ros_cas, options, clock, begun
+        self._settings = options.settings
+        self._space = SpaceGuard(options.free_space, options.min_space)
+        self._look = 0.0
+        self.filters = Filters(self._settings, options.node_id)
+        self.current: Optional[Recording] = None
+        """The run that is being recorded."""
+        self._topics: set[str] = set()
+        self._number = 0
+        self._since = 0.0
+        self._retry = 0.0
+        self._name, self._labels = "", dict(options.labels)
+        self._ending: list[threading.Thread] = []
+        self._kept: list[tuple[Recording, Sequence[TopicReport]]] = []
+        """The runs of this recording that have ended and are kept."""
+        self._removed: list[Sequence[TopicReport]] = []
+        self._latched: dict[tuple[str, str], tuple[Mapping[str, str], bytes]] = {}
+        self._mutex = threading.RLock()
+
+    # ---------------------------------------------------------------- runs
+
+    def begin(self, name: str = "", labels: Optional[Mapping[str, str]] = None) -> Recording:
+        """Begin a run; '' = named as the options say. Raises what the store raises."""
+        with self._mutex:
+            self._name, self._number = name, 0
+            self._labels = {**self._options.labels, **(labels or {})}
+            self.current = self._new(before={})
+            self._since = time.monotonic()
+            return self.current
+
+    def single(self, name: str, labels: Mapping[str, str], restored: int) -> Recording:
+        """Begin a run beside the series, of messages that were kept before."""
+        options = self._options
+        recording = Recording(
+            self._rosCas,
+            clock=self._clock,
+            settings=self._settings,
+            filters=self.filters,
+            node=options.node_id,
+            buffer_bytes=options.buffsize,
+            name=name or options.run_name(self._number),
+            labels={**options.labels, **labels},
+            restored=restored,
+        )
+        self._number += 1
+        self._begun(recording)
+        return recording
+
+    def _new(self, before: Mapping[str, int]) -> Recording:
+        options = self._options
+        name = self._name or options.run_name(self._number)
+        if self._name and options.split:
+            name = f"{self._name}_{self._number}"
+        recording = Recording(
+            self._rosCas,
+            clock=self._clock,
+            settings=self._settings,
+            filters=self.filters,
+            node=options.node_id,
+            buffer_bytes=options.buffsize,
+            limit=options.limit,
+            before=before,
+            name=name,
+            labels=self._labels,
+        )
+        for topic in self._topics:
+            recording.expect(topic)
+        self._number += 1
+        self._begun(recording)
+        return recording
+
+    def expect(self, topic: str) -> None:
+        """Let a topic appear in the reports even if nothing ever comes."""
+        self._topics.add(topic)
+        current = self.current
+        if current is not None:
+            current.expect(topic)
+
+    # ---------------------------------------------------------------- messages
+
+    def received(
+        self, topic: str, header: Mapping[str, str], wire: bytes, *, paused: bool = False
+    ) -> None:
+        """Take a message that has just arrived; paused: only count it."""
+        if self._options.repeat_latched and header.get("latching") == "1":
+            self._keep_latched(topic, header, wire)
+        recording = self.current
+        while recording is not None and not recording.received(topic, header, wire, paused=paused):
+            last, recording = recording, self.current
+            if recording is last:
+                return  # it is being ended
+
+    def _keep_latched(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
+        key = (topic, header.get("callerid", ""))
+        with self._mutex:
+            if key in self._latched or len(self._latched) < MAX_LATCHED:
+                self._latched[key] = header, wire
+
+    # ---------------------------------------------------------------- split and end
+
+    def poll(self) -> bool:
+        """Split the current run where it is time; say whether it is complete instead."""
+        options, current = self._options, self.current
+        if current is None:
+            return False
+        if time.monotonic() >= self._look:
+            self._look = time.monotonic() + SPACE_SEC
+            current.refusal = self._space.refusal()
+        full = bool(options.size) and current.received_bytes >= options.size
+        late = bool(options.duration) and time.monotonic() >= self._since + options.duration
+        if not (full or late):
+            return False
+        if options.split:
+            self._split()
+        return not options.split
+
+    def _split(self) -> None:
+        with self._mutex:
+            self._ending = [thread for thread in self._ending if thread.is_alive()]
+            old, now = self.current, time.monotonic()
+            if old is None or len(self._ending) >= MAX_ENDING or now < self._retry:
+                return
+            try:
+                new = self._new(old.kept() if self._options.limit else {})
+            except CassandraRosError as exc:
+                self._retry = now + RETRY_SEC
+                _log.warning("the next run cannot begin yet, run %s goes on: %s", old.name, exc)
+                return
+            for (topic, _), (header, wire) in self._latched.items():
+                new.received(topic, header, wire)
+            new.refusal = old.refusal
+            self.current, self._since = new, now
+            thread = threading.Thread(target=self._close, args=(old,), name="recorder-split")
+            self._ending.append(thread)
+            thread.start()
+
+    def _close(self, recording: Recording) -> None:
+        reports = recording.close()
+        with self._mutex:
+            self._kept.append((recording, reports))
+            # The current one is kept, too.
+            most = self._options.max_splits - 1
+            while self._options.max_splits and len(self._kept) > most:
+                oldest, told = self._kept.pop(0)
+                self._removed.append(told)
+                self._remove(oldest, told)
+
+    def _remove(self, run: Recording, reports: Sequence[TopicReport]) -> None:
+        try:
+            for report in reports:
+                if report.stored:
+                    topic = self._rosCas.getTopic(report.topic)
+                    topic.removeData(run=run.writer_id)
+        except CassandraRosError as exc:
+            _log.error("run %s could not be removed (--max-splits): %s", run.name, exc)
+
+    def end(self, give_up: Callable[[], bool] = lambda: False) -> list[TopicReport]:
+        """End the current run when all is stored or lost, or given up; report on it.
+
+        Runs that were split before are waited for, too.
+        """
+        recording = self.current
+        if recording is None:
+            return []
+        # On another thread: it waits for a store that may be away, and hears no signal.
+        closing = threading.Thread(target=recording.close, name="recorder-close", daemon=True)
+        closing.start()
+        tell_at: float = time.monotonic() + PATIENCE_SEC
+        while closing.is_alive() or any(thread.is_alive() for thread in self._ending):
+            closing.join(0.05) if closing.is_alive() else time.sleep(0.05)
+            if give_up():
+                _log.warning("interrupted again: what is not stored yet is lost")
+                return self._ended(recording, recording.abandon())
+            if time.monotonic() > tell_at or self._rosCas.cassandra.outage.seconds:
+                messages, nbytes = recording.waiting()
+                if messages and tell_at < math.inf:
+                    tell_at = math.inf
+                    _log.warning(
+                        "%d messages (%.1f MB) wait for the store; they are dropped if this is "
+                        "interrupted again (a second Ctrl-C)",
+                        messages,
+                        nbytes / 1e6,
+                    )
+        # What it had returned, or raised, on that thread.
+        return self._ended(recording, recording.close())
+
+    def _ended(self, recording: Recording, reports: list[TopicReport]) -> list[TopicReport]:
+        with self._mutex:
+            self._kept.append((recording, reports))
+            self.current = None
+        return reports
+
+    def is_complete(self, topic: str) -> bool:
+        """Say whether a topic has all the messages that the limit allows."""
+        current = self.current
+        return current is not None and current.is_complete(topic)
+
+    def count(self, topic: str) -> int:
+        """Return how many messages of a topic arrived in the current run."""
+        current = self.current
+        return 0 if current is None else current.count(topic)
+
+    def reports(self) -> list[TopicReport]:
+        """Describe what became of each topic in all runs together."""
+        with self._mutex:
+            parts = [*self._removed, *(reports for _, reports in self._kept)]
+            if self.current is not None:
+                parts.append(self.current.reports())
+            return merge_reports(parts)

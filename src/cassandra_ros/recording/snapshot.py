@@ -1,0 +1,258 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The newest messages in memory, and what is written of them when somebody asks."""
+
+from __future__ import annotations
+
+import logging
+import re
+import threading
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Callable, Collection, Mapping, Optional, Protocol, Sequence
+
+from cassandra_ros.errors import CassandraRosError, ClockNotSet, InvalidOption
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.recording.buffer import ITEM_BYTES
+from cassandra_ros.recording.counts import Counts, TopicReport
+from cassandra_ros.recording.filters import Filters
+from cassandra_ros.recording.losses import LossLog
+from cassandra_ros.recording.recording import Kept, Recording
+from cassandra_ros.recording.settings import read_duration
+from cassandra_ros.store.registry import LossKind
+
+_log = logging.getLogger(__name__)
+
+MAX_AT_ONCE = 4
+"""Snapshots that are written at the same time."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """How much is kept in memory: the newest seconds, or the newest bytes. One of them is 0."""
+
+    seconds: float = 0.0
+    nbytes: int = 0
+
+
+def read_bound(text: str) -> Bound:
+    """Read a bound like 30s, 5m or 200MB; raises InvalidOption where it is none."""
+    size = re.fullmatch(r"([0-9]{1,9})\s*MB", text.strip(), re.IGNORECASE)
+    if size and int(size[1]):
+        return Bound(nbytes=int(size[1]) << 20)
+    try:
+        return Bound(seconds=read_duration(text.strip()))
+    except InvalidOption:
+        raise InvalidOption(
+            f"{text!r:.80} is neither seconds nor megabytes: give one like 30s or 200MB"
+        ) from None
+
+
+class Ring:
+    """The newest messages, the oldest of which go when there are too many. Not thread-safe.
+
+    Args:
+        bound: What is asked for.
+        most_bytes: A bound in any case; 0 = none.
+    """
+
+    def __init__(self, bound: Bound, most_bytes: int) -> None:
+        self._age_ns = int(bound.seconds * SECOND_NS)
+        self._most = min(filter(None, (bound.nbytes, most_bytes)), default=2**63)
+        self._timed = not bound.nbytes
+        self._items: deque[Kept] = deque()
+        self.nbytes = 0
+        """What the messages take in memory."""
+        self.short = False
+        """Fewer seconds are kept than asked for, for there is no more room."""
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    @property
+    def seconds(self) -> float:
+        """How long ago the oldest message came before the newest one."""
+        return (self._items[-1][3] - self._items[0][3]) / SECOND_NS if self._items else 0.0
+
+    def add(self, kept: Kept) -> None:
+        """Append the newest message."""
+        t = kept[3]
+        if self._items and t < self._items[-1][3] - SECOND_NS:
+            _log.warning("time went back: what the snapshot kept is dropped, it lies in the future")
+            self._items.clear()
+            self.nbytes = 0
+        self._items.append(kept)
+        self.nbytes += len(kept[2]) + ITEM_BYTES
+        self.forget(t)
+        while self.nbytes > self._most and len(self._items) > 1:
+            if self._timed and not self.short:
+                self.short = True
+                _log.warning(
+                    "the snapshot keeps fewer seconds than asked for: its bound of %d MB is "
+                    "reached (option -b)",
+                    self._most >> 20,
+                )
+            self._drop()
+
+    def forget(self, now: int) -> None:
+        """Drop what is too old at a time, ns."""
+        while self._age_ns and self._items and self._items[0][3] < now - self._age_ns:
+            self._drop()
+
+    def _drop(self) -> None:
+        self.nbytes -= len(self._items.popleft()[2]) + ITEM_BYTES
+
+    def content(self, topics: Collection[str]) -> list[Kept]:
+        """Return the messages of some topics, none named = of all, in the order of arrival."""
+        return [kept for kept in self._items if not topics or kept[0] in topics]
+
+
+class Begin(Protocol):
+    """Begins a run of a snapshot."""
+
+    def __call__(self, name: str, labels: Mapping[str, str], restored: int) -> Recording:
+        """Return the run; raises what the store raises."""
+
+
+@dataclass
+class _Writing:
+    """A snapshot that is being written."""
+
+    topics: Collection[str]
+    follows: bool
+    recording: Optional[Recording] = None
+    late: deque[Kept] = field(default_factory=deque)
+    """What came before the run had begun."""
+
+    def take(self, kept: Kept) -> None:
+        if not self.follows or (self.topics and kept[0] not in self.topics):
+            return
+        if self.recording is None:
+            self.late.append(kept)
+        else:
+            self.recording.follow(kept)
+
+
+class Snapshots:
+    """Keeps the newest messages, and writes them as a run when somebody asks. Thread-safe.
+
+    Args:
+        bound: How much is kept.
+        most_bytes: A bound in any case; 0 = none.
+        clock: Returns the time of arrival, ns; raises ClockNotSet while it is unknown.
+        filters: Which messages are left out.
+        begin: Begins a run.
+    """
+
+    def __init__(
+        self,
+        bound: Bound,
+        most_bytes: int,
+        clock: Callable[[], int],
+        filters: Filters,
+        begin: Begin,
+    ) -> None:
+        self.ring = Ring(bound, most_bytes)
+        self._clock, self._filters, self._begin = clock, filters, begin
+        self._counts = Counts(LossLog("", 0))
+        self._writing: list[_Writing] = []
+        self._threads: list[threading.Thread] = []
+        self._mutex = threading.Lock()
+        self._closing = threading.Event()
+        self.reports: list[Sequence[TopicReport]] = []
+        """Of the snapshots that were written."""
+
+    def expect(self, topic: str) -> None:
+        """Let a topic appear in the counts even if nothing ever comes."""
+        self._counts.expect(topic)
+
+    def counts(self) -> list[TopicReport]:
+        """Describe what came of each topic."""
+        return self._counts.reports({})
+
+    def received(
+        self, topic: str, header: Mapping[str, str], wire: bytes, *, paused: bool = False
+    ) -> None:
+        """Keep a message that has just arrived; paused: only count it."""
+        with self._mutex:
+            self._counts.received(topic, wire)
+            try:
+                t = self._clock()
+            except ClockNotSet as exc:
+                self._counts.lost(topic, 1, LossKind.NO_CLOCK, 0, str(exc))
+                return
+            if paused or not self._filters.passes(topic, header, t, wire):
+                self._counts.leave_out(topic, paused)
+                return
+            kept = (topic, header, wire, t)
+            self.ring.add(kept)
+            for writing in self._writing:
+                writing.take(kept)
+
+    def write(
+        self,
+        name: str,
+        labels: Mapping[str, str],
+        after_sec: float = 0.0,
+        topics: Collection[str] = (),
+    ) -> tuple[Recording, int]:
+        """Write what is kept as a run; return it and how many messages were kept for it.
+
+        Without ``after_sec`` it returns when they are stored or lost, else at once: what comes in
+        the seconds after is stored, too, and the run ends by itself.
+        """
+        writing = _Writing(topics, after_sec > 0)
+        with self._mutex:
+            if len(self._writing) >= MAX_AT_ONCE:
+                raise InvalidOption(
+                    f"{MAX_AT_ONCE} snapshots are being written already: wait for one to end"
+                )
+            try:
+                self.ring.forget(self._clock())
+            except ClockNotSet:
+                pass
+            kept = self.ring.content(topics)
+            self._writing.append(writing)
+        try:
+            recording = self._begin(name, labels, len(kept))
+        except BaseException:
+            with self._mutex:
+                self._writing.remove(writing)
+            raise
+        count = len(kept)
+        work = threading.Thread(
+            target=self._write, args=(writing, recording, kept, after_sec), daemon=True
+        )
+        self._threads.append(work)
+        work.start()
+        if not after_sec:
+            work.join()
+        return recording, count
+
+    def _write(
+        self, writing: _Writing, recording: Recording, kept: list[Kept], after_sec: float
+    ) -> None:
+        try:
+            with self._mutex:
+                while writing.late:
+                    recording.follow(writing.late.popleft())
+                writing.recording = recording
+            recording.restore(kept)
+            kept.clear()
+            if after_sec:
+                self._closing.wait(after_sec)
+        except CassandraRosError as exc:
+            _log.error("the snapshot %s could not be written whole: %s", recording.name, exc)
+        finally:
+            with self._mutex:
+                self._writing.remove(writing)
+            reports = recording.close()
+            with self._mutex:
+                self.reports.append(reports)
+
+    def close(self, timeout_sec: Optional[float] = None) -> bool:
+        """End what is being written; say whether all of it is stored or lost."""
+        self._closing.set()
+        for thread in self._threads:
+            thread.join(timeout_sec)
+        return not any(thread.is_alive() for thread in self._threads)
