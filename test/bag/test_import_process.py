@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from bag.test_import_export import counts_agree, stored_rows
 from bag.truth import string_connection, string_wire
+from topics.test_run_states import age
 
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.verify import verify_bag
@@ -75,10 +76,16 @@ def test_an_import_that_was_killed_is_completed_by_the_next(
         assert child.returncode == -signal.SIGKILL
         part = sum(counts_agree(rosCas, cql).values())
         assert 0 < part < count
+        (run,) = rosCas.runs()
+        assert (run.state, sum(run.stored.values()), run.ended) == ("recording", part, None)
         assert not verify_bag(rosCas, path).equal
+    age(cql, keyspace)
+    assert [run.state for run in rosCas.runs()] == ["interrupted"]
     import_bag(rosCas, path)
     assert verify_bag(rosCas, path).equal
     assert sum(counts_agree(rosCas, cql).values()) == count
+    (run,) = rosCas.runs()
+    assert (run.state, sum(run.stored.values())) == ("ended", count)
     rows = stored_rows(rosCas)
     import_bag(rosCas, path)
     assert stored_rows(rosCas) == rows
@@ -149,6 +156,7 @@ def test_a_signal_ends_an_import_and_the_next_completes_it(
     assert child.returncode == 128 + signal_number
     errors = "".join(line for line in errors.splitlines(True) if "trying again" not in line)
     assert errors == "cassandra_bag: interrupted; the same command again completes the import\n"
+    assert [run.state for run in rosCas.runs()] == ["interrupted"]
     import_bag(rosCas, path)
     assert verify_bag(rosCas, path).equal
     assert sum(counts_agree(rosCas, cql).values()) == 60_000

@@ -88,6 +88,18 @@ def test_losses_are_kept_beside_the_data(connect, keyspace):
         assert store.losses(key=91) == store.losses(to_key=4) == []
 
 
+def test_losses_follow_their_topic(rosCas):
+    for topic in ("/a", "/b"):
+        rosCas.addTopic(topic, msg_type="std_msgs/String")
+        rosCas.parts.registry.put_loss(Loss(topic, "r", 7, LossKind.NO_TABLE, 10, 20, 3))
+    rosCas.renameTopic("/a", "/c")
+    assert [(loss.topic, loss.count) for loss in rosCas.losses()] == [("/b", 3), ("/c", 3)]
+    rosCas.truncateTopic("/b")
+    assert [loss.topic for loss in rosCas.losses()] == ["/c"]
+    rosCas.removeTopic("/c")
+    assert rosCas.losses() == []
+
+
 # -------------------------------------------------------------------- reads of one run
 
 T0 = 1_500_000_000 * SECOND_NS

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 import platform
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from enum import Enum
 from typing import Container, Iterator, Mapping, NamedTuple, Sequence
@@ -220,6 +220,14 @@ class Registry:
         """Remove the losses of a topic whose messages were removed."""
         if self._tables.has("cr_loss"):
             self._tables.delete("cr_loss", ("topic",), [(topic,)], "removing losses")
+
+    def rename_losses(self, topic: str, new_name: str) -> None:
+        """Let the losses of a topic follow it to its new name."""
+        losses = self.losses([topic])
+        for loss in losses:
+            self.put_loss(replace(loss, topic=new_name))
+        if losses:
+            self.forget_losses(topic)
 
     def put_context(self, writer: int, node: str, context: RunContext) -> None:
         """Store the parameters and the node graph of a run; InvalidOption where they cannot be."""

@@ -165,6 +165,7 @@ class Catalog:
             self.keyspace.schema.change_topic(name, lambda m: m.with_(topic=new_name), check)
         else:
             check(self.keyspace.schema.tables(fresh=True))
+        self.keyspace.registry.rename_losses(name, new_name)
         self.adder.close()
         with self._mutex:
             if self._pending.pop(name, None) is not None and wish is not None:
