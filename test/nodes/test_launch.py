@@ -5,13 +5,16 @@
 from __future__ import annotations
 
 import signal
+import struct
 import time
 import xml.etree.ElementTree as ElementTree
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from nodes.children import Child
 from nodes.raw_publisher import header_of, message
+from nodes.raw_subscriber import RawSubscriber
 from std_msgs.msg import String
 
 from cassandra_ros.cli import player
@@ -55,8 +58,8 @@ def launched(roscore, cassandra, keyspace, tmp_path):
             assert child.end(signal.SIGINT) == 0, child.output
 
 
-def test_play_launch_plays(launched, rosCas):
-    begin = time.time_ns() - 10**11
+def test_play_launch_plays(launched, roscore, rosCas):
+    begin = time.time_ns() // 10**9 * 10**9 - 10**11
     with rosCas.messageWriter(nodeID="robot 1") as writer:
         for topic in ("/launched/a", "/launched/b"):
             handle = writer.connect(live_connection(topic, header_of(String)))
@@ -68,8 +71,27 @@ def test_play_launch_plays(launched, rosCas):
         node_id="robot 1",
         where="/launched/a: data > '1' and data != '3'",
         pause_topics="/other /more",
+        wait_for_subscribers="true",
         clock="true",
-        rate="2.0",
+        hz="50",
+        rate="0.1",
+        quiet="true",
         required="true",
     )
-    assert "played 7 messages of 2 topics" in child.await_line("played ")
+    with ThreadPoolExecutor(3) as pool:
+        topics = ("/launched/a", "/launched/b", "/clock")
+        heard = [pool.submit(hear, roscore.uri, topic) for topic in topics]
+        a, b, clock = (each.result() for each in heard)
+    assert a == [message(String(text)) for text in "24"]
+    assert b == [message(String(text)) for text in "01234"]
+    times = [secs * 10**9 + nsecs for secs, nsecs in map(struct.Struct("<II").unpack, clock)]
+    assert len(times) > 10  # 0.4 s
+    assert times == sorted(times)
+    assert begin <= times[0] <= times[-1] <= begin + 10**8
+    child.await_line("REQUIRED process [player")
+    assert "played" not in child.output
+
+
+def hear(uri, topic):
+    with RawSubscriber(uri, topic) as subscriber:
+        return subscriber.rest()

@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""doc/play.md and doc/record.md: a row for every option, rosbag's and ours, and its test exists."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from cassandra_ros.cli import player
+
+ROOT = Path(__file__).resolve().parents[1]
+PARSERS = {"play": player.make_parser}
+KINDS = {"keep", "adapt", "drop", "ours"}
+OPTION = re.compile(r"(?<![\w-])(--?[A-Za-z][\w-]*)")
+
+
+def rows(name):
+    """The rows of the tables: (options, kind, what it does, test)."""
+    for line in (ROOT / "doc" / f"{name}.md").read_text(encoding="utf-8").splitlines():
+        if line.startswith("| ") and not line.startswith(("| option", "| ---")):
+            cells = [cell.strip() for cell in line.strip("|").split(" | ")]
+            assert len(cells) == 4, line
+            yield (set(re.findall(r"`(-[^`]*)`", cells[0])), *cells[1:])
+
+
+def options_of_rosbag(verb, env):
+    done = subprocess.run(
+        ["rosbag", verb, "-h"], env=env, capture_output=True, text=True, check=True, timeout=60
+    )
+    lines = [line for line in done.stdout.splitlines() if re.match(r" {2}-", line)]
+    return {option for line in lines for option in OPTION.findall(re.split(r"\s{2,}", line[2:])[0])}
+
+
+@pytest.mark.parametrize("name", PARSERS)
+def test_every_option_has_a_row(name, ros_env):
+    theirs = options_of_rosbag(name, ros_env)
+    assert {"-h", "--help", "-q"} <= theirs
+    ours = {text for action in PARSERS[name]()._actions for text in action.option_strings}
+    kinds = {option: kind for options, kind, *_ in rows(name) for option in options}
+    assert set(kinds) == theirs | ours
+    assert set(kinds.values()) <= KINDS
+    # What is dropped or only like theirs may have another name; the rest is what it says.
+    assert {option for option, kind in kinds.items() if kind == "keep"} <= theirs | {"-L", "-s"}
+    assert {option for option, kind in kinds.items() if kind == "ours"} <= ours - theirs
+    assert {option for option, kind in kinds.items() if kind in ("keep", "ours")} <= ours
+
+
+@pytest.mark.parametrize("name", PARSERS)
+def test_every_row_names_a_test_that_exists(name):
+    known = {}
+    for options, _, what, test in rows(name):
+        assert what, options
+        named = re.findall(r"`([\w/]+\.py)::(\w+)`", test)
+        assert named, options
+        for path, function in named:
+            if path not in known:
+                tree = ast.parse((ROOT / "test" / path).read_text(encoding="utf-8"))
+                known[path] = {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}
+            assert function in known[path], (options, path, function)
