@@ -114,18 +114,21 @@ class ReadAhead:
 
     def _read(self, t: int) -> None:
         """Read to the end; begin again behind the last message where the store was away."""
-        same, ends = 0, 0.0  # messages of time t that are read; when it is given up
+        ends = 0.0  # when it is given up
+        # Messages of time t that are read. By their places, for what was latched in a gap also has
+        # the time at which a window begins, and does not come again.
+        same: set[tuple[int, str, int, str]] = set()
         while not self._closed.is_set():
-            skip = same
             rows = self._begin(t)
             try:
                 for played in rows:
-                    if skip and played.t == t:
-                        skip -= 1
+                    if played.t == t and played.row.arrival in same:
                         continue
                     if not self._put(played):
                         return
-                    same = same + 1 if played.t == t else 1
+                    if played.t != t:
+                        same.clear()
+                    same.add(played.row.arrival)
                     t, ends = played.t, 0.0
                 return
             except (StoreUnavailable, ConnectionFailed) as exc:
