@@ -153,6 +153,28 @@ def test_a_window_is_imported_as_it_stands(stored, fresh, tmp_path):
         ]
 
 
+def test_windows_of_a_real_bag(rosCas, bags, tmp_path):
+    """rosbag decides what a late subscriber of /tf_static and /rosout would have been sent."""
+    path, out = bags / "turtlesim_tf.bag", tmp_path / "out.bag"
+    import_bag(rosCas, path)
+    _, every = read_with_rosbag(path)
+    for place in (500, 3000, 7000):
+        start = every[place].t_ns
+        export_bag(rosCas, out, start=start, force=True)
+        last = {}
+        for each in every:
+            if each.t_ns < start and each.header.get("latching") == b"1":
+                last[each.topic, each.header["callerid"]] = each
+        assert "/tf_static" in {topic for topic, _ in last}
+        _, read = read_with_rosbag(out)
+        early, rest = read[: len(last)], read[len(last) :]
+        assert {(e.topic, e.data, int(e.header["latched_from"])) for e in early} == {
+            (e.topic, e.data, e.t_ns) for e in last.values()
+        }
+        assert {e.t_ns for e in early} == {start}
+        assert rest == [e for e in every if e.t_ns >= start]
+
+
 def test_the_command_line_says_so(stored, tmp_path, capsys, cassandra):
     out = str(tmp_path / "out.bag")
     store = ["--host", cassandra.host, "--port", str(cassandra.port)]

@@ -160,6 +160,24 @@ def test_topics_that_nobody_latches_are_not_read(filled, monkeypatch):
     assert len(asked) == 1
 
 
+def test_looking_back_ends_with_the_last_publisher(rosCas, monkeypatch):
+    with Robot(rosCas, 1) as robot:
+        for n in range(300):
+            robot.send("/log", n / 100, f"l{n}", "ab"[n % 2], latched=True)
+        robot.send("/tick", 3, "t")
+    seen, read = [], rosCas.parts.rows.read
+
+    def counted(self, *args, **options):
+        for row in read(*args, **options):
+            seen.append(row)
+            yield row
+
+    monkeypatch.setattr(type(rosCas.parts.rows), "read", counted)
+    assert texts(latched_before(rosCas, T0 + 2 * SEC)) == ["l198", "l199"]
+    assert len(seen) == 2
+    assert not any(row.columns for row in seen)  # keys alone; the messages were fetched later
+
+
 @pytest.mark.parametrize("key_format", ["manual", "hash", "msg_part"])
 def test_latched_topics_with_keys_of_their_own(rosCas, key_format):
     from std_msgs.msg import Header
