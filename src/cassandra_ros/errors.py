@@ -28,7 +28,13 @@ class CassandraRosError(Exception):
 
 
 class ConnectionFailed(CassandraRosError):
-    """No Cassandra or ROS master answers at the given address, or refuses; or it was closed."""
+    """No Cassandra or ROS master answers at the given address, or refuses; or it was closed.
+
+    Attributes:
+        refused: It is there and refuses this user: waiting does not help.
+    """
+
+    refused = False
 
 
 class StoreUnavailable(CassandraRosError):

@@ -177,12 +177,18 @@ def test_a_port_of_another_cassandra_is_refused_with_what_to_do(folder, cassandr
         make(folder, port=cassandra.port).start()
 
 
-def test_no_space(folder, monkeypatch):
+def test_no_space(folder, tmp_path, monkeypatch):
+    """A new cluster is refused; one that has data is started, to read or to delete them."""
     make(folder).stop()
     usage = shutil.disk_usage("/")
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=100 << 20))
     with pytest.raises(ServerError, match="no space: .* has 100 MiB free.*make room"):
-        make(folder).start()
+        make(tmp_path / "new", port=free_port()).start()
+    cluster = make(folder)
+    assert cluster.start(die_with_us=True)
+    assert "has 100 MiB free, Cassandra needs 768 MiB; make room" in cluster.said[0]
+    assert ask(cluster, "SELECT key FROM system.local")
+    cluster.stop()
 
 
 def test_data_of_another_cluster_are_refused(folder):

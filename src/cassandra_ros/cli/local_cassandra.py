@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import signal
 import sys
 import time
@@ -12,8 +13,10 @@ from pathlib import Path
 from typing import Sequence
 
 from cassandra_ros.cli.options import strip_remappings, verbs_parser
+from cassandra_ros.cli.text import format_bytes
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import LocalCluster, NodeStatus, install_jars
+from cassandra_ros.local_server.disk import full_disk
 from cassandra_ros.local_server.jars import cassandra_version, jars_directory
 from cassandra_ros.local_server.ports import count_clients
 
@@ -81,7 +84,11 @@ def status(options: argparse.Namespace) -> int:
         return EXIT_NOT_RUNNING
     for node in found:
         say(_describe(node))
-    say(f"directory {cluster.directory}, heap {cluster.settings.java_heap_mb}M a node")
+    free = shutil.disk_usage(cluster.directory).free
+    heap = f"heap {cluster.settings.java_heap_mb}M a node"
+    say(f"directory {cluster.directory}, {format_bytes(free)} free, {heap}")
+    if full := full_disk(cluster.directory):
+        say(f"warning: {full}")
     return 0 if answers else EXIT_NOT_RUNNING
 
 

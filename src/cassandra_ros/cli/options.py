@@ -8,10 +8,13 @@ import argparse
 import inspect
 import re
 import sys
+import time
 from decimal import Decimal
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Callable, Mapping, Sequence
 
-from cassandra_ros.errors import InvalidKey, InvalidOption
+from cassandra_ros.errors import ConnectionFailed, InvalidKey, InvalidOption
 from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
 from cassandra_ros.store.address import (
     DEFAULT_HOST,
@@ -24,6 +27,8 @@ from cassandra_ros.store.address import (
 if TYPE_CHECKING:
     from cassandra_ros.topics.ros_cassandra import RosCassandra
 
+RETRY_SEC = 1.0
+"""How often a store is asked that is waited for."""
 _REMAPPING = re.compile(r"[A-Za-z0-9_~/]*:=")
 
 
@@ -91,6 +96,21 @@ def add_store_options(parser: argparse.ArgumentParser) -> None:
         help="the keyspace that holds the topics (default: %(default)s)",
     )
 
+    group.add_argument(
+        "--wait",
+        metavar="SECONDS",
+        type=read_seconds,
+        default=0.0,
+        help="wait so long for a store that does not answer yet (default: 0)",
+    )
+
+
+def read_seconds(text: str) -> float:
+    """Read a number of seconds of 0 or more, for argparse."""
+    if not re.fullmatch(r"[0-9]{1,9}(\.[0-9]*)?", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds, like 30 or 2.5")
+    return float(text)
+
 
 def read_port(text: str) -> int:
     """Read a TCP port, for argparse."""
@@ -105,9 +125,9 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
 
     With ``make`` the keyspace may be missing: what first writes makes it.
     """
-    from cassandra_ros.topics.ros_cassandra import RosCassandra
-
-    ros_cas = RosCassandra(options.host, options.port, keyspace=options.keyspace)
+    ros_cas = _connect(options)
+    # Found while it runs: one that has ended cannot be.
+    ros_cas.cassandra.outage.hint = partial(_trouble, _local_directories(options))
     if not make:
         try:
             ros_cas.parts.side_tables.require_keyspace()
@@ -115,6 +135,40 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
             ros_cas.close()
             raise
     return ros_cas
+
+
+def _connect(options: argparse.Namespace) -> RosCassandra:
+    """Connect, for so long again as --wait says."""
+    from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+    ends, told = time.monotonic() + options.wait, False
+    while True:
+        try:
+            return RosCassandra(options.host, options.port, keyspace=options.keyspace)
+        except ConnectionFailed as exc:
+            trouble = _trouble(_local_directories(options))
+            reason = f"{exc}; {trouble}" if trouble else str(exc)
+            if exc.refused or time.monotonic() >= ends:
+                raise ConnectionFailed(reason) from exc
+            if not told:
+                text = f"waiting up to {options.wait:g} s for the store: {reason}"
+                print(text, file=sys.stderr, flush=True)
+            told = True
+            time.sleep(min(RETRY_SEC, max(ends - time.monotonic(), 0.0)))
+
+
+def _local_directories(options: argparse.Namespace) -> list[Path]:
+    """List where the data of the store lie, as far as it is the local one."""
+    from cassandra_ros.local_server.disk import local_directory
+
+    found = (local_directory(host.strip(), options.port) for host in options.host.split(","))
+    return sorted({directory for directory in found if directory is not None})
+
+
+def _trouble(directories: Sequence[Path]) -> str:
+    from cassandra_ros.local_server.disk import disk_trouble
+
+    return next(filter(None, map(disk_trouble, directories)), "")
 
 
 def add_time_options(parser: argparse.ArgumentParser, what: str = "") -> None:

@@ -112,7 +112,11 @@ class LocalCluster:
         """
         if not self.directory.exists():
             self._check(self.nodes)  # a start that is refused leaves nothing behind
-        preflight.make_directory(self.directory, self.settings.nodes)
+        warning = preflight.make_directory(
+            self.directory, self.settings.nodes, holds_data=self.exists
+        )
+        if warning:
+            self._say(f"warning: {warning}")
         with locked(self.directory / "lock"):
             self._load()  # somebody else may just have made the cluster
             offsets = {node.number: log_size(node) for node in self.nodes}

@@ -17,17 +17,26 @@ from cassandra_ros.local_server.settings import Settings
 _NEEDED_BYTES = 768 << 20  # per node: the commit log alone may take 512 MiB
 
 
-def make_directory(directory: Path, nodes: int) -> None:
-    """Make the cluster's directory and see that its disk has room."""
+def make_directory(directory: Path, nodes: int, *, holds_data: bool = False) -> str:
+    """Make the cluster's directory and see that its disk has room.
+
+    Returns:
+        What to say of a disk with little room where there are data to be read, or deleted; or ''.
+    """
+    warning = ""
     try:
         there = next(path for path in (directory, *directory.parents) if path.is_dir())
         free, needed = shutil.disk_usage(there).free, _NEEDED_BYTES * nodes
         if free < needed:
-            raise ServerError(
-                f"no space: {directory} has {free >> 20} MiB free, Cassandra needs "
-                f"{needed >> 20} MiB; make room, or choose another directory with --dir"
+            warning = (
+                f"{directory} has {free >> 20} MiB free, Cassandra needs {needed >> 20} MiB; make "
+                "room"
             )
+            if not holds_data:
+                raise ServerError(f"no space: {warning}, or choose another directory with --dir")
+            warning += ", or remove what is stored: it is started to be read, and may not take more"
         directory.mkdir(parents=True, exist_ok=True)
+        return warning
     except OSError as exc:
         raise ServerError(
             f"{directory} cannot be made: {exc}; choose another directory with --dir"

@@ -32,7 +32,13 @@ from cassandra.query import PreparedStatement, SimpleStatement, Statement, tuple
 
 from cassandra_ros.errors import ConnectionFailed, KeyspaceNotFound, TopicNotFound
 from cassandra_ros.store.address import host_names, port_number
-from cassandra_ros.store.driver_errors import DRIVER_ERRORS, START_HINT, translate, translated
+from cassandra_ros.store.driver_errors import (
+    DRIVER_ERRORS,
+    START_HINT,
+    is_passing,
+    translate,
+    translated,
+)
 from cassandra_ros.store.outage import Outage
 from cassandra_ros.store.paging import RETRY_SEC, retried, sent_ahead
 
@@ -158,9 +164,11 @@ class Cassandra:
         except NoHostAvailable as exc:
             self._cluster.shutdown()
             causes = "; ".join(sorted({str(error) for error in exc.errors.values()}))
-            raise ConnectionFailed(
+            failure = ConnectionFailed(
                 f"no Cassandra answers at {self._where} ({causes or 'no address'}); {START_HINT}"
-            ) from exc
+            )
+            failure.refused = not is_passing(exc)
+            raise failure from exc
         except (*DRIVER_ERRORS, OSError) as exc:
             self._cluster.shutdown()
             raise ConnectionFailed(f"cannot connect to Cassandra at {self._where}: {exc}") from exc

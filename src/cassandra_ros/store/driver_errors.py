@@ -58,6 +58,9 @@ _PASSING = (
 )
 
 
+_DISK_FULL = ("no space left", "insufficient disk space", "disk usage exceeds", "nodiskavailable")
+
+
 def is_busy(exc: BaseException) -> bool:
     """Say whether only our own sockets were full: nothing was sent, wait and send again.
 
@@ -71,8 +74,16 @@ def is_busy(exc: BaseException) -> bool:
     return False
 
 
+def is_disk_full(exc: BaseException) -> bool:
+    """Say whether a server tells that its disk is full, or fuller than its guardrail allows."""
+    errors = [exc, *(exc.errors.values() if isinstance(exc, NoHostAvailable) else ())]
+    return any(sign in str(error).lower() for error in errors for sign in _DISK_FULL)
+
+
 def is_passing(exc: BaseException) -> bool:
     """Say whether the same idempotent statement may succeed later."""
+    if is_disk_full(exc):
+        return True  # somebody may make room
     if isinstance(exc, NoHostAvailable):
         return not any(
             isinstance(error, (Unauthorized, AuthenticationFailed, InvalidRequest))
@@ -102,6 +113,8 @@ def translate(exc: BaseException, what: str) -> CassandraRosError:
     """Make one of our errors out of one of the driver's; what was being done begins its text."""
     if isinstance(exc, CassandraRosError):
         return exc
+    if is_disk_full(exc):
+        return StoreUnavailable(f"{what}: the disk of the store is full; make room there ({exc})")
     if isinstance(exc, (Unauthorized, AuthenticationFailed)):
         return ConnectionFailed(f"{what}: the server refuses this user: {exc}")
     if isinstance(exc, NoHostAvailable):

@@ -29,11 +29,13 @@ class Outage:
     Attributes:
         waiting: Returns what waits for the store and how long it is kept, for the lines that tell
             of an outage; '' = nothing to be said. Whoever keeps something sets it.
+        hint: Returns what else is known of the reason; as above.
     """
 
     def __init__(self, where: str) -> None:
         self._where = where
         self.waiting: Callable[[], str] = str
+        self.hint: Callable[[], str] = str
         self._mutex = threading.Lock()
         self._failing_since: float | None = None
         """When the first request failed since the last one was answered; monotonic."""
@@ -66,7 +68,7 @@ class Outage:
         clock = time.strftime("%H:%M:%S", time.localtime(time.time() - away))
         cause = f"({cause_of(exc)})" if first else "still"
         text = "the store at %s has not answered since %s %s%s"
-        _log.warning(text, self._where, clock, cause, self._rest())
+        _log.warning(text, self._where, clock, cause, _rest(self.hint(), self.waiting()))
 
     def answered(self) -> None:
         """Note that a request was answered; cheap while all are."""
@@ -77,10 +79,9 @@ class Outage:
             self._failing_since = self._told = None
         if since is not None and told is not None:
             away = time.monotonic() - since
-            _log.warning(
-                "the store at %s answers again after %.0f s%s", self._where, away, self._rest()
-            )
+            text = "the store at %s answers again after %.0f s%s"
+            _log.warning(text, self._where, away, _rest(self.waiting()))
 
-    def _rest(self) -> str:
-        text = self.waiting()
-        return text and f"; {text}"
+
+def _rest(*texts: str) -> str:
+    return "".join(f"; {text}" for text in texts if text)

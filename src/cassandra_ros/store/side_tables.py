@@ -252,6 +252,13 @@ class SideTables:
             _warn_of_factor(self.keyspace, rows[0][0], wanted)
         else:
             datacenter = quote_text(self._cassandra.local_datacenter())
+            if wanted > 1:
+                _log.warning(
+                    "making keyspace %s: %d nodes have to agree on it and on each of its tables, "
+                    "which may take up to a minute",
+                    self.keyspace,
+                    self._cassandra.live_nodes(),
+                )
             self._cassandra.schema_change(
                 f"CREATE KEYSPACE IF NOT EXISTS {quote_name(self.keyspace)} WITH replication = "
                 f"{{'class': 'NetworkTopologyStrategy', {datacenter}: {wanted}}}",

@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Why a local Cassandra takes nothing more: a full disk, which it cannot tell itself."""
+
+from __future__ import annotations
+
+import ipaddress
+import shutil
+import socket
+from pathlib import Path
+
+import psutil
+
+from cassandra_ros.errors import ServerError
+from cassandra_ros.local_server.jars import default_directory
+from cassandra_ros.local_server.nodes import Node
+from cassandra_ros.local_server.preflight import log_since, log_size
+from cassandra_ros.local_server.processes import command_line, find_server
+from cassandra_ros.local_server.settings import Settings, load_settings
+
+LOW_BYTES = 64 << 20
+"""Less is as good as nothing: a segment of the commit log has 32 MiB."""
+_STORAGE = "-Dcassandra.storagedir="
+_STARTED = "Starting listening for CQL clients"
+_FULL = ("No space left on device", "Insufficient disk space", "NoDiskAvailable")
+_TAIL_BYTES = 64 << 10
+
+
+def local_directory(host: str, port: int) -> Path | None:
+    """Find the directory of the local Cassandra at an address: the default one, or one that runs.
+
+    None where it is not one of this package's, or on another machine.
+    """
+    try:
+        address = socket.gethostbyname(host)
+    except OSError:
+        return None
+    if not ipaddress.IPv4Address(address).is_loopback:
+        return None
+    if _is_at(default_directory(), address, port):
+        return default_directory()
+    return next((found for found in _running() if _is_at(found, address, port)), None)
+
+
+def disk_trouble(directory: Path) -> str:
+    """Say why the local Cassandra of a directory may take nothing; '' = no reason is known."""
+    full = full_disk(directory)
+    settings = _settings(directory)
+    if full or settings is None:
+        return full
+    for number in range(1, settings.nodes + 1):
+        node = Node(number, directory / f"node{number}", settings)
+        if not find_server(node.config):
+            return f"Cassandra node {number} of {directory} does not run; its log is {node.log}"
+    return ""
+
+
+def full_disk(directory: Path) -> str:
+    """Say that the disk of a local Cassandra is full, or was while this ran; '' = neither."""
+    settings = _settings(directory)
+    if settings is None:
+        return ""
+    try:
+        free = shutil.disk_usage(directory).free
+    except OSError as exc:
+        return f"{directory} cannot be read: {exc}"
+    if free < LOW_BYTES:
+        return f"the disk of {directory} is full: {free >> 20} MiB are free; make room there"
+    for number in range(1, settings.nodes + 1):
+        node = Node(number, directory / f"node{number}", settings)
+        tail = log_since(node, max(0, log_size(node) - _TAIL_BYTES)).rpartition(_STARTED)[2]
+        if any(sign in tail for sign in _FULL):
+            return (
+                f"the disk of {directory} was full ({node.log} tells of it) and has room again: "
+                "stop and start the server with local_cassandra"
+            )
+    return ""
+
+
+def _settings(directory: Path) -> Settings | None:
+    try:
+        return load_settings(directory)
+    except ServerError:
+        return None
+
+
+def _is_at(directory: Path, address: str, port: int) -> bool:
+    settings = _settings(directory)
+    numbers = range(1, settings.nodes + 1) if settings else ()
+    return bool(settings and settings.port == port and address in map(settings.address, numbers))
+
+
+def _running() -> list[Path]:
+    words = (word for pid in psutil.pids() for word in command_line(pid))
+    return [Path(word[len(_STORAGE) :]).parent for word in words if word.startswith(_STORAGE)]
