@@ -28,12 +28,15 @@ from cassandra_ros.errors import (
     InvalidKey,
     InvalidName,
     LookupException,
+    RunNotFound,
     TopicNotFound,
     TransformException,
     TypeMismatch,
 )
+from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.store.registry import Run
 from cassandra_ros.transforms import samples
 
 SEC = 10**9
@@ -428,6 +431,24 @@ def test_seconds_as_an_integer(store):
     with pytest.raises(ExtrapolationException) as error:
         store.look("map", "base", T0 // SEC + 1)
     assert "did you mean seconds (a float)?" in str(error.value)
+
+
+def test_two_runs_of_the_same_robot(rosCas):
+    kind = TFMessage
+    header = {"type": kind._type, "md5sum": kind._md5sum, "message_definition": kind._full_text}
+    for number, (name, x) in enumerate((("morning", 1.0), ("evening", 5.0)), 7):
+        run = Run("", number, "recording", name=name)
+        with rosCas.messageWriter(writer_id=number, run=run) as writer:
+            for topic, child in (("/tf", "base"), ("/tf_static", "laser")):
+                parent = {"base": "map", "laser": "base"}[child]
+                handle = writer.connect(live_connection(topic, header))
+                msg = TFMessage([transform(parent, child, T0, x)])
+                writer.write(handle, T0, len(topic), serialize(msg))
+    for run, x in (("morning", 2.0), ("evening", 10.0), (7, 2.0)):
+        found = rosCas.lookupTransform("map", "laser", 0, run=run)
+        assert found.transform.translation.x == x
+    with pytest.raises(RunNotFound):
+        rosCas.lookupTransform("map", "laser", 0, run="noon")
 
 
 def test_unknown_frames(store):

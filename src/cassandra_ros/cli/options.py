@@ -209,6 +209,7 @@ def add_origin_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--run",
         metavar="NAME",
+        type=lambda text: text or None,  # as a launch file may give it
         help="only messages of the recordings or imports of this name, or of a writer id "
         "(default: of all)",
     )
