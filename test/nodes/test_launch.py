@@ -12,12 +12,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from nodes.children import Child
-from nodes.raw_publisher import header_of, message
+from nodes.children import Child, await_true
+from nodes.raw_publisher import RawPublisher, header_of, message
 from nodes.raw_subscriber import RawSubscriber
-from std_msgs.msg import String
+from std_msgs.msg import String, UInt32
 
-from cassandra_ros.cli import player
+from cassandra_ros.cli import player, recorder
 from cassandra_ros.messages.connection import live_connection
 
 LAUNCH = Path(__file__).resolve().parents[2] / "launch"
@@ -40,14 +40,22 @@ def test_play_launch_has_an_argument_for_every_option():
     assert arguments_of("play.launch") == options | {"required"}
 
 
+def test_cassandra_ros_launch_has_an_argument_for_every_option_of_the_recorder():
+    options = options_of(recorder.make_parser()) - {"quiet"}
+    renamed = {"output_name": "name", "labels": "label"}
+    wanted = {renamed.get(name, name) for name in options}
+    others = {"local", "dir", "nodes", "heap", "record", "allow_writes"}
+    assert arguments_of("cassandra_ros.launch") == wanted | others
+
+
 @pytest.fixture
 def launched(roscore, cassandra, keyspace, tmp_path):
     started = []
 
-    def launch(name, **arguments):
+    def launch(file, **arguments):
         where = {"host": cassandra.host, "port": cassandra.port, "keyspace": keyspace}
         words = [f"{key}:={value}" for key, value in {**where, **arguments}.items()]
-        command = ["roslaunch", "--wait", "cassandra_ros", name, *words]
+        command = ["roslaunch", "--wait", "cassandra_ros", file, *words]
         child = Child(command, {**roscore.env, "ROS_LOG_DIR": str(tmp_path)})
         started.append(child)
         return child
@@ -56,6 +64,34 @@ def launched(roscore, cassandra, keyspace, tmp_path):
     for child in started:
         with child:
             assert child.end(signal.SIGINT) == 0, child.output
+
+
+def test_cassandra_ros_launch_records_all_at_once(launched, roscore, rosCas):
+    child = launched(
+        "cassandra_ros.launch",
+        local="false",
+        node_id="robot 1",
+        name="patrol",
+        label="'site=the lab', operator=ann",
+        where="'/launched/n: data > 1'",
+        exclude="/rosout.*",
+        ttl=86400,
+    )
+    child.await_line("services under /recorder")
+    header = header_of(UInt32, "/numbers")
+    with RawPublisher(roscore.uri, "/launched/n", header, "/numbers") as publisher:
+        publisher.await_subscribers().publish(*(struct.pack("<I", n) for n in range(4)))
+        await_true(
+            lambda: (
+                rosCas.existTopic("/launched/n")
+                and rosCas.getTopic("/launched/n").countTopicData() == 2
+            )
+        )
+    (run,) = rosCas.runs()
+    assert (run.name, run.node, run.state) == ("patrol", "robot 1", "recording")
+    assert run.labels == {"site": "the lab", "operator": "ann"}
+    assert rosCas.getTopic("/launched/n").getMeta["ttl"] == 86400
+    assert "/rosout" not in [topic.name for topic in rosCas.getAllTopics()]
 
 
 def test_play_launch_plays(launched, roscore, rosCas):
