@@ -10,7 +10,7 @@ import signal
 import pytest
 from conftest import ROOT
 
-from cassandra_ros.cli import query_server
+from cassandra_ros.cli import player, query_server, recorder
 from cassandra_ros.cli.options import add_store_options, strip_remappings
 from cassandra_ros.cli.text import (
     MessageBar,
@@ -59,10 +59,14 @@ def test_what_roslaunch_adds_is_dropped():
     assert strip_remappings(words) == words[:3]
 
 
-def test_the_query_server_tells_all_its_services():
-    help_text = query_server.make_parser().format_help()
+def test_every_service_is_told_by_its_program():
+    told = "".join(p.make_parser().format_help() for p in (query_server, player, recorder))
     for path in (ROOT / "srv").glob("*.srv"):
-        assert path.stem[0].lower() + path.stem[1:] in help_text
+        name = path.stem[0].lower() + path.stem[1:]
+        name = {"playerStatus": "status", "recorderStatus": "status", "recordTopics": "start"}.get(
+            name, name
+        )
+        assert f"~{name}" in told, name
 
 
 def test_table():

@@ -9,6 +9,8 @@ Times are seconds from the first message (12.5), seconds since 1970 (1368021980.
 (from 13 digits on) or ISO 8601 (2013-05-08T14:06:20Z, no zone means UTC).
 
 On a terminal: space pauses and resumes, s steps while paused, t turns --pause-topics off and on.
+The services ~pause, ~resume, ~step, ~seek, ~setRate, ~stop and ~status (and ~pause_playback, as
+rosbag play has it) do so from elsewhere.
 """
 
 from __future__ import annotations
