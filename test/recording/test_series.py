@@ -1,0 +1,188 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Runs one after the other, and the newest messages kept for a snapshot."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from nodes.raw_publisher import header_of, message
+from std_msgs.msg import String
+
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.recording.options import RecorderOptions
+from cassandra_ros.recording.series import Series
+from cassandra_ros.recording.snapshot import Bound, Ring, Snapshots
+from cassandra_ros.recording.space import SpaceGuard
+from cassandra_ros.store.registry import LossKind
+
+SEC = 10**9
+T0 = 1_400_000_000 * SEC
+HEADER = header_of(String)
+SLOW = header_of(String, name="/slow")
+LATCHED = header_of(String, name="/map", latching="1")
+
+
+def text(n):
+    return message(String(str(n)))
+
+
+def series_of(rosCas, **options):
+    ticks = itertools.count(T0, SEC)
+    begun = []
+    made = Series(rosCas, RecorderOptions(**options), lambda: next(ticks), begun.append)
+    return made, begun
+
+
+def stored(rosCas, topic, run):
+    return [row.wire for row in rosCas.getTopic(topic).rows(run=run)]
+
+
+# -------------------------------------------------------------------- splits
+
+
+def test_a_split_goes_on_in_a_new_run(rosCas):
+    series, begun = series_of(
+        rosCas, output_name="drive", split=True, size=100_000, repeat_latched=True, limit=25
+    )
+    series.begin(labels={"site": "lab"})
+    series.received("/map", LATCHED, text("map"))
+    sent = [message(String(f"{n:>9}" + "x" * 10_000)) for n in range(30)]
+    for wire in sent:
+        series.received("/t", HEADER, wire)
+        assert not series.poll()
+    series.end()
+    assert [run.name for run in begun] == ["drive_0", "drive_1", "drive_2"]
+    parts = [stored(rosCas, "/t", run.name) for run in begun]
+    assert sum(parts, []) == sent[:25]  # the limit is that of all runs together
+    assert [len(part) for part in parts] == [10, 10, 5]
+    for run in begun:
+        assert stored(rosCas, "/map", run.name) == [text("map")]
+    assert [(r.topic, r.stored, r.lost) for r in series.reports()] == [
+        ("/map", 3, 0),
+        ("/t", 25, 0),
+    ]
+    runs = {run.name: run for run in rosCas.runs()}
+    assert runs["drive_1"].labels == {"site": "lab"}
+    assert all(run.ended for run in runs.values())
+
+
+def test_only_the_last_runs_are_kept(rosCas):
+    series, begun = series_of(rosCas, output_name="r", split=True, size=1000, max_splits=2)
+    series.begin()
+    for n in range(5):
+        series.received("/t", HEADER, message(String(str(n) * 1000)))
+        while len(begun) < n + 2:  # not more than two runs are ended at a time
+            series.poll()
+    series.end()
+    left = [row.message().data[0] for row in rosCas.getTopic("/t").rows()]
+    assert left == ["4"]
+    assert series.reports()[0].stored == 5
+
+
+def test_size_without_split_ends(rosCas):
+    series, _ = series_of(rosCas, size=1000)
+    series.begin()
+    assert not series.poll()
+    series.received("/t", HEADER, message(String("x" * 1000)))
+    assert series.poll()
+    series.end()
+
+
+def test_names(monkeypatch):
+    assert RecorderOptions(output_name="a").run_name(0) == "a"
+    assert RecorderOptions(output_name="a", split=True).run_name(3) == "a_3"
+    date = RecorderOptions().run_name(0)
+    assert RecorderOptions(output_prefix="p").run_name(0)[:2] == "p_"
+    assert len(date) == len("2014-07-10-18-03-11")
+
+
+def test_no_space_is_a_loss_that_is_told(rosCas):
+    free = [100 << 20]
+    series, _ = series_of(rosCas, free_space=lambda: free[0], min_space=50 << 20)
+    series.begin()
+    series.poll()
+    series.received("/t", HEADER, text(1))
+    free[0] = 10 << 20
+    series._look = 0.0
+    series.poll()
+    series.received("/t", HEADER, text(2))
+    (report,) = series.end()
+    assert (report.stored, report.reasons) == (1, {LossKind.REFUSED: 1})
+    assert "10 MB are free" in report.details[LossKind.REFUSED]
+    assert [loss.kind for loss in rosCas.losses()] == [LossKind.REFUSED]
+    assert SpaceGuard(None, 5).refusal() == ""
+
+
+# -------------------------------------------------------------------- snapshots
+
+
+def kept(t, size=0):
+    return ("/t", HEADER, bytes(size), t)
+
+
+def test_a_ring_keeps_the_newest():
+    ring = Ring(Bound(seconds=10), 0)
+    for second in range(100):
+        ring.add(kept(second * SEC))
+    assert [item[3] // SEC for item in ring.content(())] == list(range(89, 100))
+    assert ring.seconds == 10
+    ring.forget(105 * SEC)
+    assert len(ring) == 5
+    assert ring.content(("/other",)) == []
+    ring.add(kept(3 * SEC))  # time went back: what is older now lies in the future
+    assert [item[3] for item in ring.content(())] == [3 * SEC]
+
+
+@pytest.mark.parametrize("bound", [Bound(nbytes=1 << 20), Bound(seconds=1e6)])
+def test_a_ring_stays_within_its_bytes(bound):
+    ring = Ring(bound, 1 << 20)
+    for n in range(100):
+        ring.add(kept(n, 100_000))
+        assert ring.nbytes <= 1 << 20
+    assert len(ring) == 10
+    assert ring.short == bool(bound.seconds)
+
+
+def snapshots_of(rosCas, seconds=5.0, **options):
+    now = [T0]
+    series = Series(rosCas, RecorderOptions(**options), lambda: now[0], lambda run: None)
+    bound = Bound(seconds=seconds)
+    return Snapshots(bound, 0, lambda: now[0], series.filters, series.single), now
+
+
+def test_a_snapshot_is_a_run_of_its_own(rosCas):
+    snapshots, now = snapshots_of(rosCas, rate_limit=[("/slow", 1.0)])
+    for n in range(200):
+        now[0] = T0 + n * SEC // 10
+        snapshots.received("/t", HEADER, text(n))
+        snapshots.received("/slow", SLOW, text(n))
+    run, count = snapshots.write("crash", {"why": "bump"})
+    assert (run.name, count) == ("crash", 51 + 5)
+    assert stored(rosCas, "/t", "crash") == [text(n) for n in range(149, 200)]
+    rows = list(rosCas.getTopic("/t").rows())
+    assert rows[0].t == T0 + 149 * SEC // 10  # when it came, not when it was written
+    (found,) = rosCas.runs()
+    assert (found.labels, found.stored["/t"]) == ({"why": "bump"}, 51)
+    run, count = snapshots.write("again", {}, topics=["/slow"])
+    assert count == 5
+    assert snapshots.close()
+
+
+def test_what_comes_after_is_in_it_too(rosCas):
+    snapshots, now = snapshots_of(rosCas)
+    for n in range(10):
+        snapshots.received("/t", HEADER, text(n))
+    run, count = snapshots.write("event", {}, after_sec=3600.0)
+    assert count == 10
+    for n in range(10, 20):
+        snapshots.received("/t", HEADER, text(n))
+    for _ in range(3):
+        snapshots.write("more", {}, after_sec=3600.0)
+    with pytest.raises(InvalidOption, match="being written already"):
+        snapshots.write("too many", {})
+    assert snapshots.close()  # ends them: what has come is stored
+    # All have one stamp: the order is that of arrival.
+    assert stored(rosCas, "/t", "event") == [text(n) for n in range(20)]
+    assert len(snapshots.reports) == 4

@@ -1,0 +1,169 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How each topic is recorded: patterns in a file, conditions, rates; and wrong ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from geometry_msgs.msg import Twist
+from nodes.raw_publisher import header_of, message
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Int32, String
+
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.recording.filters import Filters
+from cassandra_ros.recording.options import RecorderOptions
+from cassandra_ros.recording.plan import plan_topics
+from cassandra_ros.recording.recording import Recording
+from cassandra_ros.recording.settings import Settings, TopicSettings, read_settings
+from cassandra_ros.recording.snapshot import Bound, read_bound
+
+ROOT = Path(__file__).resolve().parents[2]
+SEC = 10**9
+
+
+def settings_of(text, **options):
+    return RecorderOptions(config=read_settings(text), **options).settings
+
+
+def test_the_example():
+    rules = read_settings((ROOT / "config/recorder.yaml").read_text(encoding="utf-8"))
+    of = Settings(TopicSettings("json", 60), [rules]).of
+    camera = TopicSettings("binary", 86400, 5.0)
+    assert of("/front/image_raw") == of("/lidar/points/filtered") == camera
+    assert of("/cmd_vel_stamped").key_part == "header.stamp"
+    assert of("/main_battery/state").index == ("percentage", "voltage")
+    assert of("/else") == TopicSettings("json", 60)
+
+
+def test_the_first_that_matches_holds_and_options_go_before_the_file():
+    text = "topics:\n- {pattern: /a.*, ttl: 5}\n- {pattern: /ab, ttl: 6, format: yaml}\n"
+    found = settings_of(text, rate_limit=[("/ab", 2.0), (".*", 9.0)], where=[("/x", "data > 1")])
+    assert found.of("/ab") == TopicSettings(None, 5, 2.0)
+    assert found.of("/b") == TopicSettings(None, 0, 9.0)
+    assert found.of("/x").where == "data > 1"
+    assert read_settings("") == read_settings("topics:\n") == []
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("topics: [", "while parsing"),
+        ("- a", "mapping with one key, topics"),
+        ("topics: {a: b}", "must be a list"),
+        ("topics: [{format: ros}]", "no mapping with a pattern"),
+        ("topics: [{pattern: '('}]", "not a regular expression"),
+        ("topics: [{pattern: /a, fromat: ros}]", "did you mean format?"),
+        ("topics: [{pattern: /a, format: xml}]", "no format 'xml'"),
+        ("topics: [{pattern: /a, ttl: -1}]", "whole number of 0"),
+        ("topics: [{pattern: /a, ttl: soon}]", "not a duration"),
+        ("topics: [{pattern: /a, rate_limit: 0}]", "no rate"),
+        ("topics: [{pattern: /a, where: 'a >'}]", "pattern '/a'"),
+        ("topics: [{pattern: /a, index: 5}]", "no list of names"),
+        ("!!python/object/apply:os.system ['true']", "could not determine a constructor"),
+    ],
+)
+def test_what_is_wrong_is_named(text, said):
+    with pytest.raises(InvalidOption, match="my.yaml cannot be used") as caught:
+        read_settings(text, "my.yaml")
+    assert said in str(caught.value)
+
+
+def test_bounds():
+    assert read_bound("30s") == Bound(seconds=30.0)
+    assert read_bound("5m") == Bound(seconds=300.0)
+    assert read_bound("200MB") == Bound(nbytes=200 << 20)
+    for wrong in ("", "0MB", "MB", "-3s", "soon"):
+        with pytest.raises(InvalidOption, match="30s or 200MB"):
+            read_bound(wrong)
+
+
+# -------------------------------------------------------------------- filters
+
+
+def passed(filters, times, topic="/t", header=None, wire=b""):
+    return [t for t in times if filters.passes(topic, header or {}, t, wire)]
+
+
+def test_a_rate_is_kept_also_where_messages_jitter():
+    filters = Filters(RecorderOptions(rate_limit=[("/t", 5.0)]).settings)
+    jitter = [n * SEC // 10 + (n * 7919 % 40 - 20) * 10**6 for n in range(10, 1010)]
+    kept = passed(filters, jitter)
+    assert 498 <= len(kept) <= 502
+    assert passed(filters, jitter, topic="/other") == jitter
+    again = [t - 90 * SEC for t in jitter[-100:]]  # time goes back
+    assert 48 <= len(passed(filters, again)) <= 52
+
+
+def test_a_condition_is_that_of_the_query_language():
+    filters = Filters(RecorderOptions(where=[("/n", "data > 5 and data != 7")]).settings)
+    header = header_of(Int32)
+    wires = {n: message(Int32(n)) for n in range(10)}
+    assert [n for n in wires if filters.passes("/n", header, 0, wires[n])] == [6, 8, 9]
+    # Another type on the same topic, to which the condition does not fit: whole, and said.
+    assert filters.passes("/n", header_of(Twist), 0, message(Twist()))
+
+
+def test_left_out_is_counted_and_not_lost(rosCas):
+    options = RecorderOptions(where=[("/n", "data >= 3")])
+    recorder = Recording(rosCas, settings=options.settings, limit=2)
+    for n in range(10):
+        recorder.received("/n", header_of(Int32), message(Int32(n)))
+    (report,) = recorder.close()
+    assert (report.received, report.left_out, report.stored, report.lost) == (5, 3, 2, 0)
+    assert [m.data for _, m in rosCas.getTopic("/n").items()] == [3, 4]
+
+
+def test_a_condition_on_a_field_that_is_not_there(rosCas, caplog):
+    recorder = Recording(rosCas, settings=RecorderOptions(where=[("/n", "date > 3")]).settings)
+    recorder.received("/n", header_of(Int32), message(Int32(1)))
+    (report,) = recorder.close()
+    assert (report.stored, report.left_out) == (1, 0)
+    assert "recorded whole" in caplog.text
+    assert "did you mean data?" in caplog.text
+
+
+# -------------------------------------------------------------------- tables
+
+TABLES = """
+topics:
+- {pattern: /imu, format: ros, ttl: 3600, key_part: header.stamp, index: [orientation.w]}
+- {pattern: /text, key_part: header.stamp}
+"""
+
+
+def test_tables_are_made_as_the_settings_say(rosCas, caplog):
+    settings = settings_of(TABLES, format="binary")
+    recorder = Recording(rosCas, settings=settings)
+    imu = Imu()
+    imu.header.stamp.secs = 77
+    recorder.received("/imu", header_of(Imu), message(imu))
+    recorder.received("/text", header_of(String), message(String("x")))
+    assert [report.lost for report in recorder.close()] == [0, 0]
+    meta = rosCas.getTopic("/imu").getMeta
+    found = [meta[name] for name in ("format", "ttl", "key_part", "indexes")]
+    assert found == ["ros", 3600, "header.stamp", ["orientation.w"]]
+    assert rosCas.getTopic("/imu").getData(77 * SEC) == imu
+    # A key field that the type lacks: kept by time, and said.
+    assert "kept by time of reception" in caplog.text
+    assert rosCas.getTopic("/text").getMeta["format"] == "binary"
+    # What is stored stays as it is.
+    other = settings_of("topics: [{pattern: /imu, ttl: 60, index: [header.seq]}]")
+    recorder = Recording(rosCas, settings=other)
+    recorder.received("/imu", header_of(Imu), message(imu))
+    recorder.close()
+    assert "was made with a ttl of 3600 s, not 60 s" in caplog.text
+    assert "has no index on header.seq" in caplog.text
+
+
+def test_a_plan_writes_nothing(rosCas):
+    types = {"/imu": "sensor_msgs/Imu", "/new": ""}
+    plan = plan_topics(rosCas, settings_of(TABLES), types)
+    assert [(p.topic, p.format, p.ttl, p.stored) for p in plan] == [
+        ("/imu", "ros", 3600, False),
+        ("/new", "ros", 0, False),
+    ]
+    assert plan[0].settings == ["key header.stamp", "index on orientation.w"]
+    assert rosCas.getAllTopics() == []
