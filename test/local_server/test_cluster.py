@@ -239,7 +239,7 @@ def nodes_asked(rosCas):
 
 
 @pytest.mark.long
-def test_three_nodes(tmp_path, monkeypatch):
+def test_three_nodes(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(cluster_module, "START_TIMEOUT_SEC", 600.0)
     monkeypatch.setattr(cluster_module, "_NEIGHBOUR_TIMEOUT_SEC", 120.0)
     cluster = make(tmp_path, nodes=3, host="127.0.0.11", port=free_port(), heap="256M")
@@ -259,6 +259,7 @@ def test_three_nodes(tmp_path, monkeypatch):
         with connect(cluster) as rosCas:
             assert nodes_asked(rosCas) == 3
             topic = rosCas.addTopic("/t", msg_type="std_msgs/String", nodeID="n")
+            assert "making keyspace robot: 3 nodes have to agree" in caplog.text
             for number in range(20):
                 topic.addData(String(str(number % 5)), key=number)
             assert topic.createIndex("data") == 20

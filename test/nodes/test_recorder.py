@@ -197,6 +197,31 @@ def test_types_that_differ_on_one_topic(roscore, recorder, rosCas):
     assert {row.message().data for row in rows if row.type == "std_msgs/Int32"} == set(range(20))
 
 
+def test_a_publisher_that_changes_its_type(roscore, recorder, rosCas):
+    """It comes again under its name and URI; the topic goes on in a second table."""
+    child = recorder("/changes", "/other")
+    with publisher(roscore, "/changes", name="/c") as one, publisher(
+        roscore, "/other", name="/o"
+    ) as other:
+        one.await_subscribers().publish(text(1))
+        other.await_subscribers().publish(text(1))
+        await_true(lambda: rosCas.existTopic("/changes"))
+        one._master.unregisterPublisher(one.name, one.topic, one.uri)
+        one.hang_up()
+        one.header = header_of(Int32, "/c")
+        one._master.registerPublisher(one.name, one.topic, "std_msgs/Int32", one.uri)
+        one.await_subscribers().publish(message(Int32(2)))
+        other.publish(text(2))
+        child.await_line("/changes was stored with type std_msgs/String")
+    assert child.end() == 0, child.output
+    rows = list(rosCas.getTopic("/changes").rows())
+    assert [(row.type, row.message().data) for row in rows] == [
+        ("std_msgs/String", "1"),
+        ("std_msgs/Int32", 2),
+    ]
+    assert wires(rosCas, "/other") == [text(1), text(2)]
+
+
 @pytest.mark.parametrize("form", FORMATS)
 def test_a_type_that_is_not_installed(roscore, recorder, rosCas, form):
     child = recorder("/lost", "--format", form)
