@@ -99,6 +99,21 @@ def check_run(run: Any) -> Union[None, str, int]:
     return check_text("run", run, MAX_TEXT_BYTES, InvalidName, wanted)
 
 
+def check_labels(labels: Any) -> dict[str, str]:
+    """Return the labels of a run, texts by texts, or raise InvalidName."""
+    if not isinstance(labels, Mapping):
+        raise InvalidName(
+            f"labels={_shown(labels)} are no mapping: give one like {{'site': 'lab'}}"
+        )
+    wanted = "labels that are texts, as {'site': 'lab'}"
+    return {
+        check_text("label", name, MAX_NODE_BYTES, InvalidName, wanted): check_text(
+            f"label {name}", text, error=InvalidName, wanted=wanted
+        )
+        for name, text in labels.items()
+    }
+
+
 def check_topic(topic: Any) -> str:
     """Return the name of a topic that is looked for, or raise InvalidName."""
     if isinstance(topic, str):

@@ -88,6 +88,29 @@ def test_losses_are_kept_beside_the_data(connect, keyspace):
         assert store.losses(key=91) == store.losses(to_key=4) == []
 
 
+def test_names_and_labels_are_texts(rosCas):
+    for wrong in (
+        Run("", 7, "api", name=7),
+        Run("", 7, "api", name="\udcff"),
+        Run("", 7, "api", labels=["a"]),
+        Run("", 7, "api", labels={"a": 1}),
+        Run("", 7, "api", labels={1: "a"}),
+    ):
+        with pytest.raises(InvalidName, match="give"):
+            rosCas.messageWriter(run=wrong)
+    assert rosCas.runs() == []
+    for name in ("", "ä ☃\n'\"%_", "7"):
+        run = Run("", 7, "api", name=name, labels={"ü": "☃"})
+        with rosCas.messageWriter(writer_id=7, run=run) as writer:
+            handle = writer.connect(connection_of("/p", PointStamped))
+            writer.write(handle, T0, 0, serialize(PointStamped()))
+        assert len(list(rosCas.readMessages(run=name or "7"))) == 1
+        rows = rosCas.executeCQL("SELECT RUN FROM p WHERE RUN = ?", [name or "7"])
+        assert rows == [(name or "7",)]
+        (found,) = rosCas.runs()
+        assert (found.name, found.labels) == (name, {"ü": "☃"})
+
+
 def test_losses_follow_their_topic(rosCas):
     for topic in ("/a", "/b"):
         rosCas.addTopic(topic, msg_type="std_msgs/String")

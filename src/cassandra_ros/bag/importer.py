@@ -97,9 +97,11 @@ def import_bag(
         writer_id = _writer_id(ros_cas, reader, nodeID, content)
         report = ImportReport(reader.path, writer_id, nodeID)
         numbers = _refuse_names(reader, numbers, report)
-        name, source = os.path.basename(reader.path), os.path.abspath(reader.path)
+        # The name of a file may be no text.
+        path = os.fsencode(os.path.abspath(reader.path)).decode("utf-8", "replace")
         labels = {identity.CONTENT: content.digest}
-        run = Run(nodeID, writer_id, "import", name, source, format or "", labels=labels)
+        name = os.path.basename(path)
+        run = Run(nodeID, writer_id, "import", name, path, format or "", labels=labels)
         formats = _formats(ros_cas, reader, numbers, run)
         lengths = bucket_lengths(reader, content.sizes)
         with ros_cas.messageWriter(

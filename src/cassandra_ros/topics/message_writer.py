@@ -17,9 +17,11 @@ from typing import Callable, Mapping, Optional
 
 from cassandra_ros.arguments import (
     check_integer,
+    check_labels,
     check_new_topic,
     check_node,
     check_seconds,
+    check_text,
     check_ttl,
 )
 from cassandra_ros.errors import (
@@ -28,6 +30,7 @@ from cassandra_ros.errors import (
     CorruptMessage,
     DefinitionError,
     InvalidKey,
+    InvalidName,
     InvalidOption,
     TopicNotFound,
 )
@@ -340,6 +343,9 @@ def make_writer(
     """Check the arguments of RosCassandra.messageWriter and make the writer."""
     if run is not None and not isinstance(run, Run):
         raise InvalidOption(f"run={run!r:.80} describes no run: give a store.registry.Run")
+    if run is not None:
+        check_text("run.name", run.name, error=InvalidName, wanted="the name of a run")
+        check_labels(run.labels)
     if writer_id is None:
         writer_id = new_writer_id()
     return MessageWriter(

@@ -8,7 +8,7 @@ import difflib
 import threading
 import time
 from datetime import datetime
-from typing import Callable, Dict, FrozenSet, Optional, Sequence, Union
+from typing import Callable, Dict, FrozenSet, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_run
 from cassandra_ros.errors import RunNotFound
@@ -22,8 +22,8 @@ Writers = Optional[FrozenSet[int]]
 RunName = Union[None, str, int, FrozenSet[int]]
 """A run's name, or its writer id as a number or text; writer ids that were found already; None =
 all runs."""
-FRESH_SEC = 1.0
-"""So long nobody looks again for the run of a writer that had none: single clients have none."""
+FRESH_SEC = 5.0
+"""So long it is not looked again what a writer's run is called."""
 
 
 class Runs:
@@ -41,8 +41,8 @@ class Runs:
         self._name = keyspace
         self._registry = registry
         self._has_written = has_written
-        self._texts: Dict[int, str] = {}
-        self._read = -FRESH_SEC
+        self._texts: Dict[int, Tuple[str, float]] = {}
+        """By writer, and until when it holds."""
         self._mutex = threading.Lock()
 
     def find(self, run: Union[str, int]) -> list[Run]:
@@ -76,22 +76,28 @@ class Runs:
 
     def called(self, text: str) -> FrozenSet[int]:
         """Return the writer ids of which ``text`` says so."""
-        every = {each.writer: each.name for each in self._registry.runs()}
-        found = {writer for writer, name in every.items() if (name or str(writer)) == text}
+        with self._mutex:
+            every = self._learn()  # what is then said of single rows agrees with this
+        found = {writer for writer, known in every.items() if known == text}
         writer = _writer(text)
         return frozenset(found if writer is None or writer in every else found | {writer})
 
     def text(self, writer: int) -> str:
         """Return the name of a writer's run, or its id where it has no run or that no name."""
-        known = self._texts.get(writer)
-        if known is None:
-            with self._mutex:
-                if time.monotonic() - self._read > FRESH_SEC:
-                    every = {each.writer: each.name for each in self._registry.runs()}
-                    self._texts = {each: name or str(each) for each, name in every.items()}
-                    self._read = time.monotonic()
-                known = self._texts.get(writer) or str(writer)
-        return known
+        with self._mutex:
+            text, until = self._texts.get(writer, ("", 0.0))
+            if time.monotonic() > until:
+                text = self._learn().get(writer, str(writer))
+                # A run is noted before its first message: this is none, or of a single client.
+                self._texts[writer] = text, time.monotonic() + FRESH_SEC
+            return text
+
+    def _learn(self) -> Dict[int, str]:
+        """Read what the writers' runs are called; one that is imported again may change it."""
+        found = {each.writer: each.name or str(each.writer) for each in self._registry.runs()}
+        until = time.monotonic() + FRESH_SEC
+        self._texts.update((writer, (text, until)) for writer, text in found.items())
+        return found
 
     def _absent(self, run: RunName) -> str:
         every = self._registry.runs()
