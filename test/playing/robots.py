@@ -15,9 +15,10 @@ T0 = 1_500_000_000 * SEC
 class Robot:
     """Writes messages of one run: times in seconds from T0."""
 
-    def __init__(self, rosCas, writer_id, node=""):
+    def __init__(self, rosCas, writer_id, node="", bucket_ns=SEC):
         run = Run(node, writer_id, "recording", name=f"run {writer_id}")
         self._writer = rosCas.messageWriter(writer_id=writer_id, nodeID=node, run=run)
+        self._bucket_ns = bucket_ns
         self._count = 0
         self._handles = {}
 
@@ -27,12 +28,15 @@ class Robot:
     def __exit__(self, *exc_info):
         self._writer.close()
 
+    def flush(self):
+        self._writer.flush()
+
     def send(self, topic, t, text, caller="/a", latched=False):
         key = (topic, caller, latched)
         if key not in self._handles:
             fields = {"latching": "1"} if latched else {}
             connection = string_connection(topic, callerid=caller, **fields)
-            self._handles[key] = self._writer.connect(connection, bucket_ns=SEC)
+            self._handles[key] = self._writer.connect(connection, bucket_ns=self._bucket_ns)
         t_ns = T0 + round(t * SEC)
         self._writer.write(self._handles[key], t_ns, self._count, string_wire(text))
         self._count += 1

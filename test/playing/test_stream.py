@@ -178,6 +178,18 @@ def test_looking_back_ends_with_the_last_publisher(rosCas, monkeypatch):
     assert not any(row.columns for row in seen)  # keys alone; the messages were fetched later
 
 
+def test_a_run_that_was_killed_before_the_window_gives_nothing(rosCas, monkeypatch):
+    with Robot(rosCas, 1, bucket_ns=600 * SEC) as killed:
+        killed.send("/map", 1, "old", latched=True)
+        killed.flush()  # its bucket, which reaches into the window, stays open
+        with Robot(rosCas, 2, bucket_ns=600 * SEC) as robot:
+            robot.send("/map", 30, "new", latched=True)
+            robot.send("/tick", 40, "t")
+        assert texts(latched_before(rosCas, T0 + 35 * SEC)) == ["old", "new"]  # it may go on
+        monkeypatch.setattr("cassandra_ros.topics.latched.STALE_SEC", -60)
+        assert texts(latched_before(rosCas, T0 + 35 * SEC)) == ["new"]
+
+
 @pytest.mark.parametrize("key_format", ["manual", "hash", "msg_part"])
 def test_latched_topics_with_keys_of_their_own(rosCas, key_format):
     from std_msgs.msg import Header

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import FrozenSet, Iterable, Iterator, List, Optional, Sequence, Set, Tuple
+from typing import FrozenSet, Iterable, Iterator, List, Optional, Sequence, Tuple
 
 from cassandra_ros.arguments import check_nodes
 from cassandra_ros.keys import MAX_NS
@@ -134,22 +134,20 @@ class Sent:
     """What of latched messages was played already, of one part: only what is newer is new."""
 
     def __init__(self) -> None:
-        self._sources: Set[Source] = set()
         self._last: dict[Tuple[str, Publisher], Tuple[int, str, int, str]] = {}
-        self._until = 0
+        self._looked: dict[Source, int] = {}
+        """Until when each run's latched messages are played, as far as they are known here."""
 
     def changes(self, finder: LatchedFinder, low: int, high: int) -> List[StoredRow]:
         """List what was latched before low and not played, and note it as played."""
         if not finder.latches:
             return []
         sources = finder.sources(low, high)
-        # What the runs of the windows before this one latched until then is out already.
-        since = self._until if sources <= self._sources else 0
+        since = min((self._looked.get(source, 0) for source in sources), default=low)
         found = [row for row in finder.of_sources(sources, low, since) if self._is_new(row)]
         for row in found:
             self.played(row)
-        self._sources |= sources
-        self._until = low
+        self._looked.update(dict.fromkeys(sources, low))
         return found
 
     def _is_new(self, row: StoredRow) -> bool:

@@ -17,6 +17,9 @@ from cassandra_ros.arguments import check_nodes, check_topics
 from cassandra_ros.errors import CorruptMessage, DefinitionError
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection import Connection
+from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.store.counting import settle
+from cassandra_ros.store.directory import STALE_SEC, BucketRow
 from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.finding import Filter
 from cassandra_ros.topics.keyspace import Keyspace
@@ -159,16 +162,26 @@ class LatchedFinder:
             if metadata.named or metadata.own_time:
                 continue  # their rows do not lie by the time of reception
             length = metadata.bucket_ns
-            rows = self._keyspace.directory.buckets(
+            listed = self._keyspace.directory.buckets(
                 name, t // length, to // length, self._nodes, metadata.ttl
             )
-            found.update(
-                (row.node, row.writer)
-                for row in rows
-                if not row.closed or (row.rows and row.t_min <= to and row.t_max >= t)
-                if self._writers is None or row.writer in self._writers
-            )
+            rows = [row for row in listed if self._writers is None or row.writer in self._writers]
+            for row in self._counted(name, metadata, rows):
+                if not row.closed or (row.rows and row.t_min <= to and row.t_max >= t):
+                    found.add((row.node, row.writer))
         return frozenset(found)
+
+    def _counted(
+        self, name: str, metadata: TopicMetadata, rows: Sequence[BucketRow]
+    ) -> List[BucketRow]:
+        """Count what a recorder that was killed left open; one that lives has its bucket still."""
+        left = [row for row in rows if not row.closed and row.age_sec > STALE_SEC]
+        if not left:
+            return list(rows)
+        table = self._keyspace.tables.get(name, metadata)
+        counted = settle(self._keyspace.directory, table, left)
+        others = [row for row in rows if row.closed or row.age_sec <= STALE_SEC]
+        return [*others, *(row._replace(closed=True) for row in counted)]
 
     def _last(
         self, table: TopicTable, t: int, since: int, sources: FrozenSet[Source]
@@ -183,16 +196,17 @@ class LatchedFinder:
         """Read keys backwards, until every latched connection of every run is found."""
         # Only of buckets that a run of the window wrote into.
         length, conns = table.metadata.bucket_ns, self._latched[table.name]
+        robots = tuple({node for node, _ in sources})
         buckets = self._keyspace.directory.buckets(
-            table.name, since // length, (t - 1) // length, self._nodes, table.metadata.ttl
+            table.name, since // length, (t - 1) // length, robots, table.metadata.ttl
         )
         there = [row for row in buckets if (row.node, row.writer) in sources]
         if not there:
             return
         missing = {((row.node, row.writer), conn) for row in there for conn in conns}
         stretch = Stretch(max(since, min(row.bucket for row in there) * length), t - 1)
-        nodes = sorted({row.node for row in there})
-        for row in self._rows(table, stretch, nodes, reverse=True):
+        whose = Whose(tuple({row.node for row in there}), frozenset(row.writer for row in there))
+        for row in self._rows(table, stretch, whose, reverse=True):
             publisher = publisher_of(row)
             if publisher in missing and self._wanted(row):
                 missing.discard(publisher)
@@ -206,7 +220,7 @@ class LatchedFinder:
         """Look through the keys of a topic whose key is not the time of reception."""
         last: Dict[Publisher, StoredRow] = {}
         conns, every = self._latched[table.name], Stretch()
-        for row in self._rows(table, every, self._nodes):
+        for row in self._rows(table, every, Whose(self._nodes, self._writers)):
             source, conn = publisher = publisher_of(row)
             # Equal messages of key format hash have one row, which names no writer.
             if not since <= row.received < t or conn not in conns:
@@ -219,11 +233,11 @@ class LatchedFinder:
         return iter(last.values())
 
     def _rows(
-        self, table: TopicTable, stretch: Stretch, nodes: Nodes, reverse: bool = False
+        self, table: TopicTable, stretch: Stretch, whose: Whose, reverse: bool = False
     ) -> Iterator[StoredRow]:
         # Of most rows the keys are enough; a condition looks into the messages.
         columns = None if table.metadata.topic in self._tests else lambda table: ()
-        read, whose = self._keyspace.rows.read, Whose(nodes, self._writers)
+        read = self._keyspace.rows.read
         return read([table], stretch, whose=whose, reverse=reverse, columns=columns)
 
     def _wanted(self, row: StoredRow) -> bool:
