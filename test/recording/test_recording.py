@@ -221,6 +221,29 @@ def test_a_clock_that_is_not_set(rosCas):
     assert report.details == {LossKind.NO_CLOCK: "no /clock"}
 
 
+def test_time_that_goes_back_is_told(rosCas, caplog):
+    """Simulated time that begins anew: messages are kept at the times that they have."""
+    times = [T0 + 100 * 10**9, T0 + 101 * 10**9, T0, T0 + 10**9]
+    ticks = iter(times)
+    recorder = Recording(rosCas, clock=lambda: next(ticks))
+    header = header_of(String)
+    for n in range(4):
+        recorder.received("/text", header, text(n))
+    (report,) = recorder.close()
+    assert (report.stored, report.lost) == (4, 0)
+    assert [row.t for row in rosCas.getTopic("/text").rows()] == sorted(times)
+    assert caplog.text.count("time went back by 101.000 s") == 1
+
+
+def test_what_is_given_up_is_counted(rosCas):
+    recorder = Recording(rosCas)
+    recorder.received("/text", header_of(String), text(0))
+    (report,) = recorder.abandon()  # before its table was made
+    assert (report.stored, report.reasons) == (0, {LossKind.AT_END: 1})
+    assert [(loss.kind, loss.count) for loss in rosCas.losses()] == [(LossKind.AT_END, 1)]
+    recorder.close()
+
+
 @pytest.mark.parametrize(
     "header",
     [

@@ -282,8 +282,10 @@ class Recorder:
             self._poller.join(JOIN_SEC)
         self.stop()
         if self._snapshots is not None:
-            while not self._snapshots.close(timeout_sec=0.2) and not self._gives_up():
-                pass
+            while not self._snapshots.close(timeout_sec=0.2):
+                if self._gives_up():
+                    self._snapshots.abandon()
+                    break
         if self._publisher is not None:
             self._publisher.unregister()
         return self.reports()

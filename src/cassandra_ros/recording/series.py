@@ -33,7 +33,9 @@ MAX_LATCHED = 4096
 
 
 class Series:
-    """Stores what comes in one run after the other. Thread-safe.
+    """Stores what comes in one run after the other.
+
+    ``begin``, ``poll`` and ``end`` are called by one thread at a time, the others by any.
 
     Args:
         ros_cas: A RosCassandra connected to a keyspace.
@@ -66,18 +68,18 @@ class Series:
         """The runs of this recording that have ended and are kept."""
         self._removed: list[Sequence[TopicReport]] = []
         self._latched: dict[tuple[str, str], tuple[Mapping[str, str], bytes]] = {}
+        self._latching = threading.Lock()
         self._mutex = threading.RLock()
 
     # ---------------------------------------------------------------- runs
 
     def begin(self, name: str = "", labels: Optional[Mapping[str, str]] = None) -> Recording:
         """Begin a run; '' = named as the options say. Raises what the store raises."""
-        with self._mutex:
-            self._name, self._number = name, 0
-            self._labels = {**self._options.labels, **(labels or {})}
-            self.current = self._new(before={})
-            self._since = time.monotonic()
-            return self.current
+        self._name, self._number = name, 0
+        self._labels = {**self._options.labels, **(labels or {})}
+        self.current = current = self._new(before={})
+        self._since = time.monotonic()
+        return current
 
     def single(self, name: str, labels: Mapping[str, str], restored: int) -> Recording:
         """Begin a run beside the series, of messages that were kept before."""
@@ -143,7 +145,7 @@ class Series:
 
     def _keep_latched(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
         key = (topic, header.get("callerid", ""))
-        with self._mutex:
+        with self._latching:
             if key in self._latched or len(self._latched) < MAX_LATCHED:
                 self._latched[key] = header, wire
 
@@ -166,24 +168,27 @@ class Series:
         return not options.split
 
     def _split(self) -> None:
-        with self._mutex:
-            self._ending = [thread for thread in self._ending if thread.is_alive()]
-            old, now = self.current, time.monotonic()
-            if old is None or len(self._ending) >= MAX_ENDING or now < self._retry:
-                return
-            try:
-                new = self._new(old.kept() if self._options.limit else {})
-            except CassandraRosError as exc:
-                self._retry = now + RETRY_SEC
-                _log.warning("the next run cannot begin yet, run %s goes on: %s", old.name, exc)
-                return
-            for (topic, _), (header, wire) in self._latched.items():
-                new.received(topic, header, wire)
-            new.refusal = old.refusal
-            self.current, self._since = new, now
-            thread = threading.Thread(target=self._close, args=(old,), name="recorder-split")
-            self._ending.append(thread)
-            thread.start()
+        # Not under the mutex: a store that is slow must not keep people from asking how it goes.
+        self._ending = [thread for thread in self._ending if thread.is_alive()]
+        old, now = self.current, time.monotonic()
+        if old is None or len(self._ending) >= MAX_ENDING or now < self._retry:
+            return
+        try:
+            new = self._new(old.kept() if self._options.limit else {})
+        except CassandraRosError as exc:
+            self._retry = now + RETRY_SEC
+            _log.warning("the next run cannot begin yet, run %s goes on: %s", old.name, exc)
+            return
+        with self._latching:
+            latched = list(self._latched.items())
+        for (topic, _), (header, wire) in latched:
+            new.received(topic, header, wire)
+        new.refusal = old.refusal
+        self.current, self._since = new, now
+        name = "recorder-split"
+        thread = threading.Thread(target=self._close, args=(old,), name=name, daemon=True)
+        self._ending.append(thread)
+        thread.start()
 
     def _close(self, recording: Recording) -> None:
         reports = recording.close()

@@ -250,6 +250,14 @@ class Snapshots:
             with self._mutex:
                 self.reports.append(reports)
 
+    def abandon(self) -> None:
+        """Count as lost what is not stored by now, and wait for nothing."""
+        with self._mutex:
+            runs = [writing.recording for writing in self._writing]
+        for recording in runs:
+            if recording is not None:
+                self.reports.append(recording.abandon())
+
     def close(self, timeout_sec: Optional[float] = None) -> bool:
         """End what is being written; say whether all of it is stored or lost."""
         self._closing.set()
