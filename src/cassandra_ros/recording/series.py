@@ -64,6 +64,8 @@ class Series:
         self._retry = 0.0
         self._name, self._labels = "", dict(options.labels)
         self._ending: list[threading.Thread] = []
+        self._closing: list[Recording] = []
+        """Runs that have ended and are still being stored."""
         self._kept: list[tuple[Recording, Sequence[TopicReport]]] = []
         """The runs of this recording that have ended and are kept."""
         self._removed: list[Sequence[TopicReport]] = []
@@ -184,7 +186,9 @@ class Series:
         for (topic, _), (header, wire) in latched:
             new.received(topic, header, wire)
         new.refusal = old.refusal
-        self.current, self._since = new, now
+        with self._mutex:
+            self._closing.append(old)
+            self.current, self._since = new, now
         name = "recorder-split"
         thread = threading.Thread(target=self._close, args=(old,), name=name, daemon=True)
         self._ending.append(thread)
@@ -193,6 +197,7 @@ class Series:
     def _close(self, recording: Recording) -> None:
         reports = recording.close()
         with self._mutex:
+            self._closing.remove(recording)
             self._kept.append((recording, reports))
             # The current one is kept, too.
             most = self._options.max_splits - 1
@@ -260,6 +265,7 @@ class Series:
         """Describe what became of each topic in all runs together."""
         with self._mutex:
             parts = [*self._removed, *(reports for _, reports in self._kept)]
+            parts += [recording.reports() for recording in self._closing]
             if self.current is not None:
                 parts.append(self.current.reports())
             return merge_reports(parts)
