@@ -126,6 +126,7 @@ def test_play_launch_plays(launched, roscore, rosCas):
     assert begin <= times[0] <= times[-1] <= begin + 10**8
     child.await_line("REQUIRED process [player")
     assert "played" not in child.output
+    assert "Traceback" not in child.output
 
 
 def hear(uri, topic):

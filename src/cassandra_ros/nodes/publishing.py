@@ -224,7 +224,10 @@ class Publication(_PublisherImpl):
             source: Where the message is latched, who latches it: late subscribers get the last
                 message of each source, in the order in which these were published.
         """
-        with self.publock:
+        lock = self.publock
+        if lock is None:
+            return  # rospy has closed it: the node ends
+        with lock:
             if source is not None:
                 self._latched.pop(source, None)
                 self._latched[source] = wire
