@@ -138,3 +138,16 @@ def test_bad_input_is_named(filled, changes, error, text):
     selection = PlaySelection(**{"around": AROUND.around, **changes})
     with pytest.raises(error, match=text):
         Stream(filled, selection)
+
+
+def test_what_one_latched_while_only_the_other_played(rosCas):
+    with Robot(rosCas, 1, "r1") as one, Robot(rosCas, 2, "r2") as two:
+        for t in (10, 30, 50):
+            one.send("/hit", t, "h")
+            if t != 30:
+                two.send("/tick", t, "t")
+        two.send("/map", 20, "m", latched=True)
+    stream = Stream(rosCas, PlaySelection(around="/hit: data = 'h'", before=1, after=1))
+    assert [(t, text) for _, t, text in played(stream)] == [
+        *((10, "h"), (10, "t"), (30, "h"), (49, "m"), (50, "h"), (50, "t")),
+    ]
