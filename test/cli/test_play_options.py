@@ -52,6 +52,7 @@ def changed(line):
         (["--around", HIT], {"around": PAIR}),
         (["--before", "2", "--after", "0.5"], {"before": 2.0, "after": 0.5}),
         (["--align-start"], {"align_start": True}),
+        (["--align-nodes"], {"align_start": "node"}),
         (["--node-prefix"], {"node_prefix": True}),
         (["-p", "/old"], {"prefix": "/old"}),
         (["--prefix", "/old"], {"prefix": "/old"}),

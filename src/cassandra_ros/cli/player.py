@@ -88,8 +88,13 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
     add("--before", metavar="SEC", type=seconds, default=5.0, help=text)
     text = "and how far behind (default: %(default)s)"
     add("--after", metavar="SEC", type=seconds, default=10.0, help=text)
+    align = group.add_mutually_exclusive_group()
     text = "play all runs as if their first messages had come at once"
-    add("--align-start", action="store_true", help=text)
+    align.add_argument("--align-start", action="store_true", help=text)
+    text = "the same of all nodes: the runs of a node stay one behind the other"
+    align.add_argument(
+        "--align-nodes", action="store_const", const="node", dest="align_start", help=text
+    )
 
 
 def _add_pace(group: argparse._ArgumentGroup) -> None:
