@@ -13,6 +13,7 @@ import sys
 import termios
 import time
 import xmlrpc.client
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,7 @@ from nodes.children import PROGRAMS, Child, await_true, start_node
 from nodes.raw_publisher import RawPublisher, header_of, message
 from nodes.raw_subscriber import RawSubscriber
 from nodes.test_registration import listed, master  # noqa: F401 - a fixture
+from proxy import Proxy
 from std_msgs.msg import Int32, UInt8MultiArray
 
 from cassandra_ros.store.registry import Loss, LossKind
@@ -225,3 +227,26 @@ def test_played_and_stopped_fifty_times(roscore, where, numbers):
     assert len(pids) == 50
     for pid in pids:
         assert not Path(f"/proc/{pid}").exists()
+
+
+@pytest.mark.fault
+@pytest.mark.long
+def test_a_store_that_is_away_is_waited_for(roscore, cassandra, rosCas, keyspace):
+    topic = rosCas.addTopic("/big", format="binary")
+    for n in range(40):
+        topic.addData(UInt8MultiArray(data=bytes([n]) * (1 << 20)), key=T0 + n * STEP // 2)
+    with Proxy(cassandra.host, cassandra.port) as proxy, ThreadPoolExecutor(1) as pool:
+        where = ("--host", proxy.host, "--port", proxy.port, "--keyspace", keyspace)
+        options = ("--read-ahead", "1", "--wait-for-subscribers")
+        with start_node(roscore, "player", *where, *options) as child, RawSubscriber(
+            roscore.uri, "/big"
+        ) as heard:
+            found = [heard.read()]
+            rest = pool.submit(heard.rest)
+            proxy.cut()
+            child.await_line("the store does not answer, the replay waits for it")
+            proxy.mend()
+            found += rest.result(120)
+            assert child.wait() == 0, child.output
+    assert [wire[-1] for wire in found] == list(range(40))
+    assert "the replay stood for" in child.output

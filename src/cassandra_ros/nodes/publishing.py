@@ -66,7 +66,7 @@ class _Link:
         self.transport = transport
         self.missed = 0
         self.moved = time.monotonic()
-        """When bytes last went out."""
+        """When bytes last went out, or something came that waits for it."""
         self._bound = bound or 2**62
         self._queue: deque[bytes] = deque()
         self._rest: Optional[memoryview] = None  # of a message that is half sent
@@ -101,6 +101,7 @@ class _Link:
         """Send what is latched, whatever the bound is."""
         with self._changed:
             self._bound += len(wires)
+            self.moved = time.monotonic()
             self._queue.extend(wires)
             self._changed.notify_all()
 
@@ -120,6 +121,7 @@ class _Link:
                     return
                 waits = self._queue or self._rest is not None or self._busy
                 if not waits:
+                    self.moved = time.monotonic()
                     self._send_now(wire)
                     return
                 while len(self._queue) >= self._bound:
@@ -188,7 +190,8 @@ class _Link:
             self._count(sent, 0)
 
     def _count(self, nbytes: int, messages: int) -> None:
-        self.moved = time.monotonic()
+        if nbytes:
+            self.moved = time.monotonic()
         self.transport.stat_bytes += nbytes
         self.transport.stat_num_msg += messages
 
@@ -284,10 +287,9 @@ class Publication(_PublisherImpl):
     def _await(
         self, waits: Callable[[_Link], bool], stop: Callable[[], bool], stalled_sec: float
     ) -> None:
-        begun = time.monotonic()
         while not stop():
             since = time.monotonic() - stalled_sec
-            if not any(waits(link) and max(link.moved, begun) > since for link in self.connections):
+            if not any(waits(link) and link.moved > since for link in self.connections):
                 return
             time.sleep(0.001)
 
