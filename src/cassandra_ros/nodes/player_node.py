@@ -39,7 +39,7 @@ from cassandra_ros.topics.ros_cassandra import RosCassandra
 _log = logging.getLogger(__name__)
 
 POLL_SEC = 0.05
-SWITCH_SEC = 0.0005
+SWITCH_SEC = 0.0002
 """How long the thread that reads ahead may keep the one that publishes waiting."""
 
 Say = Callable[[str], None]

@@ -24,6 +24,8 @@ _log = logging.getLogger(__name__)
 
 ITEM_BYTES = 500
 """What a message takes besides its bytes."""
+REFILL_BYTES = 1024 * 1024
+"""When so much was taken reading goes on: in small steps, for it slows down what is published."""
 RETRY_SEC = 1.0
 GIVE_UP_SEC = 60.0
 """How long a store that does not answer is asked again."""
@@ -55,6 +57,7 @@ class ReadAhead:
     ) -> None:
         self._begin = begin
         self._budget = budget_bytes
+        self._refill = min(REFILL_BYTES, budget_bytes // 2)
         self._changed = changed
         self._skipped = skipped
         self._items: deque[tuple[Played, int]] = deque()
@@ -89,7 +92,7 @@ class ReadAhead:
         if self._items:
             played, size = self._items.popleft()
             self._held -= size
-            if self._full and self._held <= self._budget // 2:
+            if self._full and self._held <= self._budget - self._refill:
                 self._full = False
                 self._room.set()
             return played
