@@ -8,8 +8,9 @@ import pytest
 from std_msgs.msg import String
 
 from cassandra_ros.errors import KeyspaceNotFound, TopicNotFound
-from cassandra_ros.store.registry import Run
-from cassandra_ros.store.side_tables import SIDE_TABLES
+from cassandra_ros.store.registry import Loss, LossKind, Run
+from cassandra_ros.store.run_context import RunContext
+from cassandra_ros.store.side_tables import LATER_TABLES, SIDE_TABLES
 
 EVERY = {"cr_lock", *SIDE_TABLES}
 
@@ -40,7 +41,7 @@ def foreign(cql, new_keyspace):
 
 
 def read_all(store):
-    assert store.getAllTopics() == store.info() == store.runs() == []
+    assert store.getAllTopics() == store.info() == store.runs() == store.losses() == []
     assert list(store.readMessages()) == []
     assert not store.existTopic("/a")
     with pytest.raises(TopicNotFound):
@@ -79,6 +80,21 @@ def test_what_first_writes_makes_the_keyspace(connect, new_keyspace, tables):
         store.messageWriter(run=Run("robot", 7, "api")).close()
         assert tables(new_keyspace) == EVERY
         assert [run.node for run in reader.runs()] == ["robot"]
+
+
+def test_later_tables_are_made_by_what_first_writes_to_them(connect, new_keyspace, tables):
+    with connect(keyspace=new_keyspace) as reader, connect(keyspace=new_keyspace) as store:
+        store.messageWriter(writer_id=7, run=Run("robot", 7, "api", name="x")).close()
+        assert reader.runContext("x") is None
+        assert reader.losses(run="x") == []
+        assert tables(new_keyspace) == EVERY
+        registry, loss = store.parts.registry, Loss("/a", "robot", 7, LossKind.NO_CLOCK, 1, 2, 3)
+        registry.put_loss(loss)
+        assert tables(new_keyspace) == EVERY | {"cr_loss"}
+        registry.put_context(7, "robot", RunContext({"p": 1}))
+        assert tables(new_keyspace) == EVERY | set(LATER_TABLES)
+        assert reader.losses(run="x") == [loss]
+        assert reader.runContext("x").params == {"p": 1}
 
 
 @pytest.mark.parametrize("name", sorted(EVERY))
