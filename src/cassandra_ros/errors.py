@@ -44,6 +44,9 @@ class StoreUnavailable(CassandraRosError):
 class WriteFailed(CassandraRosError):
     """Rows could not be stored; the text names the topic, the number and the cause."""
 
+    first_ns = last_ns = 0
+    """When the first and the last of them came, ns; 0 = it is not known here."""
+
 
 class KeyspaceNotFound(CassandraRosError):
     """No keyspace is connected, or the one that was is gone."""

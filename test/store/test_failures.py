@@ -131,9 +131,9 @@ def test_what_was_given_up_but_is_stored_is_counted(far, proxy, rosCas):
 
 def test_what_was_given_up_and_is_not_stored_is_not_counted(far, proxy, rosCas):
     proxy.catch(text(7))
-    run = Run("", 9, "recording", "monday")
+    run, losses = Run("", 9, "recording", "monday"), []
     writer = far.messageWriter(
-        writer_id=9, give_up_after_sec=0, run=run, on_loss=lambda *loss: None
+        writer_id=9, give_up_after_sec=0, run=run, on_loss=lambda *loss: losses.append(loss)
     )
     write(writer, range(5))
     writer.flush()
@@ -143,6 +143,9 @@ def test_what_was_given_up_and_is_not_stored_is_not_counted(far, proxy, rosCas):
     assert told(rosCas) == (5, 5, 5)
     (ended,) = rosCas.parts.registry.runs()
     assert (ended.stored, ended.lost) == ({"/a": 5}, {"/a": 5})
+    # When they came, not when that was found.
+    ((topic, count, error),) = losses
+    assert (topic, count, error.first_ns, error.last_ns) == ("/a", 5, T0 + 5, T0 + 9)
 
 
 @pytest.mark.parametrize("stored", [True, False])

@@ -47,7 +47,9 @@ class Recorder:
     """Subscribes to topics and stores what comes. Thread-safe; a context manager that starts it.
 
     The caller's process is a ROS node already (``rospy.init_node``). No signal handler is
-    installed and nothing printed here; what goes wrong is logged.
+    installed and nothing printed here; what goes wrong is logged. Under /use_sim_time the messages
+    have simulated times; rospy's own subscription to /clock then drops some of that topic, so that
+    /clock itself is recorded whole only by the node ``recorder``.
 
     Args:
         rosCas: A RosCassandra connected to a keyspace; it stays the caller's.

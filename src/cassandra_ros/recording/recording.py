@@ -17,7 +17,7 @@ from collections import Counter
 from functools import partial
 from typing import Callable, Iterable, Mapping, MutableMapping, Optional, Sequence, Tuple
 
-from cassandra_ros.errors import CassandraRosError, ClockNotSet, StoreUnavailable
+from cassandra_ros.errors import CassandraRosError, ClockNotSet, StoreUnavailable, WriteFailed
 from cassandra_ros.keys import COUNTER_BITS, SECOND_NS, new_writer_id
 from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.recording.buffer import Buffer, Feed, Item, Source
@@ -240,10 +240,8 @@ class Recording:
         except ClockNotSet:
             return time.time_ns()
 
-    def _lose(
-        self, topic: str, kind: LossKind, detail: str, t: Optional[int] = None, messages: int = 1
-    ) -> None:
-        self._counts.lost(topic, messages, kind, self.now() if t is None else t, detail)
+    def _lose(self, topic: str, kind: LossKind, detail: str, t: Optional[int] = None) -> None:
+        self._counts.lost(topic, 1, kind, self.now() if t is None else t, detail)
 
     def _feed(self, topic: str, header: Mapping[str, str]) -> Feed:
         feed = self._feeds.get(id(header))
@@ -373,7 +371,9 @@ class Recording:
         )
 
     def _refused(self, topic: str, messages: int, error: CassandraRosError) -> None:
-        self._lose(topic, LossKind.REFUSED, str(error), messages=messages)
+        first, last = (error.first_ns, error.last_ns) if isinstance(error, WriteFailed) else (0, 0)
+        first, last = first or self.now(), last or self.now()
+        self._counts.lost(topic, messages, LossKind.REFUSED, first, str(error), last)
 
     def put_context(self, context: RunContext) -> None:
         """Keep parameters and node graph with the run, in the background."""

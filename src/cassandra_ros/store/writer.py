@@ -168,7 +168,7 @@ class RowWriter:
                 self._count(bucket.table, batch)
             else:
                 bucket.failed()
-                self._failed(bucket.table, batch.again, exc)
+                self._failed(bucket.table, batch.again, batch.times, exc)
 
         self._flight.submit(statement, batch.nbytes, outcome)
 
@@ -210,7 +210,8 @@ class RowWriter:
                     return
             if failures:
                 bucket.failed()
-                self._failed(bucket.table, [again], max(failures, key=is_table_gone))
+                worst = max(failures, key=is_table_gone)
+                self._failed(bucket.table, [again], [new.t], worst)
             else:
                 # Not sent from here: this is the driver's thread, and sending may block.
                 self._ready.append(lambda: self._send_row(bucket, new, again, chunks))
@@ -246,7 +247,13 @@ class RowWriter:
             stats.stored += len(batch.sizes)
             stats.bytes += sum(batch.sizes)
 
-    def _failed(self, table: RowTable, rows: Sequence[Again | None], exc: BaseException) -> None:
+    def _failed(
+        self,
+        table: RowTable,
+        rows: Sequence[Again | None],
+        times: Sequence[int],
+        exc: BaseException,
+    ) -> None:
         """Count rows as lost, or note that they go on in another table where theirs is gone."""
         lost = len(rows)
         if is_table_gone(exc):
@@ -256,7 +263,7 @@ class RowWriter:
             self._homeless.extend(homeless)
             lost -= len(homeless)
         if lost:
-            self._lost(table, lost, exc)
+            self._lost(table, lost, exc, times)
 
     def _move_on(self) -> int:
         """Give the rows whose table is gone to those who know a better one.
@@ -274,12 +281,16 @@ class RowWriter:
                 self._moves += 1
             return self._moves
 
-    def _lost(self, table: RowTable, rows: int, exc: BaseException) -> None:
+    def _lost(
+        self, table: RowTable, rows: int, exc: BaseException, times: Sequence[int] = ()
+    ) -> None:
         topic = table.metadata.topic
         error = WriteFailed(
             f"{rows} messages of topic {topic} could not be stored: {translate(exc, 'writing')}"
         )
         error.__cause__ = exc
+        if times and not table.metadata.own_time:
+            error.first_ns, error.last_ns = min(times), max(times)
         with self._counting:
             stats = self.stats[table.name]
             stats.lost += rows
