@@ -338,6 +338,16 @@ def test_a_topic_that_nobody_stored(stage, caplog):
     assert "nothing is stored of it" in caplog.text
 
 
+def test_a_keyspace_that_nobody_made(connect, new_keyspace):
+    with connect(keyspace=new_keyspace) as store:
+        made = Stage(store)
+        made.subscribe(made.begin)
+        made.live(fields(), b"a", made.now)
+        made.listen()
+        assert made.result(1) == [b"a"]
+        made.close()
+
+
 def test_a_beginning_that_is_to_come(stage, caplog):
     talk(stage, fields(), range(10), ())
     stage.subscribe(stage.begin + 100 * MS, since=stage.begin + 10**12)

@@ -12,7 +12,7 @@ from typing import Any, Callable, Mapping, Optional, Set, Tuple, Union
 import rospy
 
 from cassandra_ros.arguments import check_integer, check_node, check_ros_name, check_topic
-from cassandra_ros.errors import CorruptMessage, InvalidKey, InvalidOption
+from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidKey, InvalidOption
 from cassandra_ros.history.join import Heard, History
 from cassandra_ros.history.live_queue import LiveQueue
 from cassandra_ros.history.past import Past
@@ -102,7 +102,11 @@ class HistorySubscriber:
         self._is_connected = False
         self.failed = 0
         """How often the callback has raised, or a message was none of data_class."""
-        past = Past(self._rosCas, self.resolved_name, node, run)
+        try:
+            past = Past(self._rosCas, self.resolved_name, node, run)
+        except CassandraRosError:
+            self._close_own()
+            raise
         self._queue = LiveQueue(bound, now_ns)
         self._history = History(past, self._queue, begin, self._connected)
         self._subscriber = subscribe(self.resolved_name, self._take, tcp_nodelay)
@@ -156,8 +160,11 @@ class HistorySubscriber:
             _log.exception("the subscription to %s has ended", self.resolved_name)
             raise
         finally:
-            if self._own:
-                self._rosCas.close()
+            self._close_own()
+
+    def _close_own(self) -> None:
+        if self._own:
+            self._rosCas.close()
 
     def _deliver(self, heard: Heard) -> None:
         msg = self._message(heard)
