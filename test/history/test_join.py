@@ -153,6 +153,18 @@ def test_a_recorder_that_is_behind_is_waited_for(stage, monkeypatch):
     assert stage.result(350) == list(map(numbered, range(350)))
 
 
+def test_what_is_on_its_way_into_the_store_is_waited_for(stage, monkeypatch):
+    """Rows are seen in another order than they were sent in."""
+    monkeypatch.setattr(join, "SETTLE_SEC", 1.0)
+    stage.subscribe(stage.begin + 3000 * MS)
+    talk(stage, fields(), [*range(295), *range(300, 320)], range(300, 350))
+    stage.listen()
+    time.sleep(0.3)
+    assert not stage.history.live
+    talk(stage, fields(), range(295, 300), ())
+    assert stage.result(350) == list(map(numbered, range(350)))
+
+
 def test_equal_messages_and_equal_stamps(stage):
     stage.subscribe(stage.begin + 3000 * MS)
     for n in range(300):  # three at a time

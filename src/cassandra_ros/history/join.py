@@ -103,7 +103,6 @@ class History:
     ) -> None:
         self._past, self._queue, self._connected = past, queue, connected
         self._since, self._low = since, 0
-        self._held: Optional[int] = None
         self._done: Dict[Position, int] = {}
         self._seen: Dict[Position, _Seen] = {}
         self._newest = 0
@@ -169,14 +168,12 @@ class History:
     def _begin(self) -> None:
         """Take note of it where live messages were forgotten."""
         if self._epoch != self._queue.epoch:
-            self._epoch, self._held = self._queue.epoch, None
+            self._epoch = self._queue.epoch
             self._begun_sec = self._ready_sec = -1.0
 
     def _old(self) -> Iterator[Heard]:
         """Give what was stored clearly before the live messages."""
         high = self._queue.began_ns - WINDOW_NS
-        if self._held is not None:
-            high = min(high, self._held - 1)
         heads = {who: w.messages[0].mark for who, w in self._queue.waiting().items()}
         last = None
         for row in self._past.rows(self._low, high):
@@ -185,7 +182,6 @@ class History:
                 return
             if row.position not in self._done:
                 if self._is_head(row, heads):
-                    self._held = row.received
                     break
                 yield from self._give(row)
             last = row.received
