@@ -208,6 +208,7 @@ class Publication(_PublisherImpl):
         self._queue_size = queue_size
         self._missed = 0  # by subscribers that are gone
         self._latched: dict[Hashable, bytes] = {}
+        self._sending = threading.RLock()  # rospy's own is gone when it closes the topic
 
     @property
     def topic(self) -> str:
@@ -227,10 +228,7 @@ class Publication(_PublisherImpl):
             source: Where the message is latched, who latches it: late subscribers get the last
                 message of each source, in the order in which these were published.
         """
-        lock = self.publock
-        if lock is None:
-            return  # rospy has closed it: the node ends
-        with lock:
+        with self._sending:
             if source is not None:
                 self._latched.pop(source, None)
                 self._latched[source] = wire
@@ -241,7 +239,7 @@ class Publication(_PublisherImpl):
 
     def forget_latched(self) -> None:
         """Let late subscribers get nothing of what was latched before."""
-        with self.publock:
+        with self._sending:
             self._latched.clear()
 
     def add_connection(self, c: Transport) -> bool:
@@ -249,7 +247,7 @@ class Publication(_PublisherImpl):
         # What waits is joined by us; the kernel would hold a small message back for an answer.
         c.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         link = _Link(c, self._queue_size)
-        with self.publock:
+        with self._sending:
             link.latched(list(self._latched.values()))
             return bool(_TopicImpl.add_connection(self, link))
 
