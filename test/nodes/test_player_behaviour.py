@@ -79,6 +79,22 @@ def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
     assert "were not recorded: buffer full" in child.output
 
 
+def test_at_once_means_as_fast_as_subscribers_take_it(roscore, rosCas, where):
+    topic = rosCas.addTopic("/big", format="binary")
+    for n in range(24):
+        topic.addData(UInt8MultiArray(data=bytes([n]) * (1 << 20)), key=T0 + n)
+    options = ("-i", "--queue", "2", "--wait-for-subscribers")
+    with start_node(roscore, "player", *where, *options) as child:
+        with RawSubscriber(roscore.uri, "/big") as heard:
+            found = []
+            for wire in iter(heard.read, None):
+                found.append(wire[-1])
+                time.sleep(0.03)
+        assert child.wait() == 0, child.output
+    assert found == list(range(24))
+    assert child.lines[-1] == "played 24 messages of 1 topics"
+
+
 def test_a_master_that_is_started_anew(master, where, numbers):  # noqa: F811
     options = ("-l", "--wait-for-subscribers")
     with start_node(master, "player", *where, *options) as child, RawSubscriber(
