@@ -94,7 +94,7 @@ def stage(roscore, cassandra, keyspace, rosCas):
             pass
 
 
-def goes_over(stage, count, rate_hz):
+def goes_over(stage, count, rate_hz, **options):
     """Half is stored when the subscriber comes; publishing goes on all the time."""
     topic = "/numbers"
     stage.recorder(topic)
@@ -114,7 +114,7 @@ def goes_over(stage, count, rate_hz):
     thread = threading.Thread(target=publish)
     thread.start()
     due.wait()
-    listener = stage.listener(topic, type="std_msgs/UInt32")
+    listener = stage.listener(topic, type="std_msgs/UInt32", **options)
     thread.join()
     answer = listener.await_count(count)
     assert [wire for _, wire in answer["got"]] == [numbered(n).hex() for n in range(count)]
@@ -133,6 +133,12 @@ def test_the_past_goes_over_into_the_present(stage):
 @pytest.mark.parametrize("run", range(20))
 def test_a_hundred_thousand_messages_each_once_and_in_order(stage, run):
     goes_over(stage, 100_000, 10_000)
+
+
+@pytest.mark.long
+def test_a_buffer_that_is_too_small_for_the_time_that_the_past_takes(stage):
+    listener = goes_over(stage, 20_000, 3000, buff_size=200_000, slow=0.0001)
+    assert "are read from the store" in listener.output
 
 
 def send(publisher, count, period_sec, wire):
