@@ -26,6 +26,9 @@ OVERHEAD_BYTES = 300
 MAX_CONNECTIONS = 4096
 """Connections remembered by their header object; publishers come and go for days."""
 
+TOO_OFTEN = 5
+"""After it was full so often a person is told."""
+
 
 class Publisher(NamedTuple):
     """Who published a message, as its connection header says; the same in store and live."""
@@ -153,14 +156,22 @@ class LiveQueue:
             if not message.repeated:
                 owed = self.owed.get(message.publisher) or Owed(message.mark, 0)
                 self.owed[message.publisher] = owed._replace(number=owed.number + 1)
-        _log.info(
+        self.epoch += 1
+        _log.log(
+            logging.INFO if self.epoch == 1 else logging.DEBUG,
             "%d live messages that waited while the past is read are read from the store",
             len(self._messages),
         )
+        if self.epoch == TOO_OFTEN:
+            _log.warning(
+                "messages come from the store alone, some seconds late: the callback is slower "
+                "than they come, or the buffer (%d bytes) holds less than 5 s of them; give more "
+                "with buff_size",
+                self._bound,
+            )
         self._messages.clear()
         self._since.clear()
         self._bytes = 0
-        self.epoch += 1
         self.began_ns = self.now_ns()
 
     def waiting(self) -> Dict[Publisher, Waiting]:
