@@ -123,7 +123,7 @@ def goes_over(stage, count, rate_hz, **options):
 
 
 def test_the_past_goes_over_into_the_present(stage):
-    listener = goes_over(stage, 6000, 2000)
+    listener = goes_over(stage, 5000, 2500)
     listener.await_line("live")
     print("unregister", file=listener.process.stdin, flush=True)
     listener.await_line("unregistered")
@@ -165,7 +165,7 @@ def test_two_publishers_a_latched_one_and_a_recorder_that_dies(stage):
     for each in (counter, constant, latched):
         each.await_subscribers()
     latched.publish(numbered(77))
-    threads = [send(counter, 400, 0.01, numbered), send(constant, 80, 0.05, lambda n: numbered(5))]
+    threads = [send(counter, 250, 0.01, numbered), send(constant, 50, 0.05, lambda n: numbered(5))]
     stage.await_stored("/mixed", 100)
     listener = stage.listener("/mixed")
     latched.await_subscribers(2)
@@ -175,10 +175,10 @@ def test_two_publishers_a_latched_one_and_a_recorder_that_dies(stage):
     assert recorder.end(signal.SIGKILL) < 0
     for thread in threads:
         thread.join()
-    answer = listener.await_count(481)
+    answer = listener.await_count(301)
     got = {name: [w for who, w in answer["got"] if who == name] for name, _ in answer["got"]}
-    assert got["/counter"] == [numbered(n).hex() for n in range(400)]
-    assert got["/constant"] == [numbered(5).hex()] * 80
+    assert got["/counter"] == [numbered(n).hex() for n in range(250)]
+    assert got["/constant"] == [numbered(5).hex()] * 50
     assert got["/latched"] == [numbered(77).hex()]
 
 
