@@ -78,6 +78,7 @@ def test_only_the_last_runs_are_kept(rosCas):
     series.end()
     left = [row.message().data[0] for row in rosCas.getTopic("/t").rows()]
     assert left == ["4"]
+    assert sorted(run.name for run in rosCas.runs()) == ["r_4", "r_5"]
     assert series.reports()[0].stored == 5
 
 

@@ -8,9 +8,10 @@ import logging
 import math
 import threading
 import time
+from contextlib import suppress
 from typing import Callable, Mapping, Optional, Sequence
 
-from cassandra_ros.errors import CassandraRosError
+from cassandra_ros.errors import CassandraRosError, TopicNotFound
 from cassandra_ros.recording.counts import TopicReport, merge_reports
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.options import RecorderOptions
@@ -207,11 +208,14 @@ class Series:
                 self._remove(oldest, told)
 
     def _remove(self, run: Recording, reports: Sequence[TopicReport]) -> None:
+        """Delete a run: its messages, then what is said of it."""
         try:
             for report in reports:
                 if report.stored:
-                    topic = self._rosCas.getTopic(report.topic)
-                    topic.removeData(run=run.writer_id)
+                    with suppress(TopicNotFound):
+                        self._rosCas.getTopic(report.topic).removeData(run=run.writer_id)
+            topics = [report.topic for report in reports]
+            self._rosCas.parts.registry.forget_run(run.writer_id, run.node, topics)
         except CassandraRosError as exc:
             _log.error("run %s could not be removed (--max-splits): %s", run.name, exc)
 

@@ -13,7 +13,7 @@ import platform
 from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from enum import Enum
-from typing import Container, Iterator, Mapping, NamedTuple, Sequence
+from typing import Container, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
 from cassandra_ros.store.connection import CqlRow
 from cassandra_ros.store.run_context import RunContext, decode_context, encode_context
@@ -197,6 +197,16 @@ class Registry:
         now = ["heartbeat"] + ["interrupted"] * interrupted
         columns = {"writer": writer, "node": node}
         self._tables.insert("cr_context", columns, "noting that the run goes on", now=now)
+
+    def forget_run(self, writer: int, node: str, topics: Iterable[str]) -> None:
+        """Remove a run whose messages were removed, with its context and losses of some topics."""
+        what, place = "removing a run", [(writer, node)]
+        if self._tables.has("cr_loss"):
+            losses = [(topic, node, writer) for topic in topics]
+            self._tables.delete("cr_loss", ("topic", "node", "writer"), losses, what)
+        for table in ("cr_context", "cr_run"):
+            if self._tables.has(table):
+                self._tables.delete(table, ("writer", "node"), place, what)
 
     def put_loss(self, loss: Loss) -> None:
         """Store a loss; one of the same topic, node, writer, kind and first_ns is replaced."""
