@@ -195,9 +195,8 @@ def main() -> int:
             print(text, flush=True)
 
     with open_store(options) as ros_cas, Keyboard() as keyboard:
-        line = StatusLine(shows=not options.quiet and sys.stdout.isatty())
-        if keyboard.is_there:
-            say("Hit space to toggle paused, or 's' to step.")
+        shows = not options.quiet and sys.stdout.isatty()
+        line = StatusLine(shows, hint=not options.quiet and keyboard.is_there)
         state = play(ros_cas, selection, chosen, sys.argv, say, line.show, keyboard.pressed)
         line.end()
     say(closing_line(state))
@@ -207,12 +206,16 @@ def main() -> int:
 class StatusLine:
     """The line of rosbag play, on a terminal: what it does, at which time."""
 
-    def __init__(self, shows: bool) -> None:
+    def __init__(self, shows: bool, hint: bool = False) -> None:
         self._shows = shows
+        self._hint = hint
         self._next = 0.0
 
     def show(self, state: PlayerState) -> None:
-        """Write the line anew, some times a second."""
+        """Write the line anew, some times a second; before the first one which keys there are."""
+        if self._hint:
+            self._hint = False
+            print("Hit space to toggle paused, or 's' to step.", flush=True)
         if not self._shows or time.monotonic() < self._next:
             return
         self._next = time.monotonic() + SHOW_SEC
