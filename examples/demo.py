@@ -103,7 +103,9 @@ class Demo:
     def record(self) -> None:
         self.say("Record the robot's 24 topics while it drives (four times as fast)")
         topics = [RENAMED.get(topic, topic) for topic in _topics()]
-        command = [*RUN, "recorder", "--node-id", "husky", "--format", "ros", *topics]
+        # The robot has /diagnostics of its own, which are to be compared.
+        options = ["--node-id", "husky", "--no-diagnostics"]
+        command = [*RUN, "recorder", *options, "--format", "ros", *topics]
         recorder = self.spawn("recorder", command, rf"recording {len(topics)} topics")
         play = ["rosbag", "play", "-q", "-r", "4", "-d", "2", "--wait-for-subscribers"]
         play += ["--queue", "100000", str(BAG)]
@@ -171,7 +173,8 @@ class Demo:
     def replay(self) -> None:
         self.say("Play what is stored, record it again, compare (four times as fast)")
         topics = [RENAMED.get(topic, topic) for topic in _topics()]
-        command = [*RUN, "recorder", "--keyspace", AGAIN, "--node-id", "husky", *topics]
+        options = ["--keyspace", AGAIN, "--node-id", "husky", "--no-diagnostics"]
+        command = [*RUN, "recorder", *options, *topics]
         recorder = self.spawn("recorder_again", command, rf"recording {len(topics)} topics")
         renames = [f"{a}:={b}" for a, b in RENAMED.items()]
         play = [*RUN, "player", "-r", "4", "--wait-for-subscribers", "--queue", "0"]
