@@ -260,7 +260,10 @@ class Recorder:
 
     def reports(self) -> list[TopicReport]:
         """Describe what became of each topic so far, in all runs together."""
-        written = [] if self._snapshots is None else list(self._snapshots.reports)
+        written: list[Sequence[TopicReport]] = []
+        if self._snapshots is not None:
+            # Before the first snapshot: what came, and is stored nowhere.
+            written = list(self._snapshots.reports) or [self._snapshots.counts()]
         silent = self._silent | self._subscriptions.unheard()
         return [
             replace(report, published=report.topic not in silent or report.received > 0)
