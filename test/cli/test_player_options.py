@@ -69,6 +69,7 @@ WRONG = {
     ("-e", "/nothing.*"): "no stored topic matches",
     ("-x", ".*"): "leaves none",
     ("-s", "yesterday"): "no time to play",
+    ("-s", "2000-01-01T00:00:00Z"): "lies before all that is chosen",
     ("-s", "100"): "lies behind all that is chosen",
     ("--end", "2014-07-10T18:03:11Z", "-s", "1"): "lies before the start",
     ("--end", "1", "-u", "1"): "an end and a duration",

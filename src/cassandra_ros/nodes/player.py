@@ -55,7 +55,8 @@ class Player:
     """Plays what is stored on the topics from which it came, as the stored bytes.
 
     The process is a node already: call rospy.init_node first. Its remappings hold. Signals and the
-    node's end are yours; ``stop`` ends a player.
+    node's end are yours; ``stop`` ends a player. Where much else runs in the process,
+    ``sys.setswitchinterval(0.0002)`` lets messages go out more on time.
 
     Args:
         rosCas: Where it is stored. Stays yours: close it after the player.
@@ -81,6 +82,7 @@ class Player:
         self._registration = Registration()
         self._control: Optional[rospy.Subscriber] = None
         self._control_ns = self._stream.start_ns
+        self._controls = True
         self._playback = Playback(self._stream, self, options, self._lags, self._skipped)
         self._stopping = threading.Event()
         self._abandoned = threading.Event()
@@ -282,18 +284,21 @@ class Player:
     # ---------------------------------------------------------------- who consumes
 
     def _lags(self, t: int) -> bool:
-        if self._control is None:
+        if self._control is None or not self._controls:
             return False
         return t - self._control_ns > self.options.rate_control_max_delay * SECOND_NS
 
     def _take_control(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
         definition = header.get("message_definition", "")
         if not starts_with_header(definition) or len(wire) < _SEQ_AND_STAMP.size:
-            _log.warning(
-                "the rate control topic %s has no Header as its first field: it controls nothing",
-                topic,
-            )
-            self._control_ns = 2**63
+            if self._controls:
+                self._controls = False
+                _log.warning(
+                    "the rate control topic %s has no Header as its first field: it controls "
+                    "nothing",
+                    topic,
+                )
+                self._playback.wake()
             return
         _, secs, nsecs = _SEQ_AND_STAMP.unpack_from(wire)
         self._control_ns = secs * SECOND_NS + nsecs

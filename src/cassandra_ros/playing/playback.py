@@ -89,6 +89,7 @@ class Playback:
         self._goto: Optional[int] = stream.start_ns
         self._stopped = False
         self._finished = False
+        self._at_end = False  # kept alive
         self._reader: Optional[ReadAhead] = None
         self._window: Optional[Stretch] = None
         self._skip_ns = None if options.skip_empty is None else int(options.skip_empty * 1e9)
@@ -98,7 +99,7 @@ class Playback:
     @property
     def state(self) -> str:
         """What it does: 'waiting', 'running', 'paused', 'delayed' or 'ended'."""
-        if self._finished or self.pace.holds(ENDED):
+        if self._finished or self._at_end:
             return ENDED
         if self.pace.holds(PAUSED):
             return PAUSED
@@ -173,7 +174,7 @@ class Playback:
         return changed
 
     def _has_stepped(self) -> bool:
-        return not self._steps or self._finished or self.pace.holds(ENDED)
+        return not self._steps or self._finished or self._at_end
 
     # ---------------------------------------------------------------- what plays
 
@@ -200,7 +201,7 @@ class Playback:
         """Play from the time that is asked for until the end, a seek or a stop; False: stopped."""
         with self._changed:
             t = self._stream.start_ns if self._goto is None else self._goto
-            self.pace.release(ENDED)
+            self._at_end = False
             self.pace.hold(Pace.BEGIN)  # until the first message is there
             self.pace.jump(t)
             budget = self._options.read_ahead
@@ -259,7 +260,7 @@ class Playback:
                 return True
             if not self._options.keep_alive:
                 return False
-            self.pace.hold(ENDED)
+            self._at_end = True  # time goes on, as with rosbag: others may live by it
             self._changed.notify_all()
             self._changed.wait_for(self._is_broken)
             return not self._stopped
