@@ -30,7 +30,7 @@ BELOW = {
     "topics": {"query", "arrays", "transforms", "formats", "store", "messages"},
     "recording": {"topics", "query", "formats", "store", "messages"},
     "playing": {"topics", "store", "messages"},
-    "history": {"recording", "topics", "messages"},
+    "history": {"recording", "topics", "store", "messages"},
     "bag": {"topics", "formats", "store", "messages"},
     "local_server": set(),
     "nodes": {

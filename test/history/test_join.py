@@ -20,7 +20,7 @@ from cassandra_ros.history.live_queue import LiveQueue
 from cassandra_ros.history.past import Past
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import live_connection
-from cassandra_ros.store.registry import Run
+from cassandra_ros.store.registry import Loss, LossKind, Run
 
 TOPIC = "/joined"
 MS = 1_000_000
@@ -414,6 +414,19 @@ def test_a_store_that_fails_meanwhile(stage, caplog, monkeypatch):
     stage.listen()
     assert stage.result(150) == list(map(numbered, [*range(50), *range(300, 400)]))
     assert "there may be a gap" in caplog.text
+
+
+def test_what_was_not_recorded_is_told(stage, caplog):
+    for t in (100, 900):
+        first = stage.begin + t * MS
+        loss = Loss(TOPIC, "", 1, LossKind.BUFFER_FULL, first, first + MS, 3)
+        stage.store.parts.registry.put_loss(loss)
+    stage.subscribe(stage.begin + 3000 * MS, since=stage.begin + 500 * MS)
+    talk(stage, fields(), range(350), range(300, 400))
+    stage.listen()
+    assert stage.result(350) == list(map(numbered, range(50, 400)))
+    assert "3 messages or more were not recorded" in caplog.text
+    assert "(buffer full)" in caplog.text
 
 
 def test_one_run_of_two(stage):

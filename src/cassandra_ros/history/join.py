@@ -154,6 +154,7 @@ class History:
             _log.warning("topic %s: live messages only: %s", self._past.topic, reason)
             self._queue.join(self._queue.epoch)
             return
+        self._warn_of_losses()
         while not self._queue.closed:
             self._begin()
             yield from self._old()
@@ -164,6 +165,18 @@ class History:
                 yield from self._rest(bounds)
                 self._account()
                 return
+
+    def _warn_of_losses(self) -> None:
+        found = self._past.losses(self._low)
+        if found:
+            _log.warning(
+                "topic %s: %d messages or more were not recorded between %s and %s (%s), so the "
+                "past lacks them; cassandra_bag info lists them",
+                self._past.topic, sum(loss.count for loss in found),
+                iso_time(min(loss.first_ns for loss in found)),
+                iso_time(max(loss.last_ns for loss in found)),
+                ", ".join(sorted({loss.kind.value for loss in found})),
+            )  # fmt: skip
 
     def _begin(self) -> None:
         """Take note of it where live messages were forgotten."""

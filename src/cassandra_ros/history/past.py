@@ -4,10 +4,11 @@
 
 from __future__ import annotations
 
-from typing import Iterator, Optional, Union
+from typing import Iterator, List, Optional, Union
 
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.store.registry import Loss
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -43,6 +44,10 @@ class Past:
     def exists(self) -> bool:
         """Say whether the topic is stored at all."""
         return self._rosCas.existTopic(self.topic)
+
+    def losses(self, low: int) -> List[Loss]:
+        """List what was not recorded of the topic since a time, ns."""
+        return self._rosCas.losses([self.topic], low, nodeID=self._node, run=self._run)
 
     def rows(self, low: int, high: Optional[int] = None) -> Iterator[StoredRow]:
         """Yield what was received in [low, high], ns; nothing of a topic that is not stored."""
