@@ -16,6 +16,7 @@ from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.query.pushdown import PLANS
 from cassandra_ros.store.registry import Loss, LossKind, Run
 from cassandra_ros.store.run_context import NodeGraph, RunContext, decode_context, encode_context
+from cassandra_ros.topics import removal
 
 PARAMS = {
     "use_sim_time": True,
@@ -319,3 +320,26 @@ def test_runs_of_topics_with_other_keys(rosCas, key_format):
         assert info.count == 3
     assert topic.removeData(run="evening") == 3
     assert {m.point.x for _, m in topic.items()} == {0, 2}
+
+
+def test_who_opens_the_bucket_during_a_delete_of_a_run_keeps_what_he_writes(rosCas, monkeypatch):
+    connection, mark = connection_of("/point", PointStamped), removal._mark_deleted
+
+    def put(writer, times):
+        with rosCas.messageWriter(writer_id=writer, run=Run("", writer, "api")) as each:
+            handle = each.connect(connection)
+            for n, t in enumerate(times):
+                each.write(handle, T0 + t, n, serialize(PointStamped()))
+
+    def marked(space, table, node, bucket, but=()):
+        found = mark(space, table, node, bucket, but)
+        if not but:  # the run is the only one that is listed there, and its rows are known
+            put(8, [2])
+        return found
+
+    put(7, [1, 3])
+    monkeypatch.setattr(removal, "_mark_deleted", marked)
+    topic = rosCas.getTopic("/point")
+    assert topic.removeData(run="7") == 2
+    assert [row.t - T0 for row in topic.rows()] == [2]
+    assert topic.countTopicData() == 1

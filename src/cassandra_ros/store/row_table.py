@@ -211,9 +211,14 @@ class RowTable:
             f"SET {quote_name(column)} = ? {self._where} {_ROW}"
         )
 
-    def delete_range(self) -> str:
-        """DELETE of a stretch of one partition, both ends included."""
-        return f"DELETE FROM {self.qualified} {self._where} {_RANGE}"
+    def delete_range(self, *, older: bool = False) -> str:
+        """DELETE of a stretch of one partition, both ends included.
+
+        Args:
+            older: Only of what was written up to a timestamp, which is the first parameter.
+        """
+        using = "USING TIMESTAMP ? " if older else ""
+        return f"DELETE FROM {self.qualified} {using}{self._where} {_RANGE}"
 
     def delete_one(self, *, chunks: bool = False) -> str:
         """DELETE of one row, or of the pieces of its message."""

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from itertools import islice
-from typing import Collection, Dict, Iterable, List, Sequence, Set, Tuple, Union
+from typing import Collection, Dict, Iterable, List, Optional, Sequence, Set, Tuple, Union
 
 from cassandra_ros.store.counting import scan_keys
 from cassandra_ros.store.directory import Directory
@@ -27,6 +27,8 @@ def delete_stretch(
 ) -> int:
     """Delete rows with t in [low, high], and their chunks; return how many there were."""
     deleted = 0
+    # Before it is read who wrote where: who opens a bucket later keeps what he writes.
+    until = None if whose.writers is None else space.cassandra.server_time_us()
     for table in tables:
         ends = table.bucket_of(low), table.bucket_of(high)
         rows = space.directory.buckets(table.name, *ends, whose.nodes, table.metadata.ttl)
@@ -35,7 +37,7 @@ def delete_stretch(
             writers.setdefault((row.node, row.bucket), set()).add(row.writer)
         for (node, bucket), listed in sorted(writers.items()):
             if whose.writers is None or listed <= whose.writers:
-                deleted += _delete_bucket(space, table, node, bucket, low, high)
+                deleted += _delete_bucket(space, (table, node, bucket), low, high, until)
             elif listed & whose.writers:
                 # Others wrote there, too: one by one, and theirs stay.
                 deleted += _delete_between(space, (table, node, bucket), low, high, whose)
@@ -83,14 +85,19 @@ def _delete_some(space: Keyspace, partition: _Partition, keys: List[_Key]) -> No
 
 
 def _delete_bucket(
-    space: Keyspace, table: TopicTable, node: str, bucket: int, low: int, high: int
+    space: Keyspace, partition: _Partition, low: int, high: int, until: Optional[int]
 ) -> int:
+    table, node, where = partition
+    bucket = int(where)
     found = scan_keys(table, node, bucket, low, high)
     keys = [(t, seq, large) for t, seq, _, large, _ in found]
     if keys:
         marked = _mark_deleted(space.directory, table, node, bucket)
-        params = (node, bucket, *keys[0][:2], *keys[-1][:2])
-        space.cassandra.execute(table.delete_range(), params, what=_deleting(table))
+        params: Tuple[object, ...] = (node, bucket, *keys[0][:2], *keys[-1][:2])
+        if until is not None:
+            params = (until, *params)
+        statement = table.delete_range(older=until is not None)
+        space.cassandra.execute(statement, params, what=_deleting(table))
         # Rows of who opened the bucket in between may be gone, too.
         _mark_deleted(space.directory, table, node, bucket, marked)
         _delete_chunks(space, (table, node, bucket), keys)
