@@ -52,6 +52,13 @@ def test_ports_that_are_none(parse, port):
         parse("--port", port)
 
 
+@pytest.mark.parametrize("seconds", ["-1", "x", "", "1e3", "inf", "٣"])
+def test_times_to_wait_that_are_none(parse, seconds):
+    parse("--wait", "2.5")
+    with pytest.raises(SystemExit):
+        parse("--wait", seconds)
+
+
 def test_what_roslaunch_adds_is_dropped():
     words = ["verify", "a.bag", "__name:=x", "/a:=/b", "_rate:=3", "--map", "/a:=/c", "--x=1:=2"]
     assert strip_remappings(words) == ["verify", "a.bag", "--map", "/a:=/c", "--x=1:=2"]

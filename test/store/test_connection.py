@@ -5,12 +5,15 @@
 from __future__ import annotations
 
 import pytest
+from cassandra.cluster import NoHostAvailable
+from cassandra.protocol import ServerError
 from std_msgs.msg import String
 
 from cassandra_ros import Cassandra, RosCassandra
 from cassandra_ros.errors import ConnectionFailed, InvalidOption, WriteFailed
 from cassandra_ros.messages.connection import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.store.driver_errors import is_passing, translate
 
 SEC = 10**9
 
@@ -135,3 +138,11 @@ def test_a_host_that_cannot_be_found_is_named(host):
         RosCassandra(host, 9042)
     for part in (repr(host), "give the address", "rosrun cassandra_ros local_cassandra start"):
         assert part in str(caught.value)
+
+
+def test_a_server_that_tells_of_its_full_disk():
+    """Somebody may make room: it is tried again, and named."""
+    told = ServerError(code=0, message="IOException: No space left on device", info=None)
+    for exc in (told, NoHostAvailable("no host", {"127.0.0.1:9042": told})):
+        assert is_passing(exc)
+        assert "writing: the disk of the store is full; make room" in str(translate(exc, "writing"))
