@@ -177,14 +177,21 @@ def test_a_port_of_another_cassandra_is_refused_with_what_to_do(folder, cassandr
         make(folder, port=cassandra.port).start()
 
 
-def test_no_space(folder, tmp_path, monkeypatch):
-    """A new cluster is refused; one that has data is started, to read or to delete them."""
-    make(folder).stop()
+@pytest.fixture
+def little_space(monkeypatch):
     usage = shutil.disk_usage("/")
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=100 << 20))
+
+
+def test_no_space(tmp_path, little_space):
     with pytest.raises(ServerError, match="no space: .* has 100 MiB free.*make room"):
         make(tmp_path / "new", port=free_port()).start()
+
+
+@pytest.mark.long
+def test_data_are_read_where_there_is_little_space(folder, little_space):
     cluster = make(folder)
+    cluster.stop()
     assert cluster.start(die_with_us=True)
     assert "has 100 MiB free, Cassandra needs 768 MiB; make room" in cluster.said[0]
     assert ask(cluster, "SELECT key FROM system.local")

@@ -113,3 +113,22 @@ def test_a_master_that_stood_still_is_no_loss(master, cassandra, keyspace, rosCa
         assert child.end() == 0, child.output
     assert [row.wire for row in rosCas.getTopic("/a").rows()] == [text(n) for n in (1, 2, 3)]
     assert rosCas.parts.registry.losses() == []
+
+
+@pytest.mark.long
+@pytest.mark.fault
+def test_a_recording_ends_without_its_master(master, cassandra, keyspace, rosCas):
+    """One that stands still is as one that is out of reach: rospy would wait for it for ever."""
+    with start_recorder(master, cassandra, keyspace, "/a") as child:
+        child.await_line("recording 1 topic")
+        one = RawPublisher(master.uri, "/a", header_of(String))
+        one.await_subscribers().publish(text(1))
+        pid = xmlrpc.client.ServerProxy(master.uri).getPid("/test")[2]
+        subprocess.run(["kill", "-STOP", str(pid)], check=True)
+        try:
+            one.publish(text(2))
+            assert child.end(timeout_sec=60) == 0, child.output
+        finally:
+            subprocess.run(["kill", "-CONT", str(pid)], check=True)
+        one.close()
+    assert [row.wire for row in rosCas.getTopic("/a").rows()] == [text(1), text(2)]

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import errno
 import http.client
 import logging
 import socket
@@ -15,27 +16,46 @@ import rosgraph
 from cassandra_ros.errors import ConnectionFailed, InvalidOption
 
 TIMEOUT_SEC = 1.0
+SILENT_SEC = 0.2
 PARAMETER_TIMEOUT_SEC = 10.0
 
 _log = logging.getLogger(__name__)
 
 
-class _Transport(xmlrpc.client.Transport):
-    """HTTP that gives up after some seconds."""
+class MasterTransport(xmlrpc.client.Transport):
+    """HTTP to a master that gives up after some seconds, with an OSError.
+
+    Once it was silent the next calls are given up soon, until it answers again.
+    """
 
     def __init__(self, timeout_sec: float) -> None:
         super().__init__()
         self._timeout_sec = timeout_sec
+        self._silent = False
 
     def make_connection(self, host: str | tuple[str, dict[str, str]]) -> http.client.HTTPConnection:
+        """Connect; see xmlrpc.client.Transport."""
         connection = super().make_connection(host)
-        connection.timeout = self._timeout_sec
+        connection.timeout = SILENT_SEC if self._silent else self._timeout_sec
         return connection
+
+    def request(self, *args: Any, **kwargs: Any) -> Any:
+        """Make a call; see xmlrpc.client.Transport."""
+        try:
+            answer = super().request(*args, **kwargs)
+        except socket.timeout as exc:
+            self._silent = True
+            # rospy unpacks number and text of an error, and knows this one as a network's.
+            raise OSError(errno.ENODATA, f"no answer within {self._timeout_sec:g} s") from exc
+        if self._silent:
+            self._silent = False
+            self.close()  # with its short time
+        return answer
 
 
 def master_proxy(timeout_sec: float = TIMEOUT_SEC) -> Any:
     """Return the master's API; a call raises an error after so many seconds without an answer."""
-    transport = _Transport(timeout_sec)
+    transport = MasterTransport(timeout_sec)
     return xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=transport)
 
 

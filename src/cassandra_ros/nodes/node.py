@@ -17,6 +17,7 @@ from xml.parsers.expat import ExpatError
 import rospy
 
 from cassandra_ros.errors import ClockNotSet
+from cassandra_ros.messages.graph import MasterTransport
 from cassandra_ros.nodes.subscription import subscribe
 
 _OURS = "cassandra_ros"
@@ -25,6 +26,8 @@ _ROSPY = "rosout"
 _STAMP = struct.Struct("<II")
 REMAP = "__name:="
 _TIMEOUT_SEC = 2.0
+MASTER_SEC = 5.0
+"""How long an answer of the master is waited for."""
 MASTER_ERRORS = (OSError, HTTPException, xmlrpc.client.Error, ExpatError)
 """What asking a master raises that is away, or dies in the middle of its answer."""
 
@@ -81,6 +84,16 @@ def forward_logging() -> None:
             logging.getLogger(name).disabled = False
     # The driver's own warnings speak of things that its caller chose.
     logging.getLogger("cassandra").setLevel(logging.ERROR)
+
+
+def bound_master_calls() -> None:
+    """Let rospy give up a call to its master that is not answered; call it after rospy.init_node.
+
+    It would wait for ever: a robot that has left the network could not end a recording.
+    """
+    # In their place: others hold them, too, as the log's own look for a parameter.
+    for proxy in rospy.core._xmlrpc_cache.values():
+        proxy._ServerProxy__transport = MasterTransport(MASTER_SEC)
 
 
 def follow_clock() -> None:

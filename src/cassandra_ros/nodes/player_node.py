@@ -16,7 +16,12 @@ from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger, Trig
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.msg import PlayedTopic
-from cassandra_ros.nodes.node import REMAP, forward_logging, own_name
+from cassandra_ros.nodes.node import (
+    REMAP,
+    bound_master_calls,
+    forward_logging,
+    own_name,
+)
 from cassandra_ros.nodes.player import Player, PlayerState
 from cassandra_ros.playing.options import PlayerOptions
 from cassandra_ros.playing.selection import PlaySelection
@@ -106,6 +111,7 @@ def _start_node(argv: Sequence[str]) -> None:
     words = [word for word in argv if not (taken and word.startswith(REMAP))]
     rospy.init_node(name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True)
     forward_logging()
+    bound_master_calls()
     if taken:
         _log.warning("a node %s runs already; this one is %s", full_name, rospy.get_name())
 

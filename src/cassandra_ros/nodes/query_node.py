@@ -23,7 +23,11 @@ from cassandra_ros.keys import SECOND_NS, decode_cursor, encode_cursor
 from cassandra_ros.messages.classes import to_yaml
 from cassandra_ros.messages.stamps import iso_time, to_ns
 from cassandra_ros.msg import Row, StoredMessage
-from cassandra_ros.nodes.node import forward_logging, own_name
+from cassandra_ros.nodes.node import (
+    bound_master_calls,
+    forward_logging,
+    own_name,
+)
 from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.query.json_values import from_json, to_json
 from cassandra_ros.query.parse import parse_statement
@@ -80,6 +84,7 @@ def start_node(argv: Sequence[str]) -> dict[str, str]:
         # rospy took the signal while it waited for a master.
         raise KeyboardInterrupt from exc
     forward_logging()
+    bound_master_calls()
     given = {name: rospy.get_param(f"~{name}", None) for name in PARAMETERS}
     return {name: str(value) for name, value in given.items() if value is not None}
 

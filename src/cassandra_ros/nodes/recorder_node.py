@@ -13,7 +13,13 @@ from typing import Callable, Mapping, Optional, Sequence
 import rospy
 
 from cassandra_ros.nodes.diagnostics import Diagnostics
-from cassandra_ros.nodes.node import REMAP, follow_clock, forward_logging, own_name
+from cassandra_ros.nodes.node import (
+    REMAP,
+    bound_master_calls,
+    follow_clock,
+    forward_logging,
+    own_name,
+)
 from cassandra_ros.nodes.recorder import POLL_SEC, Recorder, Say
 from cassandra_ros.nodes.recorder_services import serve
 from cassandra_ros.recording.counts import TopicReport
@@ -34,6 +40,7 @@ def start_node(argv: Sequence[str]) -> Mapping[str, object]:
     words = [word for word in argv if not (taken and word.startswith(REMAP))]
     rospy.init_node(name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True)
     forward_logging()
+    bound_master_calls()
     follow_clock()
     if taken:
         _log.warning("a node %s runs already; this one is %s", full_name, rospy.get_name())
