@@ -107,6 +107,7 @@ class Player:
             topic = rospy.resolve_name(options.rate_control_topic)
             self._control = subscribe(topic, self._take_control)
         self._registration.start()
+        self._playback.prepare()
         threading.Thread(target=self._run, args=(outlets,), daemon=True, name="player").start()
 
     def pause(self) -> bool:

@@ -91,6 +91,7 @@ class Playback:
         self._finished = False
         self._at_end = False  # kept alive
         self._reader: Optional[ReadAhead] = None
+        self._early: Optional[ReadAhead] = None
         self._window: Optional[Stretch] = None
         self._skip_ns = None if options.skip_empty is None else int(options.skip_empty * 1e9)
 
@@ -159,6 +160,8 @@ class Playback:
         """Let ``run`` return behind the message that is being published."""
         with self._changed:
             self._stopped = True
+            if self._early is not None:
+                self._early.close()
             self._changed.notify_all()
 
     def wake(self) -> None:
@@ -177,6 +180,10 @@ class Playback:
         return not self._steps or self._finished or self._at_end
 
     # ---------------------------------------------------------------- what plays
+
+    def prepare(self) -> None:
+        """Begin to read, for a ``run`` that follows: it need not wait for the store then."""
+        self._reader = self._early = self._read(self._stream.start_ns)
 
     def run(self) -> None:
         """Play until the end, or until it is stopped.
@@ -204,9 +211,11 @@ class Playback:
             self._at_end = False
             self.pace.hold(Pace.BEGIN)  # until the first message is there
             self.pace.jump(t)
-            budget = self._options.read_ahead
-            begin = self._stream.messages
-            reader = ReadAhead(begin, t, budget, self._changed, self._skipped)
+            early, self._early = self._early, None
+            if early is not None and t != self._stream.start_ns:
+                early.close()
+                early = None
+            reader = early or self._read(t)
             self._reader, self._window = reader, None
         try:
             first = self._stream.latched(t)
@@ -226,6 +235,10 @@ class Playback:
             return not self._stopped
         finally:
             reader.close()
+
+    def _read(self, t: int) -> ReadAhead:
+        budget = self._options.read_ahead
+        return ReadAhead(self._stream.messages, t, budget, self._changed, self._skipped)
 
     def _play(self, reader: ReadAhead, fresh: bool) -> bool:
         """Play what a reader gives; return whether there was any."""

@@ -26,6 +26,9 @@ ITEM_BYTES = 500
 """What a message takes besides its bytes."""
 REFILL_BYTES = 1024 * 1024
 """When so much was taken reading goes on: in small steps, for it slows down what is published."""
+LARGE_BYTES = 256 * 1024
+LARGE_SEC = 0.004
+"""How long the reading of a large message waits for the sending of another, where there is time."""
 RETRY_SEC = 1.0
 GIVE_UP_SEC = 60.0
 """How long a store that does not answer is asked again."""
@@ -163,4 +166,7 @@ class ReadAhead:
                 self._room.clear()
         if self._full:
             self._room.wait()
+            if size >= LARGE_BYTES:
+                # What was taken for this is being sent: it needs the machine now.
+                self._closed.wait(LARGE_SEC)
         return not self._closed.is_set()
