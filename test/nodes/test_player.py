@@ -108,7 +108,7 @@ def record_again(roscore, start, turtle, target, topics, *options):
 def test_what_is_played_is_recorded_as_it_was(roscore, start, turtle, tmp_path):
     # More might be too much for the queues of 100 messages in rosbag record.
     few = ("/tf_static", "/turtle1/cmd_vel")
-    record_again(roscore, start, turtle, tmp_path / "again.bag", few, "-r", "10")
+    record_again(roscore, start, turtle, tmp_path / "again.bag", few, "-r", "20")
 
 
 @pytest.mark.long

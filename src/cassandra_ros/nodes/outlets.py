@@ -24,7 +24,7 @@ from cassandra_ros.playing.stream import Channel, Played
 _log = logging.getLogger(__name__)
 
 CLOCK = "/clock"
-STALLED_SEC = 3.0
+STALLED_SEC = 2.0
 """A subscriber that takes nothing for so long is not waited for any more."""
 
 _stamp = struct.Struct("<II").pack
