@@ -472,6 +472,12 @@ def test_wrong_usage(roscore, arguments, word):
     assert word in child.output
 
 
+def test_nothing_to_record_needs_no_master(roscore):
+    child = start_node(roscore, "recorder", env={"ROS_MASTER_URI": "http://127.0.0.1:1/"})
+    assert child.wait(30) == 2
+    assert "give topics to record" in child.output
+
+
 def test_help_and_no_server(roscore):
     done = subprocess.run(
         ["rosrun", "cassandra_ros", "recorder", "--help"],

@@ -33,6 +33,7 @@ from cassandra_ros.cli.recorder_report import StatusLine, closing_table, failure
 from cassandra_ros.errors import InvalidName, InvalidOption, UnknownFormat
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.local_server.jars import default_directory
+from cassandra_ros.messages.graph import master_answers
 from cassandra_ros.recording.options import RecorderOptions
 from cassandra_ros.recording.settings import (
     Rule,
@@ -271,7 +272,7 @@ def main() -> int:
     parser = make_parser()
     words = strip_remappings(None)
     given = parser.parse_args(words)  # wrong usage and --help need no master
-    if given.topics or given.all or given.node:
+    if given.topics or given.all or given.node or not master_answers():
         read_options(parser, given)
     from cassandra_ros.nodes.recorder_node import record, start_node
     from cassandra_ros.nodes.recording_plan import make_plan

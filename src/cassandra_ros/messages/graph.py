@@ -59,6 +59,16 @@ def master_proxy(timeout_sec: float = TIMEOUT_SEC) -> Any:
     return xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=transport)
 
 
+def master_answers() -> bool:
+    """Say whether a ROS master answers within a second."""
+    try:
+        master_proxy().getPid("/cassandra_ros")
+    except (OSError, xmlrpc.client.Error, http.client.HTTPException) as exc:
+        _log.info("no ROS master at %s: %s", rosgraph.get_master_uri(), exc)
+        return False
+    return True
+
+
 def topic_type(topic: str) -> str | None:
     """Ask the ROS master for the type of a topic; a missing leading slash is added.
 
