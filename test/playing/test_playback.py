@@ -209,13 +209,33 @@ def test_no_more_is_read_ahead_than_the_budget(store):
             begun.set()
             yield played
 
-    reader = ReadAhead(begin, T0, 5 * 504, changed, lambda played, exc: None)
+    size = 4 + read_ahead.ITEM_BYTES
+    reader = ReadAhead(begin, T0, 5 * size, changed, lambda played, exc: None)
     assert begun.wait(60)
     got = 0
     with changed:
         while reader.await_next(60):
-            if reader.take() is None:
+            played = reader.take()
+            if played is None:
                 break
             got += 1
             assert len(taken) - got <= 7
+            assert not played.row.columns  # they may take more than the message
     assert got == COUNT
+
+
+def test_who_reads_ends_where_it_is_closed_with_its_budget_used_up(store):
+    stream = Stream(store, PlaySelection(topics=["/n"]))
+    ended = threading.Event()
+
+    def begin(t):
+        try:
+            for n, played in enumerate(stream.messages(t)):
+                if n == 1:
+                    reader.close()
+                yield played
+        finally:
+            ended.set()
+
+    reader = ReadAhead(begin, T0, 1500, threading.Condition(), lambda played, exc: None)
+    assert ended.wait(60)

@@ -5,13 +5,22 @@
 from __future__ import annotations
 
 import itertools
+import threading
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from playing.robots import SEC, T0, Robot, played, texts
 
-from cassandra_ros.errors import InvalidOption, InvalidQuery, MessageNotFound, TopicNotFound
+from cassandra_ros.errors import (
+    InvalidOption,
+    InvalidQuery,
+    MessageNotFound,
+    StoreUnavailable,
+    TopicNotFound,
+)
+from cassandra_ros.playing import read_ahead
+from cassandra_ros.playing.read_ahead import ReadAhead
 from cassandra_ros.playing.selection import PlaySelection
 from cassandra_ros.playing.stream import Stream
 from cassandra_ros.playing.windows import joined, merge_windows
@@ -99,6 +108,42 @@ def test_nothing_is_latched_anew_where_nothing_changed(filled):
         ("/tick", 29.5, "t29"),
         ("/tick", 30.5, "t30"),
     ]
+
+
+def test_a_store_that_goes_away_between_what_was_latched_in_a_gap(rosCas, monkeypatch):
+    monkeypatch.setattr(read_ahead, "RETRY_SEC", 0.001)
+    with Robot(rosCas, 1, "r1") as robot:
+        for hit in (0, 10, 20):
+            for n, topic in enumerate(("/a", "/b", "/c")):
+                robot.send(topic, hit - 5 + n, f"{topic}{hit}", latched=True)
+            robot.send("/hit", hit, "now")
+            robot.send("/tick", hit, "now")
+    stream = Stream(rosCas, PlaySelection(around="/hit: data = 'now'", before=0, after=1))
+    every = [p.row.key for p in stream.messages()]
+    assert len(every) == 12
+
+    for failing in (2, 3, 4, 5):
+        failures = iter([failing])
+
+        def begin(t, failures=failures):
+            count = next(failures, None)
+            yield from itertools.islice(stream.messages(t), count)
+            if count is not None:
+                raise StoreUnavailable("away")
+
+        assert [p.row.key for p in taken(begin, stream.start_ns)] == every, failing
+
+
+def taken(begin, t):
+    """Take all that a reader gives."""
+    changed, found = threading.Condition(), []
+    reader = ReadAhead(begin, t, 1 << 20, changed, lambda played, exc: None)
+    with changed:
+        while reader.await_next(60):
+            found.append(reader.take())
+            if found[-1] is None:
+                return found[:-1]
+    raise AssertionError("nothing came")
 
 
 def test_start_and_end_bound_the_windows(filled):

@@ -22,8 +22,8 @@ from cassandra_ros.playing.stream import Played
 _log = logging.getLogger(__name__)
 
 
-ITEM_BYTES = 500
-"""What a message takes besides its bytes."""
+ITEM_BYTES = 1000
+"""What a message takes besides its bytes: a row without its columns, measured."""
 REFILL_BYTES = 1024 * 1024
 """When so much was taken reading goes on: in small steps, for it slows down what is published."""
 LARGE_BYTES = 256 * 1024
@@ -121,21 +121,23 @@ class ReadAhead:
     def _read(self, t: int) -> None:
         """Read to the end; begin again behind the last message where the store was away."""
         ends = 0.0  # when it is given up
-        # Messages of time t that are read. By their places, for what was latched in a gap also has
-        # the time at which a window begins, and does not come again.
+        # Messages that are read of those that come again from t on. By their places, for what was
+        # latched in a gap has the time at which the window behind it begins, as others may.
         same: set[tuple[int, str, int, str]] = set()
         while not self._closed.is_set():
             rows = self._begin(t)
             try:
                 for played in rows:
-                    if played.t == t and played.row.arrival in same:
+                    if played.row.arrival in same:
                         continue
                     if not self._put(played):
                         return
-                    if played.t != t:
+                    # What was latched in a gap comes only to who begins before its window.
+                    if t < played.t and played.t != played.window.low:
                         same.clear()
+                        t = played.t
                     same.add(played.row.arrival)
-                    t, ends = played.t, 0.0
+                    ends = 0.0
                 return
             except (StoreUnavailable, ConnectionFailed) as exc:
                 now = time.monotonic()
@@ -152,7 +154,8 @@ class ReadAhead:
     def _put(self, played: Played) -> bool:
         """Keep a message; wait while the budget is used up. False: nobody wants it any more."""
         try:
-            size = len(played.row.wire) + ITEM_BYTES  # decoded here, not when it is due
+            # Decoded here, not when it is due; the columns may take several times as much.
+            size = len(played.row.keep_wire()) + ITEM_BYTES
         except (CorruptMessage, MessageNotFound) as exc:
             self._skipped(played, exc)
             return not self._closed.is_set()
@@ -164,7 +167,7 @@ class ReadAhead:
             self._full = self._held > self._budget
             if self._full:
                 self._room.clear()
-        if self._full:
+        if self._full and not self._closed.is_set():  # ``close`` may have come before ``clear``
             self._room.wait()
             if size >= LARGE_BYTES:
                 # What was taken for this is being sent: it needs the machine now.

@@ -78,6 +78,13 @@ class StoredRow:
             self._wire = read_wire(self.table, self._row)
         return self._wire
 
+    def keep_wire(self) -> bytes:
+        """Return the serialised message, and let go of the columns that it was made of."""
+        wire = self.wire
+        self.columns = ()
+        self._row = self._row._replace(columns=(), raw=None)
+        return wire
+
     @property
     def connection(self) -> Connection:
         """The connection over which it came."""
