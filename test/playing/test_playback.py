@@ -131,6 +131,23 @@ def test_a_loop_begins_anew_until_it_is_stopped(playing):
     assert set(run.into.begun) == {T0}
 
 
+def test_time_does_not_run_ahead_of_what_is_late(playing):
+    class Slow(Into):
+        def publish(self, played):
+            self.clocks.append(run.playback.now())
+            super().publish(played)
+
+    run = playing(into=Slow(), rate=1e6, paused=True)
+    run.playback.resume()
+    run.into.await_count(COUNT // 2)
+    run.playback.set_rate(0.01)
+    assert run.playback.now() <= T0 + (COUNT - 1) * STEP
+    run.thread.join(0.2)
+    run.playback.set_rate(1000.0)
+    run.thread.join(60)
+    assert run.into.clocks == [p.t for p in run.into.got]
+
+
 def test_gaps_are_skipped_and_what_controls_is_waited_for(playing, store):
     store.addTopic("/gap").addData(String("a"), key=T0)
     store.getTopic("/gap").addData(String("b"), key=T0 + 1000 * SEC)

@@ -18,7 +18,6 @@ from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidName, TypeMismatch
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.nodes.publishing import AnyPublication, MessageKind, advertise
-from cassandra_ros.playing.pace import Pace
 from cassandra_ros.playing.stream import Channel, Played
 
 _log = logging.getLogger(__name__)
@@ -59,6 +58,7 @@ class Outlets:
     def __init__(self, channels: Sequence[Channel], queue: int, waits: bool, clock: bool) -> None:
         self._waits = waits
         self._stopping = threading.Event()
+        self._closed = threading.Event()
         self._publications: dict[str, AnyPublication] = {}
         self._left_out: Counter[str] = Counter()
         self._said: set[Hashable] = set()
@@ -145,14 +145,15 @@ class Outlets:
             with self._clock_lock:
                 self._clock.publish_wire(_stamp(*divmod(t, SECOND_NS)))
 
-    def run_clock(self, pace: Pace, hz: float, ended: Callable[[], bool]) -> None:
-        """Publish the time until the replay has ended."""
+    def run_clock(self, now: Callable[[], int], hz: float) -> None:
+        """Publish the time until the topics are left."""
         following = time.monotonic()
-        while self._clock is not None and not ended():
+        while self._clock is not None:
             with self._clock_lock:  # time must not go backwards beside ``clock``
-                self._clock.publish_wire(_stamp(*divmod(pace.now(), SECOND_NS)))
+                self._clock.publish_wire(_stamp(*divmod(now(), SECOND_NS)))
             following = max(following + 1 / hz, time.monotonic())
-            self._stopping.wait(following - time.monotonic())
+            if self._closed.wait(following - time.monotonic()):
+                return
 
     def without_subscriber(self) -> list[str]:
         """List the topics that nobody listens to."""
@@ -188,6 +189,7 @@ class Outlets:
         for publication in self._publications.values():
             publication.drain(stop, STALLED_SEC)
         self._stopping.set()
+        self._closed.set()
         clock = [] if self._clock is None else [self._clock]
         for publication in [*self._publications.values(), *clock]:
             publication.unregister()

@@ -125,7 +125,7 @@ class Player:
             InvalidOption: It is not paused, or not so many messages follow.
         """
         self._playback.step(count)
-        return self._playback.pace.now()
+        return self._playback.now()
 
     def seek(self, time: PlayTime) -> int:
         """Go on at another time; the last latched messages before it are published first.
@@ -179,7 +179,7 @@ class Player:
         playback, stream = self._playback, self._stream
         return PlayerState(
             ENDED if self._done.is_set() else playback.state,
-            playback.pace.now(),
+            playback.now(),
             stream.start_ns,
             stream.end_ns,
             playback.pace.rate,
@@ -220,7 +220,7 @@ class Player:
             if self._stopping.wait(self.options.delay) or not self._await_subscribers(outlets):
                 return
             if self.options.clock_hz > 0:
-                ticks = (self._playback.pace, self.options.clock_hz, self._done.is_set)
+                ticks = (self._playback.now, self.options.clock_hz)
                 threading.Thread(target=outlets.run_clock, args=ticks, daemon=True).start()
             self._playback.run()
         except Exception as exc:  # noqa: BLE001 - raised by wait

@@ -93,9 +93,14 @@ class Playback:
         self._reader: Optional[ReadAhead] = None
         self._early: Optional[ReadAhead] = None
         self._window: Optional[Stretch] = None
+        self._horizon = stream.start_ns
         self._skip_ns = None if options.skip_empty is None else int(options.skip_empty * 1e9)
 
     # ---------------------------------------------------------------- what steers
+
+    def now(self) -> int:
+        """Return the time of the replay, ns: that of the next message where that is late."""
+        return min(self.pace.now(), self._horizon)
 
     @property
     def state(self) -> str:
@@ -124,6 +129,7 @@ class Playback:
     def set_rate(self, rate: float) -> None:
         """Go on faster or slower; InvalidOption: it is no rate."""
         with self._changed:
+            self.pace.jump(self.now())  # what is late is not hurried after
             self.pace.set_rate(rate)
             self._changed.notify_all()
 
@@ -172,6 +178,7 @@ class Playback:
     def _set(self, hold: str, on: bool) -> bool:
         with self._changed:
             changed = self.pace.holds(hold) != on
+            self.pace.jump(self.now())
             (self.pace.hold if on else self.pace.release)(hold)
             self._changed.notify_all()
         return changed
@@ -211,6 +218,7 @@ class Playback:
             self._at_end = False
             self.pace.hold(Pace.BEGIN)  # until the first message is there
             self.pace.jump(t)
+            self._horizon = t
             early, self._early = self._early, None
             if early is not None and t != self._stream.start_ns:
                 early.close()
@@ -249,7 +257,7 @@ class Playback:
                 return found
             if fresh and not found:
                 self.pace.jump(played.t)  # as rosbag: time begins with the first message
-            found = True
+            found, self._horizon = True, played.t
             if not self._await(played):
                 return True
             self._window = played.window
@@ -273,6 +281,8 @@ class Playback:
                 return True
             if not self._options.keep_alive:
                 return False
+            self.pace.jump(self.now())
+            self._horizon = 2**63
             self._at_end = True  # time goes on, as with rosbag: others may live by it
             self._changed.notify_all()
             self._changed.wait_for(self._is_broken)
