@@ -8,9 +8,11 @@ import threading
 from types import SimpleNamespace
 
 import pytest
+from playing.robots import Robot
 from std_msgs.msg import Int32, String
 
 from cassandra_ros.errors import InvalidOption, MessageNotFound, StoreUnavailable
+from cassandra_ros.playing import playback as playback_module
 from cassandra_ros.playing import read_ahead
 from cassandra_ros.playing.options import PlayerOptions
 from cassandra_ros.playing.playback import Playback
@@ -213,6 +215,30 @@ def test_a_store_that_is_away_for_a_while(store, monkeypatch):
                 break
             got.append(played)
     assert [p.row.key for p in got] == [p.row.key for p in every]
+
+
+def test_what_is_latched_may_be_away_or_gone(rosCas, monkeypatch):
+    """As for other messages: the store is waited for, what cannot be read is left out."""
+    monkeypatch.setattr(playback_module, "RETRY_SEC", 0.01)
+    with Robot(rosCas, 1, "r1") as robot:
+        for topic in ("/a", "/b"):
+            robot.send(topic, 0, topic, latched=True)
+        robot.send("/tick", 9, "t")
+    failures = iter((StoreUnavailable("away"), StoreUnavailable("away")))
+
+    class Flaky(Stream):
+        def latched(self, t):
+            for failure in failures:
+                raise failure
+            found = super().latched(t)
+            self._ros_cas.getTopic("/a").removeData(run=1)
+            return found
+
+    stream, into, lost = Flaky(rosCas, PlaySelection(start=5)), Into(), []
+    skipped = lambda played, exc: lost.append((played.topic, type(exc)))  # noqa: E731
+    Playback(stream, into, PlayerOptions(immediate=True), lambda t: False, skipped).run()
+    assert [p.topic for p in into.got] == ["/b", "/tick"]
+    assert lost == [("/a", MessageNotFound)]
 
 
 def test_no_more_is_read_ahead_than_the_budget(store):

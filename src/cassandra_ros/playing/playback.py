@@ -7,13 +7,19 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Callable, Iterator, Optional, Protocol, Sequence
+from typing import Callable, Iterator, List, Optional, Protocol, Sequence
 
-from cassandra_ros.errors import InvalidOption, MessageNotFound
+from cassandra_ros.errors import (
+    ConnectionFailed,
+    CorruptMessage,
+    InvalidOption,
+    MessageNotFound,
+    StoreUnavailable,
+)
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.playing.options import PlayerOptions
 from cassandra_ros.playing.pace import Pace
-from cassandra_ros.playing.read_ahead import ReadAhead, Skipped
+from cassandra_ros.playing.read_ahead import GIVE_UP_SEC, RETRY_SEC, ReadAhead, Skipped
 from cassandra_ros.playing.stream import Played
 from cassandra_ros.topics.selection import Stretch
 
@@ -226,7 +232,7 @@ class Playback:
             reader = early or self._read(t)
             self._reader, self._window = reader, None
         try:
-            first = self._stream.latched(t)
+            first = self._latched(t)
             self._output.begin(t)
             for played in first:
                 self._output.publish(played)
@@ -243,6 +249,30 @@ class Playback:
             return not self._stopped
         finally:
             reader.close()
+
+    def _latched(self, t: int) -> List[Played]:
+        """Read what is published first; as who reads ahead, wait for a store that is away."""
+        ends = time.monotonic() + GIVE_UP_SEC
+        while True:
+            try:
+                return [each for each in self._stream.latched(t) if self._is_readable(each)]
+            except (StoreUnavailable, ConnectionFailed) as exc:
+                if time.monotonic() >= ends:
+                    raise
+                _log.warning("the store does not answer, the replay waits for it: %s", exc)
+            with self._changed:
+                if not self._stopped and self._goto in (None, t):
+                    self._changed.wait(RETRY_SEC)
+                if self._stopped or self._goto not in (None, t):
+                    return []
+
+    def _is_readable(self, played: Played) -> bool:
+        try:
+            played.row.keep_wire()
+        except (CorruptMessage, MessageNotFound) as exc:
+            self._skipped(played, exc)
+            return False
+        return True
 
     def _read(self, t: int) -> ReadAhead:
         budget = self._options.read_ahead
