@@ -130,8 +130,8 @@ def check_new_topic(topic: Any) -> str:
     return name
 
 
-def check_ros_name(name: str) -> str:
-    """Return the name of a topic that ROS can subscribe to, or raise InvalidName."""
+def check_ros_name(name: str, what: str = "") -> str:
+    """Return the name of a topic that ROS can have, or raise InvalidName, which says what it is."""
     wrong = re.search(r"[^A-Za-z0-9_/]|//", name.replace("~", "", name.startswith("~")))
     if wrong:
         reason = f"{wrong[0]!r} may not stand in it"
@@ -140,8 +140,8 @@ def check_ros_name(name: str) -> str:
     else:
         return name
     raise InvalidName(
-        f"{name!r:.80} is no name of a ROS topic: {reason}; a name has letters, digits, _ and "
-        "single /, as /camera/image_raw"
+        f"{what} {name!r:.80} is no name of a ROS topic: {reason}; a name has letters, digits, _ "
+        "and single /, as /camera/image_raw".lstrip()
     )
 
 

@@ -105,6 +105,7 @@ def test_what_makes_no_sense_says_why(store, cassandra, monkeypatch, words):
         (("--around", "data > 1"), "is not of the form"),
         (("--hz", "-5"), "'-5' is not a number above 0"),
         (("--hz", "1e9", "--clock"), "clock_hz"),
+        (("--rate-control-topic", "/a b"), "rate_control_topic '/a b' is no name"),
     ],
 )
 def test_what_cannot_be_read_ends_the_program(words, text, monkeypatch, capsys):

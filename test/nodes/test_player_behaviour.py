@@ -193,7 +193,7 @@ class Terminal:
 
 
 def test_keys_on_a_terminal(roscore, where, numbers):
-    options = ("--pause", "-r", "100", "--pause-topics", "/n", "--wait-for-subscribers")
+    options = ("--pause", "-r", "100", "--pause-topics", "/n", "/m", "--wait-for-subscribers")
     terminal = Terminal(roscore.env, [PROGRAMS / "player", *where, *options])
     try:
         with RawSubscriber(roscore.uri, "/n") as heard:
@@ -211,6 +211,7 @@ def test_keys_on_a_terminal(roscore, where, numbers):
         terminal.await_text("played 20 messages")
         assert terminal.process.wait(60) == 0, terminal.shown
         assert terminal.after == terminal.before
+        assert "no topic /m is played: it never pauses for that" in terminal.shown
     finally:
         terminal.close()
 

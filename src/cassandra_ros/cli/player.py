@@ -40,7 +40,7 @@ from cassandra_ros.cli.readers import (
     whole_number,
 )
 from cassandra_ros.cli.text import shown
-from cassandra_ros.errors import InvalidOption
+from cassandra_ros.errors import InvalidName, InvalidOption
 
 if TYPE_CHECKING:
     from cassandra_ros.nodes.player import PlayerState
@@ -186,7 +186,7 @@ def main() -> int:
     options = make_parser().parse_args(without_empty(strip_remappings(None)))
     try:
         selection, chosen = read_selection(options), read_options(options)
-    except (InvalidOption, argparse.ArgumentTypeError) as exc:
+    except (InvalidName, InvalidOption, argparse.ArgumentTypeError) as exc:
         options.parser.error(str(exc))
     from cassandra_ros.nodes.player_node import play
 

@@ -101,6 +101,9 @@ class Player:
         options = self.options
         self._warn_of_losses()
         channels = self._stream.channels()
+        names = {channel.topic for channel in channels}.union(self._stream.topics)
+        for topic in sorted(set(options.pause_topics) - names):
+            _log.warning("no topic %s is played: it never pauses for that", topic)
         clock = options.clock_hz > 0
         outlets = self._outlets = Outlets(channels, options.queue, options.immediate, clock)
         if options.rate_control_topic:

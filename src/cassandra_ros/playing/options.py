@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import Collection, Optional
 
-from cassandra_ros.arguments import check_integer
+from cassandra_ros.arguments import check_integer, check_ros_name
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.playing.pace import check_rate
 
@@ -40,6 +40,7 @@ class PlayerOptions:
 
     Raises:
         InvalidOption: A number lies outside of its range.
+        InvalidName: rate_control_topic cannot be a topic.
     """
 
     rate: float = 1.0
@@ -66,6 +67,8 @@ class PlayerOptions:
         if self.skip_empty is not None:
             _check_range("skip_empty", self.skip_empty, 1e9, "seconds")
         _check_range("clock_hz", self.clock_hz, MAX_HZ, "Hz")
+        if self.rate_control_topic:
+            check_ros_name(self.rate_control_topic, "rate_control_topic")
 
 
 def _check_range(name: str, value: float, most: float, unit: str) -> None:

@@ -8,8 +8,8 @@ import re
 from dataclasses import dataclass, field
 from typing import List, Mapping, Optional, Sequence, Tuple, Union
 
-from cassandra_ros.arguments import check_topics
-from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound
+from cassandra_ros.arguments import check_ros_name, check_topics
+from cassandra_ros.errors import InvalidOption, TopicNotFound
 from cassandra_ros.playing.times import PlayTime
 from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.finding import Where
@@ -17,7 +17,6 @@ from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 AlignStart = Union[bool, str]
 """True or 'run', 'node', False = not aligned."""
-_LEGAL = re.compile(r"/[A-Za-z]\w*(?:/\w+)*", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -121,9 +120,9 @@ class Names:
         self._prefix = prefix.rstrip("/")
         self._remap = {_rooted(old): _rooted(new) for old, new in (remap or {}).items()}
         for name in self._remap.values():
-            check_ros_name("a remapped topic", name)
+            check_ros_name(name, "a remapped topic")
         if prefix:
-            check_ros_name("the prefix", _rooted(prefix).rstrip("/") + "/x")
+            check_ros_name(_rooted(self._prefix), "the prefix")
         self._known: dict[Tuple[str, str], str] = {}
 
     def of(self, topic: str, source: str = "") -> str:
@@ -146,13 +145,3 @@ class Names:
 
 def _rooted(name: str) -> str:
     return name if name.startswith("/") else "/" + name
-
-
-def check_ros_name(what: str, name: str) -> str:
-    """Return a name that a topic may have in ROS, or raise InvalidName."""
-    if _LEGAL.fullmatch(name):
-        return name
-    raise InvalidName(
-        f"{what} {name!r:.80} is no name in ROS: it begins with a letter, and has letters, "
-        "digits, underscores and slashes"
-    )
