@@ -37,7 +37,8 @@ def options_of(parser):
 
 def test_play_launch_has_an_argument_for_every_option():
     options = options_of(player.make_parser()) - {"more"}  # --topics: the same as topics
-    assert arguments_of("play.launch") == options | {"required"}
+    # --align-nodes is another value of align_start.
+    assert arguments_of("play.launch") == options | {"required", "align_nodes"}
 
 
 def test_cassandra_ros_launch_has_an_argument_for_every_option_of_the_recorder():
@@ -113,6 +114,7 @@ def test_play_launch_plays(launched, roscore, rosCas):
         rate="0.1",
         quiet="true",
         required="true",
+        align_nodes="true",
     )
     with ThreadPoolExecutor(3) as pool:
         topics = ("/launched/a", "/launched/b", "/clock")
@@ -125,7 +127,8 @@ def test_play_launch_plays(launched, roscore, rosCas):
     assert times == sorted(times)
     assert begin <= times[0] <= times[-1] <= begin + 10**8
     child.await_line("REQUIRED process [player")
-    assert "played" not in child.output
+    assert "messages of" not in child.output
+    assert "no topic /more is played" in child.output
     assert "Traceback" not in child.output
 
 

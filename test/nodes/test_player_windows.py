@@ -53,6 +53,17 @@ def test_gaps_between_windows_are_jumped_over(rosCas, play):
     assert "played 12 messages of 3 topics" in said
 
 
+def test_two_topics_may_go_out_as_one(rosCas, play):
+    with Robot(rosCas, 1) as robot:
+        robot.send("/a", 0, "a")
+        for n, topic in enumerate(("/b", "/a", "/b")):
+            robot.send(topic, n + 1, f"{topic}{n}", latched=topic == "/b")
+    found, said = play(("/c",), "/a:=/c", "/b:=/c", "-i")
+    assert found == {"/c": ["a", "/b0", "/a1", "/b2"]}
+    assert said.endswith("played 4 messages of 1 topics")
+    assert "1 latched" in said
+
+
 def test_robots_of_different_days_play_at_once(rosCas, play):
     for writer, node, begin in ((1, "robot-1", 0), (2, "robot-2", 86_400)):
         with Robot(rosCas, writer, node) as robot:

@@ -68,24 +68,28 @@ class Outlets:
         if clock:
             kind = MessageKind.of(Clock._type, Clock._md5sum, Clock._full_text)
             self._clock = advertise(CLOCK, kind, latched=False, queue_size=1)
-        latched = {channel.topic for channel in channels if channel.latched}
+        latched = {rospy.resolve_name(each.topic) for each in channels if each.latched}
         for channel in channels:
-            self._advertise(channel, channel.topic in latched, queue)
+            name = rospy.resolve_name(channel.topic)
+            self._advertise(channel, name, name in latched, queue)
 
-    def _advertise(self, channel: Channel, latched: bool, queue: int) -> None:
+    def _advertise(self, channel: Channel, name: str, latched: bool, queue: int) -> None:
         topic = channel.topic
-        if self._clock is not None and rospy.resolve_name(topic) == self._clock.topic:
+        if self._clock is not None and name == self._clock.topic:
             self._say(topic, "%s is not played as stored: --clock publishes it", topic)
             return
         kind = MessageKind.of(channel.type, channel.md5sum, channel.definition)
-        known = self._publications.get(topic)
+        # Two stored topics may be remapped to one.
+        known = next((p for p in self._publications.values() if p.topic == name), None)
         if known is not None:
-            if known.kind._md5sum != channel.md5sum:
-                self._say(
-                    (topic, kind),
-                    "topic %s was stored with several types; only %s is played, %s is left out",
-                    *(topic, known.kind._type, channel.type),
-                )
+            if known.kind._md5sum == kind._md5sum:
+                self._publications[topic] = known
+                return
+            self._say(
+                (topic, kind),
+                "topic %s was stored with several types; only %s is played, %s is left out",
+                *(name, known.kind._type, channel.type),
+            )
             return
         try:
             self._publications[topic] = advertise(check_ros_name(topic), kind, latched, queue)
@@ -161,6 +165,10 @@ class Outlets:
 
     def topics(self) -> list[PlayedTopic]:
         """Say what was published, by topic."""
+        left_out: Counter[str] = Counter()
+        for topic, count in list(self._left_out.items()):
+            p = self._publications.get(topic)
+            left_out[topic if p is None else p.topic] += count
         found = [
             PlayedTopic(
                 p.topic,
@@ -169,16 +177,17 @@ class Outlets:
                 p.subscribers,
                 p.published,
                 p.missed,
-                self._left_out[topic],
+                left_out.pop(p.topic, 0),
             )
-            for topic, p in self._publications.items()
+            for p in self._distinct()
         ]
         found += [
-            PlayedTopic(topic, "", False, 0, 0, 0, count)
-            for topic, count in list(self._left_out.items())
-            if topic not in self._publications
+            PlayedTopic(topic, "", False, 0, 0, 0, count) for topic, count in left_out.items()
         ]
         return sorted(found)
+
+    def _distinct(self) -> list[AnyPublication]:
+        return list(dict.fromkeys(self._publications.values()))
 
     def stop(self) -> None:
         """Wait for no subscriber any more while it is published."""
@@ -186,10 +195,10 @@ class Outlets:
 
     def close(self, stop: Callable[[], bool]) -> None:
         """Let subscribers take what waits for them, then leave the topics."""
-        for publication in self._publications.values():
+        for publication in self._distinct():
             publication.drain(stop, STALLED_SEC)
         self._stopping.set()
         self._closed.set()
         clock = [] if self._clock is None else [self._clock]
-        for publication in [*self._publications.values(), *clock]:
+        for publication in [*self._distinct(), *clock]:
             publication.unregister()
