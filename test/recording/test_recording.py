@@ -12,11 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nodes.children import await_true
 from nodes.raw_publisher import header_of, message
+from proxy import BATCH, Proxy
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header, String
 
+from cassandra_ros import RosCassandra
 from cassandra_ros.errors import ClockNotSet
 from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.recording import recording as recording_module
 from cassandra_ros.recording.buffer import (
     ITEM_BYTES,
     Buffer,
@@ -242,6 +245,23 @@ def test_what_is_given_up_is_counted(rosCas):
     assert (report.stored, report.reasons) == (0, {LossKind.AT_END: 1})
     assert [(loss.kind, loss.count) for loss in rosCas.losses()] == [(LossKind.AT_END, 1)]
     recorder.close()
+
+
+@pytest.mark.parametrize(("failures", "lost"), [(4, 0), (2**31, 1)])
+def test_only_the_end_gives_up(cassandra, keyspace, monkeypatch, failures, lost):
+    """While it is recorded a request is tried whatever time it takes; the end is finite."""
+    monkeypatch.setattr(recording_module, "GIVE_UP_SEC", 0.3)
+    with Proxy(cassandra.host, cassandra.port) as proxy:
+        failed = proxy.catch(lambda frame: frame.opcode == BATCH, most=failures)
+        with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as store:
+            recorder = Recording(store)
+            recorder.received("/text", header_of(String), text(0))
+            failed.wait(4)  # tried for 0.7 s
+            if not lost:
+                await_true(lambda: recorder.reports()[0].stored)
+            assert recorder.reports()[0].lost == 0
+            (report,) = recorder.close()
+    assert (report.stored, report.lost) == (1 - lost, lost)
 
 
 @pytest.mark.parametrize(

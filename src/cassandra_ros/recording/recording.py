@@ -10,6 +10,7 @@ cannot be stored, is counted by topic and reason.
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 import weakref
@@ -38,7 +39,7 @@ BATCH_ITEMS = 256
 BATCH_BYTES = 1024 * 1024
 POLL_SEC = 0.05
 GIVE_UP_SEC = 300.0
-"""How long the writing of one message is tried."""
+"""How long a store that does not answer is waited for when the recording ends."""
 MAX_FEEDS = 4096
 """Connections remembered by their header object; publishers come and go for days."""
 LAST_WORD_SEC = 2.0
@@ -365,8 +366,8 @@ class Recording:
             nodeID=self.node,
             ttl=self._settings.default.ttl,
             run=run,
-            # The buffer is the bound: a Cassandra that restarts costs nothing while it lasts.
-            give_up_after_sec=GIVE_UP_SEC,
+            # The buffer is the bound: an outage costs nothing while it lasts.
+            give_up_after_sec=math.inf,
             on_loss=self._refused,
         )
 
@@ -406,6 +407,8 @@ class Recording:
         with self._lock:
             self._accepting = False
         self._buffer.close()
+        for writer in list(self._writers):
+            writer.hurry(GIVE_UP_SEC)
         self._thread.join(timeout_sec)
         return not self._thread.is_alive()
 
@@ -437,8 +440,8 @@ class Recording:
             return text
         bound = f"{self._buffer_bytes >> 20} MB wait" if self._buffer_bytes else "memory is full"
         return (
-            f"{text}; they are kept in memory until {bound}, then the oldest are dropped; what is "
-            f"being sent is dropped after {GIVE_UP_SEC:.0f} s"
+            f"{text}; they are kept in memory until {bound}, then the oldest are dropped; once the "
+            f"recording ends they are tried for {GIVE_UP_SEC:.0f} s"
         )
 
     def abandon(self) -> list[TopicReport]:

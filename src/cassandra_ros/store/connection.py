@@ -40,7 +40,7 @@ from cassandra_ros.store.driver_errors import (
     translated,
 )
 from cassandra_ros.store.outage import Outage
-from cassandra_ros.store.paging import RETRY_SEC, retried, sent_ahead
+from cassandra_ros.store.paging import RETRY_SEC, Seconds, retried, sent_ahead
 
 CONNECT_TIMEOUT_SEC = 10.0
 REQUEST_TIMEOUT_SEC = 20.0
@@ -228,7 +228,7 @@ class Cassandra:
         *,
         what: str = "a query",
         consistency: int | None = None,
-        retry_sec: float = RETRY_SEC,
+        retry_sec: Seconds = RETRY_SEC,
     ) -> list[CqlRow]:
         """Run one idempotent statement, trying again what may pass; return all rows, decoded.
 
@@ -297,7 +297,7 @@ class Cassandra:
             return list(self._session.execute(bound))
 
     def execute_many(
-        self, cql: str, params: Iterable[CqlRow], *, what: str, retry_sec: float = RETRY_SEC
+        self, cql: str, params: Iterable[CqlRow], *, what: str, retry_sec: Seconds = RETRY_SEC
     ) -> list[list[CqlRow]]:
         """Run one idempotent statement with several sets of parameters, 16 at a time."""
         prepared, results = self.prepare(cql), []

@@ -18,6 +18,7 @@ from typing import Dict, FrozenSet, Iterable, NamedTuple, Optional, Sequence, Tu
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.store.connection import Cassandra, CqlRow
+from cassandra_ros.store.paging import Seconds
 from cassandra_ros.store.row_table import RowTable
 from cassandra_ros.store.side_tables import SideTables
 
@@ -140,8 +141,8 @@ class Directory:
         self._tables = side_tables
         self._noted: Dict[Tuple[str, int, str], float] = {}
 
-    def patient(self, retry_sec: float) -> Directory:
-        """Return the directory for one writer, which guards it and tries for so many seconds."""
+    def patient(self, retry_sec: Seconds) -> Directory:
+        """Return the directory for one writer, which guards it and tries for so long."""
         directory, tables = copy(self), copy(self._tables)
         tables.retry_sec = retry_sec
         directory._tables, directory._noted = tables, {}

@@ -14,7 +14,7 @@ from cassandra.query import Statement
 
 from cassandra_ros.store.driver_errors import is_busy, is_passing
 from cassandra_ros.store.outage import Outage
-from cassandra_ros.store.paging import BUSY_PAUSE_SEC, FIRST_PAUSE_SEC, LAST_PAUSE_SEC
+from cassandra_ros.store.paging import BUSY_PAUSE_SEC, FIRST_PAUSE_SEC, LAST_PAUSE_SEC, Patience
 
 MAX_BYTES = 2 * 1024 * 1024
 """More is no faster, and a server refuses to read on when one address sends it heap / 40 ahead."""
@@ -45,11 +45,11 @@ class Flight:
     def __init__(
         self,
         send: Callable[[Statement], ResponseFuture],
-        give_up_after_sec: float = 60.0,
+        patience: Patience | None = None,
         outage: Outage | None = None,
     ) -> None:
         self._send = send
-        self._give_up = give_up_after_sec
+        self._patience = patience or Patience(60.0)
         self._outage = outage
         self._changed = threading.Condition()
         self._bytes = 0
@@ -100,13 +100,15 @@ class Flight:
         )
 
     def _succeeded(self, _rows: object, request: _Request) -> None:
+        self._patience.answered()
         if self._outage is not None:
             self._outage.answered()
         self._settle(request, None)
 
     def _failed(self, exc: BaseException, request: _Request) -> None:
-        busy, trying_sec = is_busy(exc), time.monotonic() - request.begun
-        if not (busy or is_passing(exc)) or trying_sec > self._give_up:
+        busy, now = is_busy(exc), time.monotonic()
+        trying_sec = now - request.begun
+        if not (busy or is_passing(exc)) or now > self._patience.ends(request.begun):
             self._settle(request, exc)
             return
         pause = BUSY_PAUSE_SEC

@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
-from typing import Callable, Deque, Iterable, Iterator, List, Optional, Tuple, TypeVar
+from typing import Callable, Deque, Iterable, Iterator, List, Optional, Tuple, TypeVar, Union
 
 from cassandra.cluster import ResponseFuture
 from cassandra.query import Statement
@@ -31,11 +31,48 @@ OnPage = Callable[[List[RawRow]], None]
 _T = TypeVar("_T")
 
 
+class Patience:
+    """How long requests are tried, which may be shortened while they are. Thread-safe.
+
+    Args:
+        seconds: From when a request begins; inf = as long as it takes.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self._hurried: Optional[float] = None
+        self._left = self._answered = 0.0
+
+    def hurry(self, seconds: float) -> None:
+        """Try what begins, or has begun, no longer than so many seconds from now; once.
+
+        All is given up at its first failure when the store has answered nothing for so long.
+        """
+        if self._hurried is None:
+            self._left, self._hurried = seconds, time.monotonic()
+
+    def answered(self) -> None:
+        """Note that the store has answered."""
+        if self._hurried is not None:
+            self._answered = time.monotonic()
+
+    def ends(self, begun: float) -> float:
+        """Tell until when a request is tried that began at a time; monotonic."""
+        if self._hurried is None:
+            return begun + self._seconds
+        heard = max(self._hurried, self._answered)
+        latest = min(max(self._hurried, begun), heard) + self._left
+        return min(begun + self._seconds, latest)
+
+
+Seconds = Union[float, Patience]
+
+
 def retried(
     what: str,
     call: Callable[[], _T],
     *,
-    seconds: float = RETRY_SEC,
+    seconds: Seconds = RETRY_SEC,
     refused: Refused | None = None,
     outage: Outage | None = None,
 ) -> _T:
@@ -55,8 +92,10 @@ def retried(
             if refused is not None and refused(exc):
                 raise
             pause = BUSY_PAUSE_SEC if is_busy(exc) else later
-            trying_sec = time.monotonic() - begun
-            if not is_passing(exc) or trying_sec + pause > seconds:
+            now = time.monotonic()
+            trying_sec = now - begun
+            ends = seconds.ends(begun) if isinstance(seconds, Patience) else begun + seconds
+            if not is_passing(exc) or now + pause > ends:
                 raise translate(exc, what) from exc
             if not is_busy(exc):
                 if outage is not None:

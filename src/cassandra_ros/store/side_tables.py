@@ -26,7 +26,7 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.store.connection import Cassandra, CqlRow
 from cassandra_ros.store.names import qualified, quote_name, quote_text
-from cassandra_ros.store.paging import RETRY_SEC
+from cassandra_ros.store.paging import RETRY_SEC, Seconds
 
 _log = logging.getLogger(__name__)
 
@@ -171,7 +171,7 @@ class SideTables:
             )
         self._cassandra = cassandra
         self.keyspace = keyspace
-        self.retry_sec = RETRY_SEC
+        self.retry_sec: Seconds = RETRY_SEC
         """How long one request is tried."""
         self._there: frozenset[str] = frozenset()
         self._keyspace_made = self._made = False

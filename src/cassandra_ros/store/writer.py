@@ -18,6 +18,7 @@ from cassandra_ros.store.directory import HEARTBEAT_SEC, BucketTotals, Directory
 from cassandra_ros.store.driver_errors import is_table_gone, translate
 from cassandra_ros.store.flight import Flight, Outcome
 from cassandra_ros.store.open_bucket import Again, Batch, OpenBucket
+from cassandra_ros.store.paging import Patience
 from cassandra_ros.store.row_table import CHUNK_BYTES, NewRow, RowTable, bind, encode_int
 from cassandra_ros.store.schema import Schema
 
@@ -70,12 +71,14 @@ class RowWriter:
         on_beat: Callable[[], None] | None = None,
     ) -> None:
         self._schema = schema
-        self._directory = directory.patient(give_up_after_sec)
+        self.patience = Patience(give_up_after_sec)
+        """How long one request is tried."""
+        self._directory = directory.patient(self.patience)
         self._writer_id = writer_id
         self._linger_sec = linger_sec
         self._on_loss = on_loss
         self._on_beat = on_beat
-        self._flight = Flight(cassandra.send_raw, give_up_after_sec, cassandra.outage)
+        self._flight = Flight(cassandra.send_raw, self.patience, cassandra.outage)
         self._buckets: dict[tuple[str, str, int], OpenBucket] = {}
         self._lock = threading.RLock()
         self._ready: deque[Callable[[], None]] = deque()

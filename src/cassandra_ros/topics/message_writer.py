@@ -32,6 +32,7 @@ from cassandra_ros.errors import (
     InvalidKey,
     InvalidName,
     InvalidOption,
+    StoreUnavailable,
     TopicNotFound,
 )
 from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
@@ -61,6 +62,8 @@ _log = logging.getLogger(__name__)
 MAX_COUNTER = (1 << COUNTER_BITS) - 1
 MAX_REMOVALS = 5
 """A message is given up when its topic was removed so often while it was being written."""
+TABLE_PAUSE_SEC = 0.5
+"""A table that is gone is made anew; a store that is away meanwhile is asked so often."""
 MAX_HANDLES = 1024
 """Connections whose handles are kept: anonymous publishers come without end."""
 
@@ -253,7 +256,7 @@ class MessageWriter:
         try:
             for left in reversed(range(MAX_REMOVALS)):
                 try:
-                    return self._put(self.current(handle), t_ns, seq, wire, name)
+                    return self._put(self._current(handle), t_ns, seq, wire, name)
                 except TopicNotFound:  # another client removed it; it goes on in a new table
                     if not left:
                         raise
@@ -267,6 +270,17 @@ class MessageWriter:
                 stats.reason = stats.reason or str(exc)
             self._on_loss(handle.topic, 1, exc)
             return None
+
+    def _current(self, handle: Handle) -> Handle:
+        """Return the handle as current does, waiting for a store that is away as for a row."""
+        begun = time.monotonic()
+        while True:
+            try:
+                return self.current(handle)
+            except StoreUnavailable:
+                if time.monotonic() >= self._rows.patience.ends(begun):
+                    raise
+                time.sleep(TABLE_PAUSE_SEC)
 
     def _put(self, handle: Handle, t_ns: int, seq: int, wire: bytes, name: str) -> NewRow:
         row = handle.table.make_row(t_ns, seq, handle.conn, wire, name)
@@ -292,6 +306,10 @@ class MessageWriter:
             total.lost += part.lost
             total.reason = total.reason or part.reason
         return found
+
+    def hurry(self, seconds: float) -> None:
+        """Try what is on its way no longer than so many seconds from now, or from an answer on."""
+        self._rows.patience.hurry(seconds)
 
     def flush(self) -> None:
         """Return when every message is acknowledged or counted as lost; raises as close does."""
