@@ -15,6 +15,7 @@ import time
 import xmlrpc.client
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from geometry_msgs.msg import PointStamped
@@ -25,6 +26,7 @@ from nodes.test_registration import listed, master  # noqa: F401 - a fixture
 from proxy import Proxy
 from std_msgs.msg import Int32, UInt8MultiArray
 
+from cassandra_ros.nodes.publishing import MessageKind, Publication
 from cassandra_ros.store.registry import Loss, LossKind
 
 SEC = 10**9
@@ -77,6 +79,14 @@ def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
     assert "subscribers of /big missed" in child.output
     assert "12 messages of topic /big from 2014-07-10T" in child.output
     assert "were not recorded: buffer full" in child.output
+
+
+def test_a_subscriber_that_leaves_while_its_topic_is_left():
+    publication = Publication("/x", MessageKind.of("std_msgs/Int32", "1" * 32, ""), False, 1)
+    publication.close()
+    # The thread that was sending to it finds the connection broken then.
+    publication.remove_connection(SimpleNamespace(endpoint_id="/y"))
+    assert publication.subscribers == 0
 
 
 def test_at_once_means_as_fast_as_subscribers_take_it(roscore, rosCas, where):

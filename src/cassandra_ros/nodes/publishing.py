@@ -251,6 +251,12 @@ class Publication(_PublisherImpl):
             link.latched(list(self._latched.values()))
             return bool(_TopicImpl.add_connection(self, link))
 
+    def remove_connection(self, c: Union[_Link, Transport]) -> None:
+        """Forget a subscriber, also while the topic is left: rospy's listeners are gone then."""
+        _TopicImpl.remove_connection(self, c)
+        for listener in list(self.subscriber_listeners or ()):
+            listener.peer_unsubscribe(self.resolved_name, self.get_num_connections())
+
     def _remove_connection(self, connections: list[_Link], c: Union[_Link, Transport]) -> None:
         """Forget a subscriber; rospy would take it by its file descriptor, which is used again."""
         link = next((one for one in connections if c in (one, one.transport)), None)
