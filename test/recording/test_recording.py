@@ -194,9 +194,10 @@ def test_what_does_not_fit_is_counted(rosCas):
     assert report.received == 2000 == report.stored + report.lost
     assert report.lost > 0
     assert report.reasons == {LossKind.BUFFER_FULL: report.lost}
-    (loss,) = rosCas.losses()
-    assert (loss.topic, loss.kind, loss.count) == ("/text", LossKind.BUFFER_FULL, report.lost)
-    assert loss.first_ns <= loss.last_ns
+    losses = rosCas.losses()  # one, or another where the store was told of one already
+    assert {(loss.topic, loss.kind) for loss in losses} == {("/text", LossKind.BUFFER_FULL)}
+    assert sum(loss.count for loss in losses) == report.lost
+    assert all(loss.first_ns <= loss.last_ns for loss in losses)
     assert rosCas.getTopic("/text").countTopicData() == report.stored
 
 
@@ -321,7 +322,7 @@ def test_a_topic_that_is_emptied_while_it_is_recorded(rosCas, connect, keyspace,
     found = [numbers[row.wire] for row in rosCas.getTopic("/text").rows()]
     assert found == sorted(set(found))  # nothing twice
     # What an older table had acknowledged may be gone, between what had not got there.
-    assert found[ended[-1] - len(sent) :] == list(range(ended[-1], len(sent)))
+    assert [n for n in found if n >= ended[-1]] == list(range(ended[-1], len(sent)))
     assert rosCas.getTopic("/text").countTopicData() == len(found)
 
 

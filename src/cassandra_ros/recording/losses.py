@@ -20,6 +20,13 @@ STRETCH_NS = 60 * SECOND_NS
 class _Stretch:
     loss: Loss
     saved: bool = False
+    told: bool = False
+    """The store may know it: where it begins is its key there."""
+
+    def takes(self, first_ns: int) -> bool:
+        """Say whether a loss belongs to it that begins then."""
+        begins, ends = self.loss.first_ns, self.loss.last_ns
+        return begins - (0 if self.told else STRETCH_NS) <= first_ns <= ends + STRETCH_NS
 
 
 class LossLog:
@@ -52,13 +59,17 @@ class LossLog:
             totals[kind] = totals.get(kind, 0) + messages
             self._details[topic].setdefault(kind, detail)
             stretches = self._stretches[topic, kind]
-            last = stretches[-1].loss if stretches else None
-            if last is None or not 0 <= first_ns - last.first_ns <= _reach(last):
+            # Not only the last one: several threads lose, of what came at different times.
+            found = next((s for s in reversed(stretches) if s.takes(first_ns)), None)
+            if found is None:
                 new = Loss(topic, self._node, self._writer, kind, first_ns, last_ns, messages)
                 stretches.append(_Stretch(new))
             else:
-                ends, count = max(last.last_ns, last_ns), last.count + messages
-                stretches[-1] = _Stretch(replace(last, last_ns=ends, count=count))
+                old = found.loss
+                begins, ends = min(old.first_ns, first_ns), max(old.last_ns, last_ns)
+                count = old.count + messages
+                found.loss = replace(old, first_ns=begins, last_ns=ends, count=count)
+                found.saved = False
             return sum(totals.values())
 
     def of(self, topic: str) -> Mapping[LossKind, int]:
@@ -74,8 +85,10 @@ class LossLog:
     def unsaved(self) -> list[Loss]:
         """Return what the store does not know yet."""
         with self._mutex:
-            every = [s for stretches in self._stretches.values() for s in stretches]
-            return [stretch.loss for stretch in every if not stretch.saved]
+            every = [s for stretches in self._stretches.values() for s in stretches if not s.saved]
+            for stretch in every:
+                stretch.told = True
+            return [stretch.loss for stretch in every]
 
     def saved(self, loss: Loss) -> None:
         """Note that the store knows a loss; one that has grown since stays unsaved."""
@@ -83,10 +96,5 @@ class LossLog:
             stretches = self._stretches[loss.topic, loss.kind]
             for stretch in stretches:
                 stretch.saved = stretch.saved or stretch.loss == loss
-            # Only the last one grows.
-            stretches[:-1] = [stretch for stretch in stretches[:-1] if not stretch.saved]
-
-
-def _reach(loss: Loss) -> int:
-    """How far behind its first message the next one of the same row may lie, ns."""
-    return loss.last_ns - loss.first_ns + STRETCH_NS
+            # Only the last ones grow.
+            stretches[:-2] = [stretch for stretch in stretches[:-2] if not stretch.saved]
