@@ -165,6 +165,53 @@ def test_what_is_on_its_way_into_the_store_is_waited_for(stage, monkeypatch):
     assert stage.result(350) == list(map(numbered, range(350)))
 
 
+def test_what_is_stored_after_the_first_live_one_came(stage, monkeypatch, caplog):
+    """A batch that failed is sent again when the past is done: its rows come late, each once."""
+    caplog.set_level(logging.WARNING, "cassandra_ros")
+    monkeypatch.setattr(join, "LATE_SEC", (0.3, 1.2))
+    stage.subscribe(stage.begin + 3000 * MS)
+    talk(stage, fields(), [*range(280), *range(285, 295), *range(305, 320)], range(300, 350))
+    stage.listen()
+    past = list(map(numbered, [*range(280), *range(285, 295)]))
+    assert stage.result(340) == past + list(map(numbered, range(300, 350)))
+    talk(stage, fields(), range(295, 305), ())
+    assert stage.result(345)[340:] == list(map(numbered, range(295, 300)))
+    talk(stage, fields(), range(280, 285), ())
+    stage.live(fields(), numbered(350), stage.begin + 3500 * MS)
+    got = stage.result(351)
+    assert sorted(got) == sorted(map(numbered, range(351)))
+    assert "5 messages" in caplog.text and "stored late" in caplog.text
+    assert not stage.history.lost
+
+
+def test_what_is_stored_while_the_place_is_found(stage, monkeypatch):
+    stage.subscribe(stage.begin + 3000 * MS)
+    talk(stage, fields(), [*range(298), *range(305, 320)], range(300, 350))
+    go_over = stage.queue.join
+
+    def store_and_go_over(epoch):
+        talk(stage, fields(), range(298, 305), ())
+        return go_over(epoch)
+
+    monkeypatch.setattr(stage.queue, "join", store_and_go_over)
+    stage.listen()
+    assert stage.result(350) == list(map(numbered, range(350)))
+
+
+def test_memory_of_a_long_past(stage, monkeypatch):
+    monkeypatch.setattr(join, "ROOM", 50)
+    stage.subscribe(stage.begin + 300_000 * MS)
+    talk(stage, fields(), range(1500), range(1499, 1501), 200 * MS)
+    most = 0
+    for count, heard in enumerate(stage.history.messages()):
+        assert heard.wire == numbered(count)
+        most = max(most, len(stage.history._done))
+        if count == 1500:
+            break
+    assert most < 400
+    stage.queue = None
+
+
 def test_equal_messages_and_equal_stamps(stage):
     stage.subscribe(stage.begin + 3000 * MS)
     for n in range(300):  # three at a time

@@ -65,6 +65,27 @@ def first_live(stored: Sequence[Mark], live: Sequence[Mark], sure: bool = False)
     return _scattered(stored, live, sure)
 
 
+class Live:
+    """Messages of a publisher that came live, to tell whether a stored one is among them.
+
+    Args:
+        marks: What was heard of it, in order.
+        sure: Equal bytes are the same message.
+    """
+
+    def __init__(self, marks: Sequence[Mark], sure: bool) -> None:
+        self._times: Dict[bytes, List[int]] = {}
+        for mark in marks:
+            self._times.setdefault(mark.digest, []).append(mark.t)
+        self._sure = sure or len(marks) == len(self._times) >= CERTAIN
+        self._limit = _limit((), marks)
+
+    def has(self, mark: Mark) -> bool:
+        """Say whether a stored message is one of them."""
+        times = self._times.get(mark.digest)
+        return times is not None and (self._sure or _nearest(times, mark.t) <= self._limit)
+
+
 class _Overlap(NamedTuple):
     """One way in which both may be the same messages: pairs of equals up to the end of one."""
 

@@ -27,7 +27,7 @@ from typing import (
 )
 
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFound
-from cassandra_ros.history.alignment import Mark, digest_of, first_live
+from cassandra_ros.history.alignment import Live, Mark, digest_of, first_live
 from cassandra_ros.history.live_queue import LiveQueue, Publisher, Waiting
 from cassandra_ros.history.past import Past
 from cassandra_ros.keys import SECOND_NS, Position, split_seq
@@ -53,6 +53,13 @@ DOUBT_SEC = 3.0
 MOST_SEC = 60.0
 """Then we go live in any case."""
 LOOK_SEC = 2.0
+LATE_SEC = (5.0, 65.0)
+"""How long after going live it is looked for rows that were stored late: a request that failed is
+sent again, for 60 s by default, while those after it are stored."""
+KEPT_NS = 10 * SECOND_NS
+"""So far back it is known which rows were given."""
+ROOM = 10_000
+"""So many rows more than those may be remembered."""
 
 _Arrival = Tuple[int, str, int, str]
 
@@ -104,6 +111,11 @@ class History:
         self._past, self._queue, self._connected = past, queue, connected
         self._since, self._low = since, 0
         self._done: Dict[Position, int] = {}
+        self._floor, self._room = 0, ROOM
+        """From this time on all rows that were given are in _done, ns; when to make room there."""
+        self._over: Dict[_Stream, _Arrival] = {}
+        self._heard: Dict[Publisher, Live] = {}
+        self._late_sec: List[float] = []
         self._seen: Dict[Position, _Seen] = {}
         self._newest = 0
         self._last: Dict[_Stream, Mark] = {}
@@ -131,11 +143,15 @@ class History:
                 self._queue.join(self._queue.epoch)
         self.live = True
         self._seen.clear()
-        self._done.clear()
         while not self._queue.closed:
             message = self._queue.take(1.0)
             if message is not None and message.wanted:
                 yield Heard(message.t, message.header, message.wire, False)
+            if self._late_sec and time.monotonic() > self._late_sec[0]:
+                del self._late_sec[0]
+                yield from self._late()
+            elif not self._late_sec and self._done:
+                self._forget()
 
     # ---------------------------------------------------------------- the past
 
@@ -144,7 +160,7 @@ class History:
             self._queue.wait(POLL_SEC)
             if self._queue.closed:
                 return
-        self._low = self._since(self._queue.began_ns)
+        self._low = self._floor = self._since(self._queue.began_ns)
         reason = ""
         if not self._past.exists() and not self._past.may_be_written():
             reason = "nothing is stored of it, and nothing is recorded"
@@ -162,6 +178,7 @@ class History:
             if bounds is None:
                 self._queue.wait(POLL_SEC)
             elif self._queue.join(self._epoch):
+                self._go_over(bounds)
                 yield from self._rest(bounds)
                 self._account()
                 return
@@ -198,10 +215,16 @@ class History:
                     break
                 yield from self._give(row)
             last = row.received
+            self._make_room(last)
         if last is not None:
             self._low = max(self._low, last - WINDOW_NS)
-            for position in [p for p, t in self._done.items() if t < self._low]:
-                del self._done[position]
+
+    def _make_room(self, last: int) -> None:
+        """Remember the last given rows alone: of a past of days they would not fit into memory."""
+        if len(self._done) > self._room:
+            self._floor = max(self._floor, last - KEPT_NS)
+            self._done = {p: t for p, t in self._done.items() if t >= self._floor}
+            self._room = 2 * len(self._done) + ROOM
 
     def _is_head(self, row: StoredRow, heads: Mapping[Publisher, Mark]) -> bool:
         """Say whether an old row is the first live message: the recorder's clock is behind ours."""
@@ -331,6 +354,53 @@ class History:
 
     # ---------------------------------------------------------------- over to now
 
+    def _go_over(self, bounds: Mapping[_Stream, _Arrival]) -> None:
+        """Take note of what comes live and may come from the store, too, and later."""
+        self._over = dict(bounds)
+        last = max((bound[0] for bound in bounds.values()), default=0) + REACH_NS
+        for who, live in self._queue.waiting().items():
+            sure = _is_stamped(live.messages[0].header.get("message_definition", ""))
+            marks = [message.mark for message in live.messages if message.t <= last]
+            self._heard[who] = Live(marks, sure)
+        if self._doubtful and bounds:
+            self._late_sec = [time.monotonic() + seconds for seconds in LATE_SEC]
+
+    def _is_heard(self, row: StoredRow) -> bool:
+        """Say whether a row that has only just been stored came live, too."""
+        live = self._heard.get(_publisher(row.connection))
+        wire = None if live is None else self._wire(row)
+        return (
+            live is not None and wire is not None and live.has(Mark(row.received, digest_of(wire)))
+        )
+
+    def _late(self) -> Iterator[Heard]:
+        """Give what was still on its way into the store when the past was done."""
+        low = max(self._floor, self._queue.began_ns - KEPT_NS)
+        found: List[int] = []
+        try:
+            for row in self._past.rows(low, max(b[0] for b in self._over.values())):
+                bound = self._over.get(_stream(row))
+                if bound is None or row.arrival >= bound or row.position in self._done:
+                    continue
+                if not self._is_heard(row):
+                    found.append(row.received)
+                    yield from self._give(row)
+        except CassandraRosError as exc:
+            _log.warning(
+                "topic %s: it cannot be looked for messages that were stored late: %s",
+                self._past.topic, exc,
+            )  # fmt: skip
+        if found:
+            _log.warning(
+                "topic %s: %d messages of %s to %s were stored late, so they came out of order, "
+                "after live ones",
+                self._past.topic, len(found), iso_time(min(found)), iso_time(max(found)),
+            )  # fmt: skip
+
+    def _forget(self) -> None:
+        for each in (self._over, self._heard, self._done, self._last, self._counted):
+            each.clear()
+
     def _rest(self, bounds: Mapping[_Stream, _Arrival]) -> Iterator[Heard]:
         """Give the stored rows before the bounds, and among them what other publishers sent."""
         left: Counter[Publisher] = Count(
@@ -345,6 +415,8 @@ class History:
             bound = bounds.get(stream)
             if bound is None or row.arrival >= bound or row.position in self._done:
                 continue
+            if row.position not in self._seen and self._is_heard(row):
+                continue  # stored since the place was found
             yield from self._live_before(row.received, left)
             if row.position in self._seen:
                 left[stream.publisher] -= 1
