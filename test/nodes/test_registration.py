@@ -5,10 +5,13 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import signal
 import subprocess
+import sys
 import time
 import xmlrpc.client
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -18,6 +21,8 @@ from std_msgs.msg import String
 
 from cassandra_ros.local_server import free_port
 from cassandra_ros.store.registry import LossKind
+
+LISTENER = Path(__file__).with_name("history_listener.py")
 
 
 def text(n):
@@ -132,3 +137,26 @@ def test_a_recording_ends_without_its_master(master, cassandra, keyspace, rosCas
             subprocess.run(["kill", "-CONT", str(pid)], check=True)
         one.close()
     assert [row.wire for row in rosCas.getTopic("/a").rows()] == [text(1), text(2)]
+
+
+def test_a_history_subscriber_hears_who_comes_after_the_master_did(master, cassandra, keyspace):
+    env = dict(master.env, CASSANDRA_ROS_HOST=cassandra.host, CASSANDRA_ROS_KEYSPACE=keyspace)
+    env["CASSANDRA_ROS_PORT"] = str(cassandra.port)
+    words = json.dumps({"topic": "/a", "type": "std_msgs/String"})
+    with Child([sys.executable, LISTENER, words], env) as listener:
+        listener.await_line("live")
+        master.stop()
+        listener.await_line("the ROS master does not answer")
+        master.start()
+        new = RawPublisher(master.uri, "/a", header_of(String, "/new"), "/new")
+        with new.await_subscribers():
+            new.publish(text(1))
+            listener.await_line("registering again")
+            await_true(lambda: _count(listener) == 1)
+
+
+def _count(listener):
+    before = len(listener.lines)
+    print("count", file=listener.process.stdin, flush=True)
+    await_true(lambda: any(line.isdigit() for line in listener.lines[before:]))
+    return int(next(line for line in listener.lines[before:] if line.isdigit()))

@@ -17,8 +17,10 @@ from cassandra_ros.history.join import Heard, History
 from cassandra_ros.history.live_queue import LiveQueue
 from cassandra_ros.history.past import Past
 from cassandra_ros.messages.classes import deserialize
+from cassandra_ros.messages.graph import master_proxy
 from cassandra_ros.messages.stamps import duration_ns, is_time, to_ns
 from cassandra_ros.nodes.node import MASTER_ERRORS, now_ns
+from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.subscription import connected_uris, subscribe
 from cassandra_ros.store.address import from_environment
 from cassandra_ros.topics.ros_cassandra import RosCassandra
@@ -31,6 +33,7 @@ SECONDS_BACK_BELOW = 10**9
 CONNECT_SEC = 5.0
 """How long publishers that exist are waited for before the past may be taken for complete."""
 CLOSE_SEC = 5.0
+MASTER_SEC = 3.0
 
 
 class HistorySubscriber:
@@ -40,14 +43,16 @@ class HistorySubscriber:
     writing the topic: per publisher in the order in which it was sent, over several publishers by
     the time of reception. The callback is called from one thread of this subscriber alone, one
     message at a time. It gets instances of data_class, stored or live; ``_connection_header`` is
-    the publisher's in both cases.
+    the publisher's in both cases. A message that the recorder could store only after later ones,
+    because a request to the store failed, may come after live ones; a warning says so.
 
     The live messages are heard from the beginning on, wait, and are compared with the last stored
     ones by their bytes. Of messages that are all equal the times of reception choose: recorder and
     subscriber should have the same time to within the publisher's period. A latched message that is
     stored is not delivered again. When nobody records, the live messages come at once and a warning
     says where a gap may be. When the callback is slower than the topic, publishers wait, as with
-    rospy.Subscriber without a queue_size, and drop what does not fit into their own queues.
+    rospy.Subscriber without a queue_size, and drop what does not fit into their own queues. When
+    the master was started anew, the node is registered there again.
 
     The process is a ROS node already (``rospy.init_node``). As with rospy, a topic that is first
     subscribed to here gives any further rospy.Subscriber of this process rospy.AnyMsg.
@@ -114,6 +119,7 @@ class HistorySubscriber:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         rospy.on_shutdown(self._queue.close)
         self._thread.start()
+        self._registration = Registration().start()
 
     @property
     def isLive(self) -> bool:
@@ -135,6 +141,7 @@ class HistorySubscriber:
         Called from the callback itself, it is not called again.
         """
         self._queue.close()
+        self._registration.stop()
         self._subscriber.unregister()
         if threading.current_thread() is not self._thread:
             self._thread.join(CLOSE_SEC)
@@ -243,7 +250,7 @@ def _beginning(since: Any) -> Callable[[int], int]:
 def _publishers(topic: str) -> int:
     """Return how many nodes publish a topic; 0 also where no master answers."""
     try:
-        _, _, (publishers, _, _) = rospy.get_master().getSystemState()
+        _, _, (publishers, _, _) = master_proxy(MASTER_SEC).getSystemState(rospy.get_name())
     except MASTER_ERRORS:
         return 0
     return sum(len(nodes) for name, nodes in publishers if name == topic)
