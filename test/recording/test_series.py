@@ -8,8 +8,10 @@ import itertools
 
 import pytest
 from nodes.raw_publisher import header_of, message
+from proxy import BATCH, Proxy
 from std_msgs.msg import String
 
+from cassandra_ros import RosCassandra
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.recording.options import RecorderOptions
 from cassandra_ros.recording.series import Series
@@ -80,6 +82,28 @@ def test_only_the_last_runs_are_kept(rosCas):
     assert left == ["4"]
     assert sorted(run.name for run in rosCas.runs()) == ["r_4", "r_5"]
     assert series.reports()[0].stored == 5
+
+
+@pytest.fixture
+def refusing(cassandra, keyspace):
+    """A RosCassandra that stores no message for as long as anybody waits."""
+    with Proxy(cassandra.host, cassandra.port) as proxy:
+        proxy.catch(lambda frame: frame.opcode == BATCH)
+        with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as store:
+            yield store
+
+
+def test_what_is_given_up_in_the_end_counts_in_all_runs(refusing):
+    series, begun = series_of(refusing, split=True, size=1000)
+    series.begin()
+    for n in range(2):
+        series.received("/t", HEADER, message(String(str(n) * 1000)))
+        series.poll()
+    assert len(begun) == 3
+    series.end(lambda: True)
+    (report,) = series.reports()
+    assert (report.received, report.stored) == (2, 0)
+    assert report.reasons == {LossKind.AT_END: 2}
 
 
 def test_size_without_split_ends(rosCas):
@@ -187,3 +211,14 @@ def test_what_comes_after_is_in_it_too(rosCas):
     # All have one stamp: the order is that of arrival.
     assert stored(rosCas, "/t", "event") == [text(n) for n in range(20)]
     assert len(snapshots.reports) == 4
+
+
+def test_a_snapshot_that_is_given_up_is_lost(refusing):
+    snapshots, _ = snapshots_of(refusing, buffsize=1 << 20)
+    for _ in range(4):
+        snapshots.received("/t", HEADER, message(String("x" * 400_000)))
+    snapshots.write("event", {}, after_sec=0.01)
+    assert not snapshots.close(timeout_sec=0.5)
+    snapshots.abandon()
+    ((report,),) = snapshots.reports
+    assert report.reasons == {LossKind.AT_END: 4}

@@ -16,7 +16,7 @@ import time
 import weakref
 from collections import Counter
 from functools import partial
-from typing import Callable, Iterable, Mapping, MutableMapping, Optional, Sequence, Tuple
+from typing import Callable, Mapping, MutableMapping, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, StoreUnavailable, WriteFailed
 from cassandra_ros.keys import COUNTER_BITS, SECOND_NS, new_writer_id
@@ -207,14 +207,16 @@ class Recording:
         for item in lost:
             self._lose(item.source.topic, LossKind.BUFFER_FULL, "option -b", item.t)
 
-    def restore(self, kept: Iterable[Kept]) -> None:
+    def restore(self, kept: Sequence[Kept]) -> None:
         """Take messages that came before the recording began; waits for the store.
 
         They must be as many as the constructor was told, in the order of their arrival.
         """
+        # All at once: what is still to be taken when this is given up is lost, too.
+        for topic, _, wire, _ in kept:
+            self._counts.received(topic, wire)
         for counter, (topic, header, wire, t) in enumerate(kept):
             with self._lock:
-                self._counts.received(topic, wire)
                 feed = self._feed(topic, header)
                 self._counts.attribute(topic, wire, feed)
             self._buffer.wait_for_room(len(wire))

@@ -197,6 +197,7 @@ class Series:
 
     def _close(self, recording: Recording) -> None:
         reports = recording.close()
+        removed = []
         with self._mutex:
             self._closing.remove(recording)
             self._kept.append((recording, reports))
@@ -205,7 +206,10 @@ class Series:
             while self._options.max_splits and len(self._kept) > most:
                 oldest, told = self._kept.pop(0)
                 self._removed.append(told)
-                self._remove(oldest, told)
+                removed.append((oldest, told))
+        # Not under the mutex: see _split.
+        for oldest, told in removed:
+            self._remove(oldest, told)
 
     def _remove(self, run: Recording, reports: Sequence[TopicReport]) -> None:
         """Delete a run: its messages, then what is said of it."""
@@ -235,6 +239,10 @@ class Series:
             closing.join(0.05) if closing.is_alive() else time.sleep(0.05)
             if give_up():
                 _log.warning("interrupted again: what is not stored yet is lost")
+                with self._mutex:
+                    split = list(self._closing)
+                for run in split:
+                    run.abandon()
                 return self._ended(recording, recording.abandon())
             if time.monotonic() > tell_at or self._rosCas.cassandra.outage.seconds:
                 messages, nbytes = recording.waiting()

@@ -123,6 +123,8 @@ class _Writing:
     recording: Optional[Recording] = None
     late: deque[Kept] = field(default_factory=deque)
     """What came before the run had begun."""
+    abandoned: bool = False
+    """Somebody has reported on it already."""
 
     def take(self, kept: Kept) -> None:
         if not self.follows or (self.topics and kept[0] not in self.topics):
@@ -245,18 +247,22 @@ class Snapshots:
             _log.error("the snapshot %s could not be written whole: %s", recording.name, exc)
         finally:
             with self._mutex:
-                self._writing.remove(writing)
+                writing.follows = False
             reports = recording.close()
             with self._mutex:
-                self.reports.append(reports)
+                self._writing.remove(writing)
+                if not writing.abandoned:
+                    self.reports.append(reports)
 
     def abandon(self) -> None:
         """Count as lost what is not stored by now, and wait for nothing."""
         with self._mutex:
-            runs = [writing.recording for writing in self._writing]
-        for recording in runs:
-            if recording is not None:
-                self.reports.append(recording.abandon())
+            runs = list(self._writing)
+            for writing in runs:
+                writing.abandoned = True
+        for writing in runs:
+            if writing.recording is not None:
+                self.reports.append(writing.recording.abandon())
 
     def close(self, timeout_sec: Optional[float] = None) -> bool:
         """End what is being written; say whether all of it is stored or lost."""
