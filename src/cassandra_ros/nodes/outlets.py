@@ -149,12 +149,14 @@ class Outlets:
             with self._clock_lock:
                 self._clock.publish_wire(_stamp(*divmod(t, SECOND_NS)))
 
-    def run_clock(self, now: Callable[[], int], hz: float) -> None:
-        """Publish the time until the topics are left."""
+    def run_clock(self, now: Callable[[], Optional[int]], hz: float) -> None:
+        """Publish the time, where there is one, until the topics are left."""
         following = time.monotonic()
         while self._clock is not None:
             with self._clock_lock:  # time must not go backwards beside ``clock``
-                self._clock.publish_wire(_stamp(*divmod(now(), SECOND_NS)))
+                t = now()
+                if t is not None:
+                    self._clock.publish_wire(_stamp(*divmod(t, SECOND_NS)))
             following = max(following + 1 / hz, time.monotonic())
             if self._closed.wait(following - time.monotonic()):
                 return

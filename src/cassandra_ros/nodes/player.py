@@ -223,7 +223,7 @@ class Player:
             if self._stopping.wait(self.options.delay) or not self._await_subscribers(outlets):
                 return
             if self.options.clock_hz > 0:
-                ticks = (self._playback.now, self.options.clock_hz)
+                ticks = (self._playback.clock_time, self.options.clock_hz)
                 threading.Thread(target=outlets.run_clock, args=ticks, daemon=True).start()
             self._playback.run()
         except Exception as exc:  # noqa: BLE001 - raised by wait

@@ -100,6 +100,7 @@ class Playback:
         self._early: Optional[ReadAhead] = None
         self._window: Optional[Stretch] = None
         self._horizon = stream.start_ns
+        self._known = False
         self._skip_ns = None if options.skip_empty is None else int(options.skip_empty * 1e9)
 
     # ---------------------------------------------------------------- what steers
@@ -107,6 +108,10 @@ class Playback:
     def now(self) -> int:
         """Return the time of the replay, ns: that of the next message where that is late."""
         return min(self.pace.now(), self._horizon)
+
+    def clock_time(self) -> Optional[int]:
+        """Return ``now``; None until the first message says when the replay begins."""
+        return self.now() if self._known else None
 
     @property
     def state(self) -> str:
@@ -225,6 +230,7 @@ class Playback:
             self.pace.hold(Pace.BEGIN)  # until the first message is there
             self.pace.jump(t)
             self._horizon = t
+            self._known = t != self._stream.start_ns
             early, self._early = self._early, None
             if early is not None and t != self._stream.start_ns:
                 early.close()
@@ -286,8 +292,9 @@ class Playback:
             if played is None:
                 return found
             if fresh and not found:
-                self.pace.jump(played.t)  # as rosbag: time begins with the first message
+                self._jump(played.t)  # as rosbag: time begins with the first message
             found, self._horizon = True, played.t
+            self._known = True
             if not self._await(played):
                 return True
             self._window = played.window
@@ -313,6 +320,7 @@ class Playback:
                 return False
             self.pace.jump(self.now())
             self._horizon = 2**63
+            self._known = True
             self._at_end = True  # time goes on, as with rosbag: others may live by it
             self._changed.notify_all()
             self._changed.wait_for(self._is_broken)
