@@ -90,7 +90,8 @@ def test_start_stop_pause_resume(roscore, recorder, rosCas, client):
         # One topic is left; the other goes on.
         assert client.call("/recorder/stop", topics=["/b"])["success"]
         await_true(lambda: not topic_in(client.call("/recorder/status"), "/b")["subscribed"])
-        # The whole run ends, and the node stays.
+        # The whole run ends, and the node stays; the next one is not paused.
+        assert client.call("/recorder/pause")["success"]
         answer = client.call("/recorder/stop")
         assert (answer["success"], answer["run"]) == (True, "")
         assert client.call("/recorder/status")["state"] == "stopped"
@@ -323,7 +324,7 @@ def test_a_status_line_only_on_a_terminal(roscore, cassandra, keyspace, rosCas):
 
 EMBEDDED = """
 import sys, rospy
-from cassandra_ros import Recorder, RecorderOptions, RosCassandra
+from cassandra_ros import CassandraRosError, Recorder, RecorderOptions, RosCassandra
 rospy.init_node("mine", disable_signals=True)
 with RosCassandra({host!r}, {port}, keyspace={keyspace!r}) as rosCas:
     with Recorder(rosCas, RecorderOptions(["/a"], output_name="own")) as recorder:
@@ -336,6 +337,11 @@ with RosCassandra({host!r}, {port}, keyspace={keyspace!r}) as rosCas:
         print("stopped", reports[0].stored, recorder.status().state, flush=True)
         recorder.start(name="second")
     print("closed", recorder.run == "", rospy.is_shutdown(), flush=True)
+    for refused in (recorder, Recorder(rosCas, ["/has space"])):
+        try:
+            refused.start()
+        except CassandraRosError as exc:
+            print("not begun:", exc, [run.state for run in rosCas.runs()], flush=True)
 """
 
 
@@ -346,7 +352,9 @@ def test_a_recorder_in_a_process_of_ones_own(roscore, cassandra, keyspace, rosCa
         a.await_subscribers().publish(*map(text, range(3)))
         assert child.wait() == 0, child.output
     assert "stopped 3 stopped" in child.output
-    assert "closed True False" in child.output
+    assert "closed True False" in child.output, child.output
+    refused = [line for line in child.lines if "not begun:" in line]
+    assert [line.split()[-2:] for line in refused] == [["['ended',", "'ended']"]] * 2
     assert data_of(rosCas, "/a", "own") == ["0", "1", "2"]
 
 

@@ -86,7 +86,7 @@ class Recorder:
         """Topics of which no publisher was ever connected."""
         self._paused: set[str] = set()
         self._all_paused = False
-        self._active = False
+        self._active = self._closed = False
         self._interrupts = 0
         self._hurry = threading.Event()
         self._done = threading.Event()
@@ -116,12 +116,17 @@ class Recorder:
             The name of the run; '' where messages are only kept for a snapshot.
 
         Raises:
-            InvalidOption: A run is being recorded, and no topics are given.
+            InvalidOption: A run is being recorded, and no topics are given; or it was closed.
             InvalidName: A topic's name is none.
             StoreUnavailable: The store does not answer.
         """
         wanted = [rospy.resolve_name(check_ros_name(topic)) for topic in topics]
+        if not (wanted or self._options.regex):
+            for topic in self._options.topics:
+                check_ros_name(topic)
         with self._mutex:
+            if self._closed:
+                raise InvalidOption("this recorder is being closed: make another one")
             first, current = self._poller is None, self._series.current
             if self._active and not topics:
                 run = f": run {current.name}" if current is not None else ""
@@ -160,6 +165,8 @@ class Recorder:
                 return self.reports()
             self._active = False
             self._leave(self._subscriptions.topics)
+            # What begins next is recorded, until somebody pauses it.
+            self._all_paused = False
             for thread in self._contexts:
                 thread.join(CONTEXT_SEC)
             self._contexts.clear()
@@ -183,8 +190,9 @@ class Recorder:
         """
         wanted = self._recorded(topics)
         if self._all_paused:
-            self._all_paused = False
+            # In this order: the others stay paused all the time.
             self._paused = set(self._subscriptions.topics)
+            self._all_paused = False
         self._paused.difference_update(wanted)
         if not topics:
             self._paused.clear()
@@ -282,6 +290,8 @@ class Recorder:
     def close(self) -> list[TopicReport]:
         """End the run as stop does, and everything else; report on all of its runs."""
         self._done.set()
+        with self._mutex:
+            self._closed = True
         self._registration.stop()
         if self._poller is not None and self._poller.is_alive():
             self._poller.join(JOIN_SEC)
