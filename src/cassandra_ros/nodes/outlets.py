@@ -17,7 +17,7 @@ from rosgraph_msgs.msg import Clock
 from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidName, TypeMismatch
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.nodes.publishing import AnyPublication, MessageKind, advertise
+from cassandra_ros.nodes.publishing import ANY, AnyPublication, MessageKind, advertise
 from cassandra_ros.playing.stream import Channel, Played
 
 _log = logging.getLogger(__name__)
@@ -130,7 +130,7 @@ class Outlets:
     ) -> tuple[Optional[AnyPublication], Optional[Hashable]]:
         """Find where the messages of a connection go, and by whom they are latched."""
         publication, row = self._publications.get(played.topic), played.row
-        if publication is None or publication.kind._md5sum != row.md5sum:
+        if publication is None or publication.kind._md5sum != (row.md5sum or ANY):
             return None, None
         try:
             return publication, key if row.connection.latching else None

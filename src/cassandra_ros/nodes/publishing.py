@@ -35,6 +35,9 @@ BATCH_BYTES = 256 * 1024
 PIECE_BYTES = 8 * 1024 * 1024
 """Large messages are sent in pieces of this size, so that it is seen that they move."""
 
+ANY = "*"
+"""Type or md5 of what is stored without: anybody may take it."""
+
 _length = struct.Struct("<I").pack
 
 
@@ -50,9 +53,8 @@ class MessageKind:
     @classmethod
     def of(cls, type_: str, md5sum: str, definition: str) -> MessageKind:
         """Make the kind of a type, its md5 and its definition; bytes may be surrogates."""
-        # Of what is stored without a type or md5 anybody may take what comes.
         text = definition.encode("utf-8", "surrogateescape")
-        return cls(type_ or "*", md5sum or "*", text)
+        return cls(type_ or ANY, md5sum or ANY, text)
 
 
 class _Link:
