@@ -9,8 +9,11 @@ from dataclasses import replace
 import pytest
 from bag.truth import string_connection, string_wire
 from playing.robots import SEC, T0, Robot, played, texts
+from std_msgs.msg import String
 
+from cassandra_ros import RosCassandra
 from cassandra_ros.errors import (
+    DefinitionError,
     InvalidName,
     InvalidOption,
     MessageNotFound,
@@ -108,6 +111,21 @@ def test_what_is_chosen(filled, selection, expected):
 def test_bad_input_is_named(filled, selection, error, text):
     with pytest.raises(error, match=text):
         Stream(filled, selection)
+
+
+def test_a_topic_that_cannot_be_read_here_is_left_out(cassandra, keyspace, rosCas, caplog):
+    for n, name in enumerate(("/good", "/bad")):
+        topic = rosCas.addTopic(name, format="ros", msg_type="std_msgs/String")
+        topic.addData(String(name), T0 + n)
+    (table,) = rosCas.getTopic("/bad").tables
+    comment = table.metadata.with_(definition="garbage {").to_comment().replace("'", "''")
+    name = f'"{keyspace}"."{table.name}"'
+    rosCas.cassandra.schema_change(f"ALTER TABLE {name} WITH comment = '{comment}'", what="test")
+    with RosCassandra(cassandra.host, cassandra.port, keyspace=keyspace) as other:
+        assert [p.topic for p in Stream(other, PlaySelection()).messages()] == ["/good"]
+        with pytest.raises(DefinitionError):
+            Stream(other, PlaySelection(["/good", "/bad"]))
+    assert "topic /bad is left out, it cannot be read here" in caplog.text
 
 
 def test_names():

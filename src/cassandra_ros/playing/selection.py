@@ -4,16 +4,19 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from dataclasses import dataclass, field
 from typing import List, Mapping, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_ros_name, check_topics
-from cassandra_ros.errors import InvalidOption, TopicNotFound
+from cassandra_ros.errors import DefinitionError, InvalidOption, TopicNotFound
 from cassandra_ros.playing.times import PlayTime
 from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.finding import Where
 from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+_log = logging.getLogger(__name__)
 
 AlignStart = Union[bool, str]
 """True or 'run', 'node', False = not aligned."""
@@ -91,12 +94,23 @@ def chosen_topics(ros_cas: RosCassandra, selection: PlaySelection) -> List[str]:
     if selection.exclude:
         pattern = compiled("exclude", selection.exclude)
         names = {name for name in names if not pattern.fullmatch(name)}
+    if selection.regex or wanted is None:  # others were asked for by name
+        names = {name for name in names if _is_readable(ros_cas, name)}
     if not names:
         raise TopicNotFound(
             f"there is no topic to play in keyspace {ros_cas.keyspace}"
             + (f": exclude {selection.exclude!r:.80} leaves none" if selection.exclude else "")
         )
     return sorted(names)
+
+
+def _is_readable(ros_cas: RosCassandra, topic: str) -> bool:
+    try:
+        _ = ros_cas.getTopic(topic).tables
+    except DefinitionError as exc:
+        _log.error("topic %s is left out, it cannot be read here: %s", topic, exc)
+        return False
+    return True
 
 
 def compiled(option: str, text: str) -> re.Pattern[str]:
