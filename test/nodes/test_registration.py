@@ -77,8 +77,11 @@ def test_a_master_that_is_started_anew(master, cassandra, keyspace, rosCas):
         child.await_line("the ROS master does not answer")
         old.publish(text(2))  # what stands goes on
         before = time.time_ns()
+        # Else it might register first, and the new master tell it of the publisher.
+        child.process.send_signal(signal.SIGSTOP)
         master.start()
         new = RawPublisher(master.uri, "/a", header_of(String, "/new"), "/new")
+        child.process.send_signal(signal.SIGCONT)
         new.await_subscribers().publish(text(3))
         old.publish(text(4))
         await_true(lambda: listed(master, "/cassandra_ros/getData") == service)
