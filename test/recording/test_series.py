@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import itertools
+import threading
+import time
 
 import pytest
 from nodes.raw_publisher import header_of, message
@@ -82,6 +84,27 @@ def test_only_the_last_runs_are_kept(rosCas):
     assert left == ["4"]
     assert sorted(run.name for run in rosCas.runs()) == ["r_4", "r_5"]
     assert series.reports()[0].stored == 5
+
+
+def test_the_limit_holds_while_runs_change(rosCas):
+    series, begun = series_of(rosCas, split=True, size=5_000, limit=300)
+    series.begin()
+
+    def publish():
+        for n in range(300):
+            series.received("/t", HEADER, text(f"{n:>500}"))
+            time.sleep(0.001)
+
+    threads = [threading.Thread(target=publish) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads):
+        series.poll()
+        time.sleep(0.002)
+    series.end()
+    (report,) = series.reports()
+    assert (report.stored, report.lost) == (300, 0)
+    assert len(begun) > 2
 
 
 @pytest.fixture

@@ -66,7 +66,6 @@ class Recording:
         node: The robot or entity that is recorded.
         buffer_bytes: Bound of all messages that wait; the oldest are dropped. 0 = none.
         limit: Record only so many messages of each topic; 0 = all.
-        before: Messages by topic that count for the limit already.
         name, labels: Of the run in the store.
         restored: Messages that ``restore`` will bring: they come before those that arrive.
     """
@@ -86,7 +85,6 @@ class Recording:
         node: str = "",
         buffer_bytes: int = DEFAULT_BUFFER_BYTES,
         limit: int = 0,
-        before: Optional[Mapping[str, int]] = None,
         name: str = "",
         labels: Optional[Mapping[str, str]] = None,
         restored: int = 0,
@@ -96,7 +94,9 @@ class Recording:
         self._settings = settings = settings or Settings(TopicSettings(format))
         self._filters = filters or Filters(settings, node)
         self.node, self.name, self._labels = node, name, dict(labels or {})
-        self._limit, self._before = limit, dict(before or {})
+        self._limit = limit
+        self._before: Mapping[str, int] = {}
+        """Messages by topic that count for the limit already."""
         self._lock = threading.Lock()
         self._accepting, self._counter, self._latest = True, restored, 0
         self._feeds: dict[int, Feed] = {}
@@ -263,7 +263,15 @@ class Recording:
             return False
         return self._before.get(topic, 0) + self._counts.kept(topic) >= self._limit
 
-    def kept(self) -> dict[str, int]:
+    def hand_over(self, later: Recording, switch: Callable[[], None]) -> None:
+        """Take no more messages; what comes from now on is the later one's, whom switch names."""
+        with self._lock:
+            self._accepting = False
+            if self._limit:
+                later._before = self._kept()
+            switch()
+
+    def _kept(self) -> dict[str, int]:
         """Return how many messages of each topic count for the limit by now."""
         found = Counter(self._before)
         for report in self.reports():

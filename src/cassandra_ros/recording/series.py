@@ -80,7 +80,7 @@ class Series:
         """Begin a run; '' = named as the options say. Raises what the store raises."""
         self._name, self._number = name, 0
         self._labels = {**self._options.labels, **(labels or {})}
-        self.current = current = self._new(before={})
+        self.current = current = self._new()
         self._since = time.monotonic()
         return current
 
@@ -102,7 +102,7 @@ class Series:
         self._begun(recording)
         return recording
 
-    def _new(self, before: Mapping[str, int]) -> Recording:
+    def _new(self) -> Recording:
         options = self._options
         name = self._name or options.run_name(self._number)
         if self._name and options.split:
@@ -115,7 +115,6 @@ class Series:
             node=options.node_id,
             buffer_bytes=options.buffsize,
             limit=options.limit,
-            before=before,
             name=name,
             labels=self._labels,
         )
@@ -177,7 +176,7 @@ class Series:
         if old is None or len(self._ending) >= MAX_ENDING or now < self._retry:
             return
         try:
-            new = self._new(old.kept() if self._options.limit else {})
+            new = self._new()
         except CassandraRosError as exc:
             self._retry = now + RETRY_SEC
             _log.warning("the next run cannot begin yet, run %s goes on: %s", old.name, exc)
@@ -187,9 +186,13 @@ class Series:
         for (topic, _), (header, wire) in latched:
             new.received(topic, header, wire)
         new.refusal = old.refusal
-        with self._mutex:
-            self._closing.append(old)
-            self.current, self._since = new, now
+
+        def switch() -> None:
+            with self._mutex:
+                self._closing.append(old)
+                self.current, self._since = new, now
+
+        old.hand_over(new, switch)
         name = "recorder-split"
         thread = threading.Thread(target=self._close, args=(old,), name=name, daemon=True)
         self._ending.append(thread)
