@@ -12,6 +12,7 @@ from nodes.raw_publisher import header_of, message
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Int32, String
 
+from cassandra_ros.cli.recorder import make_parser
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.options import RecorderOptions
@@ -167,3 +168,9 @@ def test_a_plan_writes_nothing(rosCas):
     ]
     assert plan[0].settings == ["key header.stamp", "index on orientation.w"]
     assert rosCas.getAllTopics() == []
+
+
+def test_ttl_of_a_command_line():
+    parser = make_parser()
+    ttls = [parser.parse_args(["/a", f"--ttl={text}"]).ttl for text in ("0", "60", "90m", "7d")]
+    assert ttls == [0, 60, 5400, 604800]

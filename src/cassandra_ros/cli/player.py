@@ -55,6 +55,7 @@ _STATES = {"paused": "PAUSED ", "delayed": "DELAYED", "waiting": "WAITING", "end
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = program_parser(PROGRAM, __doc__)
+    parser.usage = "%(prog)s [OPTION ...] [TOPIC ...]"
     parser.set_defaults(parser=parser)
     parser.add_argument("-q", "--quiet", action="store_true", help="suppress console output")
     _add_selection(parser.add_argument_group("what is played"))
@@ -241,7 +242,8 @@ def closing_line(state: PlayerState) -> str:
     published = sum(topic.published for topic in state.topics)
     missed = sum(topic.missed for topic in state.topics)
     left_out = sum(topic.left_out for topic in state.topics)
-    text = f"played {published} messages of {len(state.topics)} topics"
+    number = len(state.topics)
+    text = f"played {published} messages of {number} topic{'' if number == 1 else 's'}"
     if missed:
         text += f"; slow subscribers missed {missed}"
     if left_out:

@@ -42,6 +42,7 @@ from cassandra_ros.recording.settings import (
     read_label,
     read_rate,
     read_settings,
+    read_ttl,
 )
 from cassandra_ros.recording.snapshot import read_bound
 
@@ -53,6 +54,7 @@ _NO_PARAMETERS = ("help", "quiet", "dry_run", "udp")
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line; its names are those of RecorderOptions."""
     parser = program_parser(PROGRAM, __doc__)
+    parser.usage = "%(prog)s [OPTION ...] [TOPIC ...]"  # with each error: not all of forty options
     _add_choice(parser.add_argument)
     _add_runs(parser.add_argument_group("runs").add_argument)
     _add_settings(parser)
@@ -126,8 +128,8 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     )
     add = group.add_argument
     add_format_option(group)
-    text = "let messages of new topics expire after this many seconds (default: never)"
-    add("--ttl", metavar="SEC", type=whole_number, default=0, help=text)
+    text = "let messages of new topics expire after so long, as 3600, 90m or 7d (default: never)"
+    add("--ttl", metavar="SEC", type=checked(read_ttl), default=0, help=text)
     text = (
         "record only messages of a topic that satisfy a condition as in CQL, for example "
         "'/cmd_vel: linear.x > 0.5'; the others are counted as left out; may be repeated"
@@ -286,7 +288,7 @@ def main() -> int:
             print(plan_table(make_plan(ros_cas, chosen), chosen))
             return 0
         reports = record(ros_cas, chosen, say, line.show if line.shows else None)
-    say(closing_table(reports))
+    say(closing_table(reports, rates=not chosen.snapshot))
     problems = failures(reports)
     for text in problems:
         print(f"{PROGRAM}: {text}", file=sys.stderr)

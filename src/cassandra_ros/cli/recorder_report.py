@@ -82,14 +82,15 @@ def failures(reports: Sequence[TopicReport]) -> list[str]:
         if not report.published:
             found.append(f"nothing came on {shown(report.topic)}: nobody published it")
     if not reports:
-        found.append("nothing was recorded: no topic that was published was to be")
+        found.append("nothing was recorded: of what was asked for, nobody published anything")
     return found
 
 
-def closing_table(reports: Sequence[TopicReport]) -> str:
+def closing_table(reports: Sequence[TopicReport], *, rates: bool = True) -> str:
     """Write what became of the messages of each topic.
 
-    What is missing in the publishers' own numbers is no loss of ours: "seq gaps".
+    What is missing in the publishers' own numbers is no loss of ours: "seq gaps". Without rates
+    where messages were written at once, as those of a snapshot.
     """
     names = ["topic", "type", "received", "stored", "lost", "seq gaps", "bytes", "rate"]
     optional = [
@@ -106,7 +107,7 @@ def closing_table(reports: Sequence[TopicReport]) -> str:
             *(str(counts[number]) for _, counts in extra),
             "-" if r.gaps is None else str(r.gaps),
             format_bytes(r.bytes),
-            f"{r.rate_hz:.1f} Hz",
+            f"{r.rate_hz:.1f} Hz" if rates else "-",
         )
         for number, r in enumerate(reports)
     ]

@@ -154,7 +154,10 @@ def _read_format(value: object) -> Optional[str]:
     return text
 
 
-def _read_ttl(value: object) -> int:
+def read_ttl(value: object) -> int:
+    """Return whole seconds, 0 = never: a number, or one with s, m, h or d behind it."""
+    if value == "0":
+        return 0
     return check_ttl(int(read_duration(value)) if isinstance(value, str) else value)
 
 
@@ -164,7 +167,7 @@ def _read_key_part(value: object) -> str:
 
 _READERS: Mapping[str, Callable[[object], object]] = {
     "format": _read_format,
-    "ttl": _read_ttl,
+    "ttl": read_ttl,
     "rate_limit": read_rate,
     "where": check_condition,
     "key_part": _read_key_part,

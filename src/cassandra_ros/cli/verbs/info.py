@@ -43,6 +43,8 @@ def run(options: argparse.Namespace) -> int:
         infos = ros_cas.info(options.topics or None, **asked)
         losses = ros_cas.losses(options.topics or None, nodeID=options.node_id, run=options.run)
         runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
+    if options.run:
+        runs = [run for run in runs if options.run in (run.name, str(run.writer))]
     if options.yaml:
         _print_yaml(options, infos, losses, runs)
         return 0
