@@ -17,7 +17,7 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Header, String
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.errors import ClockNotSet
+from cassandra_ros.errors import ClockNotSet, StoreUnavailable
 from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.recording import recording as recording_module
 from cassandra_ros.recording.buffer import (
@@ -32,6 +32,7 @@ from cassandra_ros.recording.counts import Counts
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.store.registry import LossKind
+from cassandra_ros.store.run_context import NodeGraph, RunContext
 
 T0 = 1_400_000_000 * 10**9
 
@@ -237,6 +238,24 @@ def test_time_that_goes_back_is_told(rosCas, caplog):
     assert (report.stored, report.lost) == (4, 0)
     assert [row.t for row in rosCas.getTopic("/text").rows()] == sorted(times)
     assert caplog.text.count("time went back by 101.000 s") == 1
+
+
+def test_a_context_is_kept_when_the_store_is_back(rosCas, monkeypatch):
+    recorder = Recording(rosCas)
+    registry = rosCas.parts.registry
+    put, tries = registry.put_context, []
+
+    def away(*context):
+        tries.append(context)
+        if len(tries) == 1:
+            raise StoreUnavailable("away")
+        put(*context)
+
+    monkeypatch.setattr(registry, "put_context", away)
+    recorder.put_context(RunContext({"robot": "husky"}, NodeGraph({}, {}, {}, {})))
+    await_true(lambda: tries)
+    recorder.close()
+    assert rosCas.runContext(recorder.writer_id).params == {"robot": "husky"}
 
 
 def test_what_is_given_up_is_counted(rosCas):

@@ -112,7 +112,7 @@ class Recording:
         self._waiting: list[Source] = []
         self._waiting_bytes = 0
         self._tables = TableMaker(self._connect, self._buffer.wake)
-        self._ended = threading.Event()
+        self._ended, self._saving = threading.Event(), threading.Lock()
         ros_cas.cassandra.outage.waiting = self._waiting_for_long
         self._start()
 
@@ -398,12 +398,14 @@ class Recording:
     def _save(self) -> None:
         registry = self._rosCas.parts.registry
         try:
-            if self._context is not None:
-                context, self._context = self._context, None
-                registry.put_context(self.writer_id, self.node, context)
-            for loss in self._losses.unsaved():
-                registry.put_loss(loss)
-                self._losses.saved(loss)
+            # One at a time: what is older must not be written over what is newer.
+            with self._saving:
+                if self._context is not None:
+                    registry.put_context(self.writer_id, self.node, self._context)
+                    self._context = None
+                for loss in self._losses.unsaved():
+                    registry.put_loss(loss)
+                    self._losses.saved(loss)
         except StoreUnavailable as exc:
             _log.debug("losses are written later: %s", exc)
         except CassandraRosError as exc:
