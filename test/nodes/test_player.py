@@ -166,7 +166,7 @@ def test_steered_by_services(roscore, player, rosCas):
         assert child.wait() == 0, child.output
         assert heard.rest() == []
     assert child.lines[0] == "services under /player"
-    assert child.lines[-1] == "played 33 messages of 1 topics"
+    assert child.lines[-1] == "played 33 messages of 1 topic"
 
 
 # -------------------------------------------------------------------- what is advertised

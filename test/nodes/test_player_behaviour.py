@@ -73,7 +73,7 @@ def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
             except OSError:
                 pass  # what was half sent is cut off
     line = child.lines[-1]
-    assert line.startswith("played 40 messages of 1 topics; slow subscribers missed ")
+    assert line.startswith("played 40 messages of 1 topic; slow subscribers missed ")
     assert len(heard) + got + int(line.split()[-1]) == 80
     assert got < 20
     assert "subscribers of /big missed" in child.output
@@ -102,7 +102,7 @@ def test_at_once_means_as_fast_as_subscribers_take_it(roscore, rosCas, where):
                 time.sleep(0.03)
         assert child.wait() == 0, child.output
     assert found == list(range(24))
-    assert child.lines[-1] == "played 24 messages of 1 topics"
+    assert child.lines[-1] == "played 24 messages of 1 topic"
 
 
 def test_a_master_that_is_started_anew(master, where, numbers):  # noqa: F811
@@ -259,7 +259,7 @@ def test_played_and_stopped_fifty_times(roscore, where, numbers):
                 rest = [number(wire) for wire in heard.rest()]
             assert rest == list(range(round_ % COUNT, round_ % COUNT + len(rest)))
             total = round_ % COUNT + len(rest)
-            assert child.lines[-1] == f"played {total} messages of 1 topics"
+            assert child.lines[-1] == f"played {total} messages of 1 topic"
     assert len(pids) == 50
     for pid in pids:
         assert not Path(f"/proc/{pid}").exists()
