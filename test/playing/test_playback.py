@@ -106,6 +106,7 @@ def test_steered_while_it_is_paused(playing):
     assert (run.playback.state, run.playback.pace.now()) == ("paused", T0 + STEP)
     assert run.playback.seek(T0 + 30 * STEP - 1) == T0 + 30 * STEP - 1
     assert run.playback.state == "paused"
+    assert run.into.clocks[-1] == T0 + 30 * STEP - 1
     run.playback.step(1)
     assert run.playback.seek(0) == T0  # before the start
     run.playback.step(1)
@@ -167,6 +168,13 @@ def test_gaps_are_skipped_and_what_controls_is_waited_for(playing, store):
     run.thread.join(60)
     assert [p.t for p in run.into.got] == [T0, T0 + 1000 * SEC]
     assert run.into.clocks == [T0, T0 + 1000 * SEC]
+
+
+def test_time_jumps_before_the_first_message_of_a_window(playing):
+    around = PlaySelection(["/n"], around=("/n", ("data IN (?, ?)", [0, 30])), before=0, after=0)
+    run = playing(around)
+    run.thread.join(60)
+    assert run.into.clocks == [p.t for p in run.into.got] == [T0, T0 + 30 * STEP]
 
 
 def test_it_pauses_before_messages_of_a_topic(playing):

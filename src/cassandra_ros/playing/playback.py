@@ -101,6 +101,7 @@ class Playback:
         self._window: Optional[Stretch] = None
         self._horizon = stream.start_ns
         self._known = False
+        self._again = False
         self._skip_ns = None if options.skip_empty is None else int(options.skip_empty * 1e9)
 
     # ---------------------------------------------------------------- what steers
@@ -236,9 +237,12 @@ class Playback:
                 early.close()
                 early = None
             reader = early or self._read(t)
+            again, self._again = self._again, True
             self._reader, self._window = reader, None
         try:
             first = self._latched(t)
+            if again:
+                self._output.clock(t)  # before what is latched: who sees time go back forgets
             self._output.begin(t)
             for played in first:
                 self._output.publish(played)
@@ -385,7 +389,7 @@ class Playback:
             return True
         gap = self._window is not None and self._window.low != window.low
         if gap and now < window.low:
-            self.pace.jump(window.low)
+            self._jump(window.low)
         elif self._skip_ns is not None and t - now > self._skip_ns:
             self._jump(t)
             return True

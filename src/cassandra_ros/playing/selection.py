@@ -27,7 +27,8 @@ class PlaySelection:
     """What is to be played.
 
     Times are by reception. A number below 10**9 is seconds from the first message of what is
-    chosen, as rosbag's; everything else is a time of the calendar, see playing/times.py.
+    chosen (rosbag: of the bag, whatever topics are chosen); everything else is a time of the
+    calendar, see playing/times.py.
 
     Attributes:
         topics: Their names; None = all.
