@@ -9,6 +9,7 @@ import threading
 import time
 
 import pytest
+from nodes.children import await_true
 from nodes.raw_publisher import header_of, message
 from proxy import BATCH, Proxy
 from std_msgs.msg import String
@@ -245,3 +246,18 @@ def test_a_snapshot_that_is_given_up_is_lost(refusing):
     snapshots.abandon()
     ((report,),) = snapshots.reports
     assert report.reasons == {LossKind.AT_END: 4}
+
+
+def test_what_arrives_leaves_room_for_what_was_kept(rosCas):
+    snapshots, _ = snapshots_of(rosCas, buffsize=8 << 20)
+    wires = [message(String(f"{n:>300000}")) for n in range(30)]
+    for wire in wires[:20]:
+        snapshots.received("/t", HEADER, wire)
+    snapshots.write("event", {}, after_sec=3600.0)
+    for wire in wires[20:]:
+        snapshots.received("/t", HEADER, wire)
+    await_true(lambda: rosCas.getAllTopics("/t"))
+    snapshots.close()
+    ((report,),) = snapshots.reports
+    assert (report.stored, report.lost) == (30, 0)
+    assert stored(rosCas, "/t", "event") == wires

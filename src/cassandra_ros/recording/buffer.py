@@ -120,9 +120,9 @@ class Buffer:
         return dropped
 
     def wait_for_room(self, nbytes: int) -> None:
-        """Return when a message of this size fits without another one being dropped for it."""
+        """Return when a message of this size fits and much room is left for what arrives."""
         with self._changed:
-            while self.held_bytes and self.held_bytes + nbytes + ITEM_BYTES > self._bound // 2:
+            while self.held_bytes and self.held_bytes + nbytes + ITEM_BYTES > self._bound // 8:
                 self._changed.wait(0.05)
 
     def take(self, most: int, most_bytes: int, timeout_sec: float) -> list[Item]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import logging
 import re
 import threading
+import time
 from collections import deque
 from dataclasses import dataclass, field
 from typing import Callable, Collection, Mapping, Optional, Protocol, Sequence
@@ -203,7 +204,7 @@ class Snapshots:
         Without ``after_sec`` it returns when they are stored or lost, else at once: what comes in
         the seconds after is stored, too, and the run ends by itself.
         """
-        writing = _Writing(topics, after_sec > 0)
+        writing, ends = _Writing(topics, after_sec > 0), time.monotonic() + after_sec
         with self._mutex:
             if len(self._writing) >= MAX_AT_ONCE:
                 raise InvalidOption(
@@ -223,7 +224,7 @@ class Snapshots:
             raise
         count = len(kept)
         work = threading.Thread(
-            target=self._write, args=(writing, recording, kept, after_sec), daemon=True
+            target=self._write, args=(writing, recording, kept, ends), daemon=True
         )
         self._threads.append(work)
         work.start()
@@ -232,7 +233,7 @@ class Snapshots:
         return recording, count
 
     def _write(
-        self, writing: _Writing, recording: Recording, kept: list[Kept], after_sec: float
+        self, writing: _Writing, recording: Recording, kept: list[Kept], ends: float
     ) -> None:
         try:
             with self._mutex:
@@ -241,8 +242,8 @@ class Snapshots:
                 writing.recording = recording
             recording.restore(kept)
             kept.clear()
-            if after_sec:
-                self._closing.wait(after_sec)
+            if writing.follows:
+                self._closing.wait(max(0.0, ends - time.monotonic()))
         except CassandraRosError as exc:
             _log.error("the snapshot %s could not be written whole: %s", recording.name, exc)
         finally:
