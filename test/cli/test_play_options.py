@@ -94,3 +94,11 @@ def test_wrong_values_end_with_usage(line, capsys):
         changed(line)
     assert ended.value.code == 2
     assert line[1] in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--run", "--node-id", "--around"])
+def test_what_is_taken_once_is_not_forgotten(option, capsys):
+    with pytest.raises(SystemExit) as ended:
+        changed([option, HIT, option, HIT])
+    assert ended.value.code == 2
+    assert f"{option} is given twice" in capsys.readouterr().err

@@ -52,6 +52,21 @@ SHOW_SEC = 0.1
 _STATES = {"paused": "PAUSED ", "delayed": "DELAYED", "waiting": "WAITING", "ended": "ENDED  "}
 
 
+class _Once(argparse.Action):
+    """Refuses an option that is given twice: argparse would forget the first without a word."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: object,
+        option_string: str | None = None,
+    ) -> None:
+        if getattr(namespace, self.dest, None):
+            parser.error(f"{option_string} is given twice: only one is taken")
+        setattr(namespace, self.dest, values)
+
+
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = program_parser(PROGRAM, __doc__)
@@ -76,12 +91,14 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
     add("-s", "--start", metavar="T", help="begin there (default: with the first message)")
     add("-u", "--duration", metavar="SEC", type=duration, help="play only SEC seconds")
     add("--end", metavar="T", help="last time, included (default: the last message)")
-    add("--run", metavar="RUN", help="only messages of this recording or import: name or number")
-    add("--node-id", metavar="N", help="only messages of this node (default: of all)")
+    text = "only messages of this recording or import: name or number"
+    add("--run", metavar="RUN", action=_Once, help=text)
+    add("--node-id", metavar="N", action=_Once, help="only messages of this node (default: of all)")
     add_where_option(group)
     add(
         "--around",
         metavar="'TOPIC: CONDITION'",
+        action=_Once,
         help="play only what lies around the messages of a topic that satisfy a condition, of all "
         "topics",
     )
