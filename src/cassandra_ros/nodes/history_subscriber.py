@@ -118,8 +118,8 @@ class HistorySubscriber:
         name = f"history of {self.resolved_name}"
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         rospy.on_shutdown(self._queue.close)
-        self._thread.start()
         self._registration = Registration().start()
+        self._thread.start()
 
     @property
     def isLive(self) -> bool:
