@@ -54,7 +54,15 @@ MEMORY_FREE = 4 << 30
 """So much must be free there, bytes, for that server to keep its files in memory."""
 
 ONE_BY_ONE = {
-    "programs": {"nodes", "rostest", "cli", "test_import_process.py", "test_examples.py"},
+    "replays": {
+        "test_history_subscriber.py",
+        "test_launch.py",
+        "test_player.py",
+        "test_player_behaviour.py",
+        "test_player_windows.py",
+        "test_examples.py",
+    },
+    "programs": {"nodes", "rostest", "cli", "test_import_process.py"},
     "servers": {"local_server"},
 }
 
@@ -124,8 +132,9 @@ def pytest_xdist_make_scheduler(config, log):
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):
-        # What starts programs and waits for them shares a worker: two at a time are too many for
-        # a small machine. So does what starts servers: two at once may choose the same port.
+        # What starts programs and waits for them shares a worker, what replays another one: more at
+        # a time are too many for a small machine. So does what starts servers: two at once may
+        # choose the same port.
         def _split_scope(self, nodeid):
             module = nodeid.split("::")[0]
             for scope, places in ONE_BY_ONE.items():
