@@ -11,11 +11,12 @@ import time
 import pytest
 from nodes.children import await_true
 from nodes.raw_publisher import header_of, message
-from proxy import BATCH, Proxy
+from proxy import BATCH, EXECUTE, Proxy
 from std_msgs.msg import String
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import InvalidOption
+from cassandra_ros.recording import series as series_module
 from cassandra_ros.recording.options import RecorderOptions
 from cassandra_ros.recording.series import Series
 from cassandra_ros.recording.snapshot import Bound, Ring, Snapshots
@@ -85,6 +86,23 @@ def test_only_the_last_runs_are_kept(rosCas):
     assert left == ["4"]
     assert sorted(run.name for run in rosCas.runs()) == ["r_4", "r_5"]
     assert series.reports()[0].stored == 5
+
+
+def test_a_run_that_cannot_begin_keeps_nothing_from_ending(cassandra, keyspace, monkeypatch):
+    monkeypatch.setattr(series_module, "BEGIN_SEC", 0.1)
+    with Proxy(cassandra.host, cassandra.port) as proxy:
+        held = proxy.catch(lambda f: f.opcode == EXECUTE and b"r_1" in f.body, failed=False).hold()
+        with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as store:
+            series, begun = series_of(store, output_name="r", split=True, size=1000)
+            series.begin()
+            for n in range(2):
+                series.received("/t", HEADER, message(String(str(n) * 1000)))
+                assert not series.poll()
+            held.wait()
+            (report,) = series.end()
+            assert (report.stored, report.lost, len(begun)) == (2, 0, 1)
+            held.release()
+            await_true(lambda: [run.state for run in store.runs()] == ["ended", "ended"])
 
 
 def test_the_limit_holds_while_runs_change(rosCas):

@@ -29,8 +29,46 @@ PATIENCE_SEC = 3.0
 """How long a store may take in the end before people are told that it does."""
 RETRY_SEC = 2.0
 """How long a store that does not answer is left alone before the next run is tried."""
+BEGIN_SEC = 1.0
+"""How long the begin of the next run is waited for at a time: the end is not to wait for it."""
 MAX_LATCHED = 4096
 """Publishers whose latched message is repeated."""
+
+
+class _Making:
+    """A run that is being begun on a thread of its own, for the store may be away."""
+
+    def __init__(self, make: Callable[[], Recording]) -> None:
+        self._make = make
+        self._unwanted = False
+        self._mutex = threading.Lock()
+        self.made: Optional[Recording] = None
+        self.problem = ""
+        self._thread = threading.Thread(target=self._run, name="recorder-begin", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            made = self._make()
+        except CassandraRosError as exc:
+            self.problem = str(exc)
+            return
+        with self._mutex:
+            self.made, unwanted = made, self._unwanted
+        if unwanted:
+            made.close()
+
+    def done(self, timeout_sec: float) -> bool:
+        """Wait for so long; say whether it is made, or has failed."""
+        self._thread.join(timeout_sec)
+        return not self._thread.is_alive()
+
+    def drop(self) -> None:
+        """End the run, empty as it is, when it has begun; waits for nothing."""
+        with self._mutex:
+            made, self._unwanted = self.made, True
+        if made is not None:
+            threading.Thread(target=made.close, name="recorder-drop", daemon=True).start()
 
 
 class Series:
@@ -63,6 +101,7 @@ class Series:
         self._number = 0
         self._since = 0.0
         self._retry = 0.0
+        self._making: Optional[_Making] = None
         self._name, self._labels = "", dict(options.labels)
         self._ending: list[threading.Thread] = []
         self._closing: list[Recording] = []
@@ -80,7 +119,10 @@ class Series:
         """Begin a run; '' = named as the options say. Raises what the store raises."""
         self._name, self._number = name, 0
         self._labels = {**self._options.labels, **(labels or {})}
-        self.current = current = self._new()
+        current = self._new()
+        self._expect_all(current)
+        self._begun(current)
+        self.current = current
         self._since = time.monotonic()
         return current
 
@@ -118,11 +160,12 @@ class Series:
             name=name,
             labels=self._labels,
         )
+        self._number += 1
+        return recording
+
+    def _expect_all(self, recording: Recording) -> None:
         for topic in self._topics:
             recording.expect(topic)
-        self._number += 1
-        self._begun(recording)
-        return recording
 
     def expect(self, topic: str) -> None:
         """Let a topic appear in the reports even if nothing ever comes."""
@@ -175,12 +218,17 @@ class Series:
         old, now = self.current, time.monotonic()
         if old is None or len(self._ending) >= MAX_ENDING or now < self._retry:
             return
-        try:
-            new = self._new()
-        except CassandraRosError as exc:
-            self._retry = now + RETRY_SEC
-            _log.warning("the next run cannot begin yet, run %s goes on: %s", old.name, exc)
+        making = self._making = self._making or _Making(self._new)
+        if not making.done(BEGIN_SEC):
             return
+        self._making, new = None, making.made
+        if new is None:
+            self._retry = time.monotonic() + RETRY_SEC
+            why = making.problem
+            _log.warning("the next run cannot begin yet, run %s goes on: %s", old.name, why)
+            return
+        self._expect_all(new)
+        self._begun(new)
         with self._latching:
             latched = list(self._latched.items())
         for (topic, _), (header, wire) in latched:
@@ -231,6 +279,9 @@ class Series:
 
         Runs that were split before are waited for, too.
         """
+        making, self._making = self._making, None
+        if making is not None:
+            making.drop()
         recording = self.current
         if recording is None:
             return []
