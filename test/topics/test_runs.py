@@ -294,6 +294,23 @@ def test_a_delete_of_a_run_removes_its_rows_alone(rosCas, how):
     assert topic.countTopicData() == len(left) - 100
 
 
+def test_the_key_of_one_run_removes_nothing_of_another(rosCas):
+    connection = connection_of("/point", PointStamped)
+    for writer, node in ((7, ""), (8, "r2")):
+        with rosCas.messageWriter(
+            writer_id=writer, nodeID=node, run=Run(node, writer, "api")
+        ) as each:
+            each.write(each.connect(connection), T0, 1, serialize(PointStamped()))
+    topic = rosCas.getTopic("/point")
+    first, second = (row.key for row in topic.rows())
+    for key, whose in ((first, {"run": 8}), (second, {"run": "7"}), (first, {"nodeID": "r2"})):
+        with pytest.raises(MessageNotFound):
+            topic.removeData(key, **whose)
+    assert topic.countTopicData() == 2
+    assert topic.removeData(first, run=7) == 1
+    assert [row.key for row in topic.rows()] == [second]
+
+
 @pytest.mark.parametrize("key_format", ["manual", "hash", "msg_part"])
 def test_runs_of_topics_with_other_keys(rosCas, key_format):
     part = {"key_part": "header.frame_id"} if key_format == "msg_part" else {}

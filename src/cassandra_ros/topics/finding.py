@@ -45,6 +45,11 @@ _NEAR_NS = 256
 """Nanoseconds that a time of today may lose on its way through a float."""
 
 
+def _is_ours(key: AnyKey) -> bool:
+    """Say whether the store gave a key: of one message."""
+    return isinstance(key, (RowName, Stamp)) and bool(key.table)
+
+
 @dataclass(frozen=True)
 class Finder:
     """Finds the rows of one topic that keys mean."""
@@ -98,8 +103,9 @@ class Finder:
             )
         if key is None or to_key is not None:
             return self._remove(self.several(key, to_key))
-        if self._is_exact(key):
-            row = self._exact(key)  # and no other of the same time
+        if _is_ours(key):
+            # It and no other of the same time, whosever that is.
+            row = self._exact(key) if self.whose.has(key) else None
             count = 0 if row is None else delete_rows(self.keyspace, [row])
         else:
             count = self._remove(self.one(key))
@@ -143,8 +149,7 @@ class Finder:
 
     def _is_exact(self, key: AnyKey) -> bool:
         """Say whether a key is one that the store gave: it knows its row."""
-        known = isinstance(key, (RowName, Stamp)) and bool(key.table)
-        return known and self.whose.has(key)
+        return _is_ours(key) and self.whose.has(key)
 
     def _near(self, key: AnyKey, nearest: str) -> Optional[StoredRow]:
         if nearest not in NEAREST:
