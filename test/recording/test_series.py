@@ -19,7 +19,7 @@ from cassandra_ros.errors import InvalidOption
 from cassandra_ros.recording import series as series_module
 from cassandra_ros.recording.options import RecorderOptions
 from cassandra_ros.recording.series import Series
-from cassandra_ros.recording.snapshot import Bound, Ring, Snapshots
+from cassandra_ros.recording.snapshot import ITEM_BYTES, Bound, Ring, Snapshots
 from cassandra_ros.recording.space import SpaceGuard
 from cassandra_ros.store.registry import LossKind
 
@@ -279,3 +279,18 @@ def test_what_arrives_leaves_room_for_what_was_kept(rosCas):
     ((report,),) = snapshots.reports
     assert (report.stored, report.lost) == (30, 0)
     assert stored(rosCas, "/t", "event") == wires
+
+
+def test_what_was_latched_before_a_snapshot_goes_first():
+    ring = Ring(Bound(seconds=5), 0)
+    latching = {"topic": "/map", "latching": "1", "callerid": "/m"}
+    ring.add(("/map", latching, b"old", 0))
+    ring.add(("/map", latching, b"map", 10**9))
+    for n in range(2, 20):
+        ring.add(("/t", {}, b"x", n * 10**9))
+    kept = ring.content(())
+    assert kept[0] == ("/map", latching, b"map", 14 * 10**9)
+    assert [t // 10**9 for _, _, _, t in kept[1:]] == [14, 15, 16, 17, 18, 19]
+    ring.forget(10**12)
+    assert [wire for _, _, wire, _ in ring.content(["/map"])] == [b"map"]
+    assert ring.nbytes == 3 + ITEM_BYTES

@@ -49,6 +49,10 @@ def read_bound(text: str) -> Bound:
         ) from None
 
 
+MAX_LATCHED = 1000
+"""Publishers whose latched message is kept though it is old."""
+
+
 class Ring:
     """The newest messages, the oldest of which go when there are too many. Not thread-safe.
 
@@ -62,6 +66,8 @@ class Ring:
         self._most = min(filter(None, (bound.nbytes, most_bytes)), default=2**63)
         self._timed = not bound.nbytes
         self._items: deque[Kept] = deque()
+        # The last latched message of each publisher that is too old for _items: it still holds.
+        self._latched: dict[tuple[str, str], Kept] = {}
         self.nbytes = 0
         """What the messages take in memory."""
         self.short = False
@@ -80,8 +86,8 @@ class Ring:
         t = kept[3]
         if self._items and t < self._items[-1][3] - SECOND_NS:
             _log.warning("time went back: what the snapshot kept is dropped, it lies in the future")
-            self._items.clear()
-            self.nbytes = 0
+            while self._items:
+                self._drop()
         self._items.append(kept)
         self.nbytes += len(kept[2]) + ITEM_BYTES
         self.forget(t)
@@ -101,11 +107,26 @@ class Ring:
             self._drop()
 
     def _drop(self) -> None:
-        self.nbytes -= len(self._items.popleft()[2]) + ITEM_BYTES
+        kept = self._items.popleft()
+        topic, header, wire, _ = kept
+        place = topic, header.get("callerid", "")
+        room = place in self._latched or len(self._latched) < MAX_LATCHED
+        if header.get("latching") == "1" and room and len(wire) <= self._most // 4:
+            older = self._latched.get(place)
+            self._latched[place] = kept
+            if older is None:
+                return
+            wire = older[2]
+        self.nbytes -= len(wire) + ITEM_BYTES
 
     def content(self, topics: Collection[str]) -> list[Kept]:
-        """Return the messages of some topics, none named = of all, in the order of arrival."""
-        return [kept for kept in self._items if not topics or kept[0] in topics]
+        """Return the messages of some topics, none named = of all, in the order of arrival.
+
+        What each publisher had latched before goes first, as if it had come at the beginning.
+        """
+        begin = self._items[0][3] if self._items else None
+        latched = [(*kept[:3], begin or kept[3]) for kept in self._latched.values()]
+        return [kept for kept in (*latched, *self._items) if not topics or kept[0] in topics]
 
 
 class Begin(Protocol):
