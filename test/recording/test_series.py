@@ -294,3 +294,20 @@ def test_what_was_latched_before_a_snapshot_goes_first():
     ring.forget(10**12)
     assert [wire for _, _, wire, _ in ring.content(["/map"])] == [b"map"]
     assert ring.nbytes == 3 + ITEM_BYTES
+
+
+def test_the_end_waits_for_a_snapshot_that_begins(cassandra, keyspace):
+    with Proxy(cassandra.host, cassandra.port) as proxy:
+        held = proxy.catch(lambda f: f.opcode == EXECUTE and b"event" in f.body, failed=False)
+        with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as store:
+            snapshots, _ = snapshots_of(store)
+            snapshots.received("/t", HEADER, text(1))
+            held.hold()
+            asking = threading.Thread(target=snapshots.write, args=("event", {}))
+            asking.start()
+            held.wait()
+            assert not snapshots.close(timeout_sec=0.1)
+            held.release()
+            await_true(lambda: snapshots.close(timeout_sec=0.1))
+            asking.join()
+            assert stored(store, "/t", "event") == [text(1)]

@@ -26,6 +26,7 @@ _log = logging.getLogger(__name__)
 
 MAX_AT_ONCE = 4
 """Snapshots that are written at the same time."""
+PAUSE_SEC = 0.05
 
 
 @dataclass(frozen=True)
@@ -283,12 +284,20 @@ class Snapshots:
             for writing in runs:
                 writing.abandoned = True
         for writing in runs:
-            if writing.recording is not None:
+            if writing.recording is None:
+                _log.error("a snapshot that was asked for is not written: its run did not begin")
+            else:
                 self.reports.append(writing.recording.abandon())
 
     def close(self, timeout_sec: Optional[float] = None) -> bool:
         """End what is being written; say whether all of it is stored or lost."""
         self._closing.set()
-        for thread in self._threads:
+        for thread in list(self._threads):
             thread.join(timeout_sec)
-        return not any(thread.is_alive() for thread in self._threads)
+        if any(thread.is_alive() for thread in self._threads):
+            return False
+        with self._mutex:
+            beginning = bool(self._writing)
+        if beginning:  # of what was asked for just now the run does not stand yet
+            time.sleep(PAUSE_SEC)
+        return not beginning
