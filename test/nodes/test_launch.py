@@ -8,6 +8,7 @@ import signal
 import struct
 import time
 import xml.etree.ElementTree as ElementTree
+import xmlrpc.client
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -65,6 +66,10 @@ def launched(roscore, cassandra, keyspace, tmp_path):
     for child in started:
         with child:
             assert child.end(signal.SIGINT) == 0, child.output
+    # roslaunch leaves them, and the next node of the name would take them.
+    master = xmlrpc.client.ServerProxy(roscore.uri)
+    for node in ("/cassandra_ros", "/player", "/recorder"):
+        master.deleteParam("/test", node)
 
 
 def test_cassandra_ros_launch_records_all_at_once(launched, roscore, rosCas):

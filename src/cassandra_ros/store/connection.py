@@ -180,6 +180,11 @@ class Cassandra:
 
     # ---------------------------------------------------------------- statements
 
+    @property
+    def closed(self) -> bool:
+        """Whether it was closed: nothing can be read or written any more."""
+        return self._closed
+
     def require_open(self) -> None:
         """Raise ConnectionFailed where it is closed; the driver takes that for a passing one."""
         if self._closed:

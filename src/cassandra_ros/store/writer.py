@@ -70,6 +70,7 @@ class RowWriter:
         on_loss: LossCallback | None = None,
         on_beat: Callable[[], None] | None = None,
     ) -> None:
+        self._cassandra = cassandra
         self._schema = schema
         self.patience = Patience(give_up_after_sec)
         """How long one request is tried."""
@@ -327,6 +328,8 @@ class RowWriter:
             except CassandraRosError as exc:
                 # The directory is behind, never wrong: its buckets still count as open.
                 _log.warning("the directory of buckets could not be updated: %s", exc)
+                if self._cassandra.closed:
+                    return  # whoever closed it has forgotten us
 
     def _send_old(self, now: float) -> None:
         for bucket in list(self._buckets.values()):
