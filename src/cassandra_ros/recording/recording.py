@@ -106,8 +106,7 @@ class Recording:
         self._losses = LossLog(node, self.writer_id)
         self._counts = Counts(self._losses)
         self._writers = [self._make_writer(self.writer_id)]
-        self._buffer = Buffer(buffer_bytes)
-        self._buffer_bytes = buffer_bytes
+        self._buffer, self._buffer_bytes = Buffer(buffer_bytes), buffer_bytes
         self._most_waiting = buffer_bytes // 2 or 2**63
         self._waiting: list[Source] = []
         self._waiting_bytes = 0
