@@ -296,6 +296,17 @@ def test_what_was_latched_before_a_snapshot_goes_first():
     assert ring.nbytes == 3 + ITEM_BYTES
 
 
+def test_much_that_is_latched_leaves_room_for_what_is_new():
+    ring = Ring(Bound(nbytes=10_000), 0)
+    for n in range(20):
+        ring.add(("/map", {"latching": "1", "callerid": f"/m{n}"}, b"m" * 1000, n))
+    for n in range(20, 60):
+        ring.add(("/t", {}, b"t" * 200, n))
+    kept = ring.content(())
+    assert [topic for topic, *_ in kept] == ["/map"] * 3 + ["/t"] * 12
+    assert ring.nbytes == sum(len(wire) + ITEM_BYTES for _, _, wire, _ in kept) <= 10_000
+
+
 def test_the_end_waits_for_a_snapshot_that_begins(cassandra, keyspace):
     with Proxy(cassandra.host, cassandra.port) as proxy:
         held = proxy.catch(lambda f: f.opcode == EXECUTE and b"event" in f.body, failed=False)

@@ -69,6 +69,7 @@ class Ring:
         self._items: deque[Kept] = deque()
         # The last latched message of each publisher that is too old for _items: it still holds.
         self._latched: dict[tuple[str, str], Kept] = {}
+        self._latched_bytes = 0
         self.nbytes = 0
         """What the messages take in memory."""
         self.short = False
@@ -111,14 +112,22 @@ class Ring:
         kept = self._items.popleft()
         topic, header, wire, _ = kept
         place = topic, header.get("callerid", "")
-        room = place in self._latched or len(self._latched) < MAX_LATCHED
-        if header.get("latching") == "1" and room and len(wire) <= self._most // 4:
-            older = self._latched.get(place)
+        self._forget_latched(place)
+        size = len(wire) + ITEM_BYTES
+        few = len(self._latched) < MAX_LATCHED
+        # The other half stays for what is new, however much is latched.
+        if header.get("latching") == "1" and few and self._latched_bytes + size <= self._most // 2:
             self._latched[place] = kept
-            if older is None:
-                return
-            wire = older[2]
-        self.nbytes -= len(wire) + ITEM_BYTES
+            self._latched_bytes += size
+        else:
+            self.nbytes -= size
+
+    def _forget_latched(self, place: tuple[str, str]) -> None:
+        older = self._latched.pop(place, None)
+        if older is not None:
+            size = len(older[2]) + ITEM_BYTES
+            self._latched_bytes -= size
+            self.nbytes -= size
 
     def content(self, topics: Collection[str]) -> list[Kept]:
         """Return the messages of some topics, none named = of all, in the order of arrival.
