@@ -30,7 +30,9 @@ def peak_mb(pid):
     [(0, 100_000, 10_000, "ros"), (2 << 20, 600, 30, "binary")],
     ids=["small", "images"],
 )
-def test_nothing_is_lost_under_load(roscore, cassandra, keyspace, rosCas, size, count, rate, fmt):
+def test_nothing_is_lost_under_load(
+    roscore, cassandra, keyspace, rosCas, record_property, size, count, rate, fmt
+):
     child = start_recorder(
         roscore, cassandra, keyspace, "/load", "--format", fmt, "-b", BUFFER_MB, "-O", "load"
     )
@@ -45,9 +47,10 @@ def test_nothing_is_lost_under_load(roscore, cassandra, keyspace, rosCas, size, 
         child.process.send_signal(signal.SIGINT)
         status = child.wait(300)
         seconds = time.monotonic() - began
-    print(f"\n{sent}; stored {seconds:.1f} s later; peak {peak:.0f} MB resident")
-    print(child.lines[-1])
     assert status == 0, child.output
+    record_property(
+        "told", f"{sent}; stored {seconds:.1f} s later; peak {peak:.0f} MB resident, format {fmt}"
+    )
     assert peak <= BUFFER_MB + BESIDE_MB
     (info,) = rosCas.info(["/load"])
     assert info.count == count
