@@ -22,6 +22,12 @@ rospy.init_node("listener", anonymous=True, disable_signals=True)
 forward_logging()
 threads = set()
 got = []
+printing = threading.Lock()
+
+
+def say(text):
+    with printing:  # two threads do: a line of each, not a line of both
+        print(text, flush=True)
 
 
 def take(msg, words):
@@ -35,28 +41,24 @@ def take(msg, words):
 def announce():
     while not subscriber.isLive:
         time.sleep(0.01)
-    print("live", flush=True)
+    say("live")
 
 
 name = wanted.pop("type", None)
 data_class = roslib.message.get_message_class(name) if name else rospy.AnyMsg
 words = {"slow": wanted.pop("slow", 0.0)}
 subscriber = HistorySubscriber(wanted.pop("topic"), data_class, take, words, **wanted)
-print("subscribed", flush=True)
+say("subscribed")
 threading.Thread(target=announce, daemon=True).start()
 for line in sys.stdin:
     command = line.strip()
     if command == "count":
-        print(json.dumps(len(got)), flush=True)
+        say(json.dumps(len(got)))
     if command == "unregister":
         subscriber.unregister()
-        print("unregistered", flush=True)
+        say("unregistered")
     if command == "got":
         one = len(threads) <= 1
-        print(
-            json.dumps(
-                {"got": got, "lost": subscriber.lost, "failed": subscriber.failed, "one": one}
-            ),
-            flush=True,
-        )
+        answer = {"got": got, "lost": subscriber.lost, "failed": subscriber.failed, "one": one}
+        say(json.dumps(answer))
 rospy.signal_shutdown("done")

@@ -36,7 +36,7 @@ class Listener(Child):
         deadline = time.monotonic() + 60
         while time.monotonic() < deadline:
             for line in self.lines[number:]:
-                if line[:1] in "{0123456789":
+                if line.startswith(tuple("{0123456789")):
                     return json.loads(line)
             time.sleep(0.01)
         raise AssertionError(self.output)
