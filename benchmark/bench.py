@@ -169,21 +169,28 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=3, help="(%(default)s)")
     parser.add_argument("--lookups", type=int, default=1000, help="(%(default)s)")
     args = parser.parse_args()
-    try:
-        if args.host:
-            run(args)
-        else:
-            runOnOwnServer(args, run)
-    except CassandraRosError as exc:
-        print(f"bench: {exc}", file=sys.stderr)
-        return 1
-    return 0
+    return runAnywhere("bench", args, run)
 
 
 def addStoreOptions(parser: argparse.ArgumentParser) -> None:
     """Let the user name a running Cassandra."""
     parser.add_argument("--host", help="a running Cassandra (default: one of our own)")
     parser.add_argument("--port", type=int, default=9042, help="its port (%(default)s)")
+
+
+def runAnywhere(
+    name: str, args: argparse.Namespace, measure: Callable[[argparse.Namespace], None]
+) -> int:
+    """Measure on the Cassandra that the user named, else on our own; return the exit status."""
+    try:
+        if args.host:
+            measure(args)
+        else:
+            runOnOwnServer(args, measure)
+    except CassandraRosError as exc:
+        print(f"{name}: {exc}", file=sys.stderr)
+        return 1
+    return 0
 
 
 def runOnOwnServer(args: argparse.Namespace, measure: Callable[[argparse.Namespace], None]) -> None:

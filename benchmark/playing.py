@@ -25,13 +25,12 @@ from pathlib import Path
 from typing import Iterator, Mapping
 
 import rosbag
-from bench import START_SEC, addStoreOptions, makeMessages, runOnOwnServer, writeBag
+from bench import START_SEC, addStoreOptions, makeMessages, runAnywhere, writeBag
 from genpy import Time
 from sensor_msgs.msg import Image
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.local_server import free_port
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -190,15 +189,7 @@ def main() -> int:
     if args.listen:
         listen()
         return 0
-    try:
-        if args.host:
-            run(args)
-        else:
-            runOnOwnServer(args, run)
-    except CassandraRosError as exc:
-        print(f"playing: {exc}", file=sys.stderr)
-        return 1
-    return 0
+    return runAnywhere("playing", args, run)
 
 
 if __name__ == "__main__":

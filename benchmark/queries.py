@@ -24,13 +24,12 @@ from pathlib import Path
 from typing import Any, Callable, Iterable, Iterator, List, Tuple
 
 import rosbag
-from bench import addStoreOptions, makeMessages, runOnOwnServer, writeBag
+from bench import addStoreOptions, makeMessages, runAnywhere, writeBag
 from genpy import Time
 from sensor_msgs.msg import Imu
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.errors import CassandraRosError
 
 ONE_IN = 1000
 LIMIT = 100.0
@@ -194,15 +193,7 @@ def main() -> int:
     args = parser.parse_args()
     if args.messages <= 0 or args.messages % ONE_IN:
         parser.error(f"--messages: give a multiple of {ONE_IN}")
-    try:
-        if args.host:
-            run(args)
-        else:
-            runOnOwnServer(args, run)
-    except CassandraRosError as exc:
-        print(f"queries: {exc}", file=sys.stderr)
-        return 1
-    return 0
+    return runAnywhere("queries", args, run)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from pathlib import Path
 import genpy
 import pytest
 import rosbag
-from nodes.children import Child, await_true, start_node, start_recorder
+from nodes.children import Child, await_true, start_node
 from nodes.raw_publisher import RawPublisher, header_of, message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Int32, String
@@ -33,24 +33,6 @@ def text(n):
 
 def wires(rosCas, topic):
     return [row.wire for row in rosCas.getTopic(topic).rows()]
-
-
-@pytest.fixture
-def recorder(roscore, cassandra, keyspace, rosCas):
-    """Start recorders of the test's keyspace; they are gone afterwards."""
-    started = []
-
-    def start(*arguments, ready="recording ", **options):
-        child = start_recorder(roscore, cassandra, keyspace, *arguments, **options)
-        started.append(child)
-        if ready:
-            child.await_line(ready)
-        return child
-
-    yield start
-    for child in started:
-        with child:
-            pass
 
 
 def publisher(roscore, topic_name, msg_class=String, name="/raw", **fields):

@@ -12,7 +12,7 @@ import time
 import xmlrpc.client
 
 import pytest
-from nodes.children import PROGRAMS, Child, await_true, start_client, start_recorder
+from nodes.children import PROGRAMS, Child, await_true, start_client
 from nodes.raw_publisher import RawPublisher, header_of, message
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Int32, String
@@ -23,24 +23,6 @@ from cassandra_ros.store.registry import LossKind
 
 def text(n):
     return message(String(str(n)))
-
-
-@pytest.fixture
-def recorder(roscore, cassandra, keyspace, rosCas):
-    """Start recorders of the test's keyspace; they are gone afterwards."""
-    started = []
-
-    def start(*arguments, ready="recording ", **options):
-        child = start_recorder(roscore, cassandra, keyspace, *arguments, **options)
-        started.append(child)
-        if ready:
-            child.await_line(ready)
-        return child
-
-    yield start
-    for child in started:
-        with child:
-            pass
 
 
 @pytest.fixture(scope="module")
