@@ -1,0 +1,221 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The bytes of a block: many serialised messages, laid out so that they compress.
+
+Behind a byte for the version and one for flags stands a zstd frame. In it come, each as planes
+(all first bytes, all second bytes, …, little-endian): the differences of the key times, of the
+``_seq``, the sizes, and where flag 1 is set the times of reception less the key times. Then come
+the messages, those of equal size together, the smallest first, each group in the order of the
+block; a group of at least 16 as planes too: what changes little from message to message lies side
+by side, and a field at a fixed offset is some whole rows of a matrix.
+"""
+
+from __future__ import annotations
+
+import threading
+from functools import cached_property
+from typing import List, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from cassandra_ros.errors import CorruptMessage
+
+Longs = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
+
+VERSION = 1
+LEVEL = 1
+"""Of zstd: higher ones take more time than the store."""
+MIN_PLANES = 16
+"""Fewer messages of a size stand as they are: text is not torn apart for nothing."""
+_RECEIVED = 1
+_HEAD = 2
+
+
+class Group(NamedTuple):
+    """The messages of a block that have the same size."""
+
+    size: int
+    members: Longs
+    """Their positions in the block, ascending."""
+    planes: Bytes
+    """(size, members): row k holds byte k of every message."""
+
+
+class Unpacked:
+    """The messages of a block, in the order (time, ``_seq``).
+
+    Attributes:
+        times: Key times, ns.
+        seqs: ``_seq`` of each.
+        sizes: Serialised bytes of each.
+        received: Times of reception, ns; None where those are the key times.
+        groups: The messages by their size, the smallest first.
+    """
+
+    def __init__(
+        self, times: Longs, seqs: Longs, sizes: Longs, received: Optional[Longs], body: memoryview
+    ) -> None:
+        self.times, self.seqs, self.sizes, self.received = times, seqs, sizes, received
+        self._body = body
+        self._cut: dict[int, bytes] = {}
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    @cached_property
+    def groups(self) -> Tuple[Group, ...]:
+        """The messages by their size; no bytes are copied."""
+        found: List[Group] = []
+        at = 0
+        for members in _members(self.sizes):
+            size, count = int(self.sizes[members[0]]), len(members)
+            flat = np.frombuffer(self._body, np.uint8, size * count, at)
+            at += size * count
+            planes = flat.reshape(size, count) if _as_planes(count) else flat.reshape(count, size).T
+            found.append(Group(size, members, planes))
+        return tuple(found)
+
+    @cached_property
+    def _places(self) -> Tuple[Longs, Longs]:
+        """For each message the number of its group, and its place in that."""
+        group, place = np.empty(len(self), np.int64), np.empty(len(self), np.int64)
+        for number, found in enumerate(self.groups):
+            group[found.members] = number
+            place[found.members] = np.arange(len(found.members))
+        return group, place
+
+    def _bytes_of(self, number: int) -> bytes:
+        """Return the messages of a group, one behind the other."""
+        found = self._cut.get(number)
+        if found is None:
+            found = self._cut[number] = self.groups[number].planes.T.tobytes()
+        return found
+
+    def wire(self, position: int) -> bytes:
+        """Return one message, serialised."""
+        group, place = self._places
+        number, n = int(group[position]), int(place[position])
+        size = self.groups[number].size
+        return self._bytes_of(number)[n * size : (n + 1) * size]
+
+    def wires(self) -> List[bytes]:
+        """Return all messages, serialised."""
+        found: List[bytes] = [b""] * len(self)
+        for number, (size, members, _) in enumerate(self.groups):
+            every = self._bytes_of(number)
+            for n, position in enumerate(members.tolist()):
+                found[position] = every[n * size : (n + 1) * size]
+        return found
+
+
+def pack_block(
+    times: Sequence[int],
+    seqs: Sequence[int],
+    wires: Sequence[bytes],
+    received: Optional[Sequence[int]] = None,
+) -> bytes:
+    """Pack messages that are sorted by (time, ``_seq``).
+
+    Args:
+        times: Key times, ns.
+        seqs: ``_seq`` of each.
+        wires: Their serialised bytes.
+        received: Times of reception, ns, where those are not the key times.
+    """
+    t = np.array(times, np.int64)
+    sizes = np.array([len(wire) for wire in wires], np.int64)
+    parts = [_planes(_differences(t)), _planes(_differences(np.array(seqs, np.int64)))]
+    parts.append(_planes(sizes.astype("<u4")))
+    if received is not None:
+        parts.append(_planes(np.array(received, np.int64) - t))
+    for members in _members(sizes):
+        rows = wires if len(members) == len(wires) else [wires[n] for n in members.tolist()]
+        joined = b"".join(rows)
+        if _as_planes(len(rows)):
+            joined = np.frombuffer(joined, np.uint8).reshape(len(rows), -1).T.tobytes()
+        parts.append(joined)
+    head = bytes((VERSION, 0 if received is None else _RECEIVED))
+    return head + _compressor().compress(b"".join(parts))
+
+
+def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
+    """Unpack a block.
+
+    Args:
+        data: What pack_block gave.
+        count: How many messages it holds, as its row says.
+        size: Their serialised bytes together, as its row says.
+
+    Raises:
+        CorruptMessage: The bytes are no such block.
+    """
+    if len(data) < _HEAD or data[0] != VERSION or data[1] & ~_RECEIVED:
+        raise CorruptMessage(f"a block of {len(data)} bytes is of no version that is known here")
+    received = bool(data[1] & _RECEIVED)
+    expected = count * (20 + 8 * received) + size
+    try:
+        # Before anything is made room for: the frame itself says how long it is.
+        if zstandard.frame_content_size(data[_HEAD:]) != expected:
+            raise CorruptMessage(f"a block does not hold {count} messages of {size} bytes")
+        body = _decompressor().decompress(data[_HEAD:])
+    except zstandard.ZstdError as exc:
+        raise CorruptMessage(f"a block cannot be unpacked: {exc}") from exc
+    view = memoryview(body)
+    times, seqs = (np.cumsum(_numbers(view, n * 8 * count, count, "<i8")) for n in (0, 1))
+    sizes = _numbers(view, 16 * count, count, "<u4").astype(np.int64)
+    if int(sizes.sum()) != size:
+        raise CorruptMessage(f"the messages of a block have {int(sizes.sum())} bytes, not {size}")
+    arrivals = times + _numbers(view, 20 * count, count, "<i8") if received else None
+    return Unpacked(times, seqs, sizes, arrivals, view[len(body) - size :])
+
+
+def _members(sizes: Longs) -> List[Longs]:
+    """Return the positions of the messages of each size, the smallest first."""
+    if len(sizes) and (sizes == sizes[0]).all():
+        return [np.arange(len(sizes))]
+    order = np.argsort(sizes, kind="stable")
+    ends = np.flatnonzero(np.diff(sizes[order])) + 1
+    return np.split(order, ends) if len(sizes) else []
+
+
+def _as_planes(count: int) -> bool:
+    return count >= MIN_PLANES
+
+
+def _differences(values: Longs) -> Longs:
+    # The first one from 0. Sums and differences wrap in the same way.
+    return np.diff(values, prepend=np.int64(0))
+
+
+def _planes(values: NDArray[np.generic]) -> bytes:
+    little = values.astype(values.dtype.newbyteorder("<"), copy=False)
+    return np.ascontiguousarray(little).view(np.uint8).reshape(len(values), -1).T.tobytes()
+
+
+def _numbers(view: memoryview, at: int, count: int, dtype: str) -> Longs:
+    kind = np.dtype(dtype)
+    flat = np.frombuffer(view, np.uint8, count * kind.itemsize, at)
+    planes = np.ascontiguousarray(flat.reshape(kind.itemsize, count).T)
+    return planes.view(kind).reshape(count)
+
+
+class _PerThread(threading.local):
+    """What zstd works with; none of it may be used by two threads at once."""
+
+    def __init__(self) -> None:
+        self.compressor = zstandard.ZstdCompressor(level=LEVEL)
+        self.decompressor = zstandard.ZstdDecompressor()
+
+
+_mine = _PerThread()
+
+
+def _compressor() -> zstandard.ZstdCompressor:
+    return _mine.compressor
+
+
+def _decompressor() -> zstandard.ZstdDecompressor:
+    return _mine.decompressor

@@ -1,0 +1,90 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Blocks give back what was packed into them, whatever it was, and refuse what is none."""
+
+from __future__ import annotations
+
+import pytest
+import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.store.blocks.codec import MIN_PLANES, pack_block, unpack_block
+
+LONG = st.integers(-(2**63), 2**63 - 1)
+WIRES = st.binary(max_size=6) | st.binary(min_size=4, max_size=4)
+
+
+@st.composite
+def blocks(draw):
+    wires = draw(st.lists(WIRES, min_size=1, max_size=40))
+    count = len(wires)
+    times, seqs = (draw(st.lists(LONG, min_size=count, max_size=count)) for _ in range(2))
+    received = draw(st.none() | st.lists(LONG, min_size=count, max_size=count))
+    return times, seqs, wires, received
+
+
+@given(blocks())
+def test_round_trip(block):
+    times, seqs, wires, received = block
+    size = sum(map(len, wires))
+    found = unpack_block(pack_block(times, seqs, wires, received), len(wires), size)
+    assert (found.times.tolist(), found.seqs.tolist()) == (times, seqs)
+    assert (None if found.received is None else found.received.tolist()) == received
+    assert found.sizes.tolist() == [len(wire) for wire in wires]
+    assert found.wires() == wires
+    assert [found.wire(n) for n in range(len(found))] == wires
+    assert sorted(n for group in found.groups for n in group.members.tolist()) == list(
+        range(len(wires))
+    )
+    for size, members, planes in found.groups:
+        assert planes.shape == (size, len(members))
+        for n, position in enumerate(members.tolist()):
+            assert planes[:, n].tobytes() == wires[position]
+
+
+def test_the_bytes_stay_as_they_are():
+    # Stored blocks must be readable for ever: this is version 1.
+    wires = [bytes((n, 7, 255 - n)) for n in range(MIN_PLANES)] + [b"", b"text"]
+    data = pack_block(range(100, 118), range(5, 23), wires, range(90, 108))
+    assert data[:2] == b"\x01\x01"
+    body = zstandard.ZstdDecompressor().decompress(data[2:])
+    count = len(wires)
+    assert body[:count] == b"\x64" + b"\x01" * (count - 1)
+    sizes = body[16 * count : 17 * count]
+    assert sizes == b"\x03" * MIN_PLANES + b"\x00\x04"
+    received = body[20 * count : 21 * count]
+    assert received == b"\xf6" * count
+    messages = body[28 * count :]
+    assert messages == bytes(range(16)) + b"\x07" * 16 + bytes(range(255, 239, -1)) + b"text"
+
+
+@pytest.mark.parametrize("spoil", ["empty", "version", "flags", "frame", "cut", "count", "size"])
+def test_what_is_no_block_is_refused(spoil):
+    data, count, size = pack_block([1, 2], [3, 4], [b"ab", b"c"]), 2, 3
+    if spoil == "empty":
+        data = b""
+    elif spoil == "version":
+        data = b"\x02" + data[1:]
+    elif spoil == "flags":
+        data = data[:1] + b"\x02" + data[2:]
+    elif spoil == "frame":
+        data = data[:2] + b"nonsense"
+    elif spoil == "cut":
+        data = data[:-3]
+    elif spoil == "count":
+        count = 3
+    else:
+        size = 4
+    with pytest.raises(CorruptMessage):
+        unpack_block(data, count, size)
+
+
+def test_a_frame_that_claims_to_be_huge_takes_no_memory():
+    # Its own header says 2**62 bytes: nobody makes room for them.
+    params = zstandard.ZstdCompressionParameters.from_level(1)
+    frame = zstandard.ZstdCompressor(compression_params=params).compress(b"x")
+    huge = b"\x28\xb5\x2f\xfd\xe0" + (2**62).to_bytes(8, "little") + frame[6:]
+    with pytest.raises(CorruptMessage):
+        unpack_block(b"\x01\x00" + huge, 1, 1)
