@@ -48,6 +48,9 @@ class TopicMetadata:
     """Name given in CREATE INDEX -> field; void where the field is not indexed (any more)."""
     index_count: int = 0
     """Number of the next shadow column; one that was dropped is never used again."""
+    span_ns: int = 0
+    """A row is a block of messages, of which the last is at most so many ns after the first; 0 =
+    a row is a message."""
     columns: tuple[Mapping[str, Any], ...] = ()
     """How each column holds its field, as the format describes it."""
     user: Mapping[str, Any] = field(default_factory=dict)
@@ -58,6 +61,11 @@ class TopicMetadata:
     def named(self) -> bool:
         """Whether rows are found by a name, not by their time."""
         return self.key_format in NAMED_FORMATS
+
+    @property
+    def packed(self) -> bool:
+        """Whether a row is a block of messages."""
+        return self.span_ns > 0
 
     @property
     def partition(self) -> str:
@@ -84,7 +92,7 @@ class TopicMetadata:
     @property
     def received_columns(self) -> dict[str, str]:
         """Columns that say when a message came, where its key does not: name -> CQL type."""
-        if not self.own_time:
+        if not self.own_time or self.packed:  # blocks hold these times themselves
             return {}
         # Equal messages have one row, with 0 for time and counter; this is its place in the order.
         arrival = {"_arrival": "bigint"} if self.key_format == "hash" else {}

@@ -24,5 +24,5 @@ class CassandraTopic_binary(CassandraTopic_):
         """Give the bytes back."""
         wire = columns[0] if raw is None else raw
         if wire is None:
-            raise CorruptMessage(f"a row of {self.msg_type} in format binary has no bytes")
+            raise CorruptMessage(f"a row of {self.msg_type} in format {self.NAME} has no bytes")
         return wire

@@ -36,6 +36,8 @@ class CassandraTopic_(ABC):
     """By which it is chosen, and stored in the comment."""
     BY_FIELD = False
     """Whether each field has a column of its own, which conditions can be checked on."""
+    PACKED = False
+    """Whether a row of the table is a block of many messages; see ``formats/packed.py``."""
     COLUMNS: Mapping[str, str]
     """CQL type of each column by name, where all types of messages have the same."""
 
@@ -54,6 +56,10 @@ class CassandraTopic_(ABC):
     def getColValidationClasses(self) -> dict[str, str]:
         """Return the CQL type of each column by name, in the order of the columns."""
         return dict(self.COLUMNS)
+
+    def table_columns(self) -> dict[str, str]:
+        """Return the CQL type of each column that its tables have beside those of all formats."""
+        return self.getColValidationClasses()
 
     @abstractmethod
     def encode_wire(self, wire: bytes) -> EncodedMessage:

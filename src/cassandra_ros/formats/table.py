@@ -10,6 +10,7 @@ from cassandra_ros.errors import UnknownFormat
 from cassandra_ros.formats.binary import CassandraTopic_binary
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
 from cassandra_ros.formats.json import CassandraTopic_json
+from cassandra_ros.formats.packed import CassandraTopic_packed
 from cassandra_ros.formats.ros import CassandraTopic_ros
 from cassandra_ros.formats.string import CassandraTopic_string
 from cassandra_ros.formats.yaml import CassandraTopic_yaml
@@ -24,6 +25,7 @@ FORMATS: Mapping[str, type[CassandraTopic_]] = {
     "yaml": CassandraTopic_yaml,
     "json": CassandraTopic_json,
     "ros": CassandraTopic_ros,
+    "packed": CassandraTopic_packed,
 }
 
 

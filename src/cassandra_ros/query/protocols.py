@@ -4,7 +4,10 @@
 
 from __future__ import annotations
 
-from typing import FrozenSet, Mapping, Optional, Protocol
+from typing import FrozenSet, Mapping, Optional, Protocol, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cassandra_ros.keys import Position, RowName
 from cassandra_ros.messages.definition import Definition
@@ -19,6 +22,28 @@ class Runs(Protocol):
         """Return those whose RUN is this text."""
 
 
+class Group(Protocol):
+    """Messages of a block that have the same size."""
+
+    @property
+    def members(self) -> NDArray[np.int64]:
+        """Their positions in the block, ascending."""
+
+    @property
+    def planes(self) -> NDArray[np.uint8]:
+        """(size, members): row k holds byte k of every message."""
+
+
+class Block(Protocol):
+    """Consecutive messages of one table, unpacked together."""
+
+    def __len__(self) -> int: ...
+
+    @property
+    def groups(self) -> Sequence[Group]:
+        """All of its messages."""
+
+
 class Table(Protocol):
     """A table of a topic: messages of one definition, in one format."""
 
@@ -28,6 +53,8 @@ class Table(Protocol):
     """None where there is no usable one."""
     named: bool
     """Its rows are found by a name, not by their time."""
+    packed: bool
+    """Its messages lie in blocks, with zones that bound their fields."""
     columns: tuple[str, ...]
     """Those of its format, in their order."""
     longest_text: int

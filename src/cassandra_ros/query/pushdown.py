@@ -18,16 +18,28 @@ import math
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Dict, FrozenSet, Iterator, NamedTuple, Optional, Protocol, Sequence, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    FrozenSet,
+    Iterator,
+    NamedTuple,
+    Optional,
+    Protocol,
+    Sequence,
+    Tuple,
+)
 
 import numpy
+from numpy.typing import NDArray
 
 from cassandra_ros.messages.index_field import MAX_TEXT_BYTES
 from cassandra_ros.messages.wire.plan import wire_plan
 from cassandra_ros.messages.wire.values import encode_value
 from cassandra_ros.query.literals import Comparable, fit_to_field
 from cassandra_ros.query.names import FieldRef, field_of
-from cassandra_ros.query.protocols import Table
+from cassandra_ros.query.protocols import Block, Table
 from cassandra_ros.query.syntax import (
     All,
     Compare,
@@ -57,6 +69,8 @@ DENSE_ROWS = 500
 """So few are no burden, whatever their share."""
 CROWDED_SHARE = 0.3
 """Where more of a bucket is wanted, it is read once instead of by several queries."""
+Sift = Callable[[Block], Optional[NDArray[numpy.bool_]]]
+"""From a block to a mask of the messages that may match; None = all may."""
 Term = Tuple[str, str, bytes]
 """Column, operator and encoded value."""
 Query = Tuple[Tuple[Term, ...], bool]
@@ -127,6 +141,8 @@ class Pushdown:
     Attributes:
         indexed, filtered, whole, skipped: How many buckets were read by an index, by a filter
             alone, whole, and not at all.
+        blocks, unpacked, kept: How many blocks were read, how many messages they held, and how
+            many of those became rows.
         used: The comparisons that the server checked, each with the way: 'index' or 'filter'.
     """
 
@@ -140,6 +156,7 @@ class Pushdown:
         self._dense: set[str] = set()
         self._crowded: set[str] = set()
         self.indexed = self.filtered = self.whole = self.skipped = 0
+        self.blocks = self.unpacked = self.kept = 0
         self.used: Used = {}
 
     def choose(self, table: Table, bucket: Sequence[_Bucket]) -> Optional[Sequence[Query]]:
@@ -168,6 +185,16 @@ class Pushdown:
             self._dense.add(table.name)
             if found > CROWDED_SHARE * every:
                 self._crowded.add(table.name)
+
+    def sift(self, table: Table) -> Optional[Sift]:
+        """Return what leaves out messages of blocks that cannot match; None = nothing does."""
+        return None
+
+    def opened(self, table: Table, messages: int, kept: int) -> None:
+        """Take note of a block that was unpacked, and how many of its messages became rows."""
+        self.blocks += 1
+        self.unpacked += messages
+        self.kept += kept
 
     def _chosen(self, table: Table, bucket: Sequence[_Bucket]) -> Optional[list[Query]]:
         if self._plan == "client" or self._expression is None:

@@ -149,7 +149,7 @@ class _Table:
 
     name = ""
     named = False
-    by_field = False
+    by_field = packed = False
     columns: tuple[str, ...] = ()
     longest_text = 0
     runs = _NoRuns()

@@ -22,10 +22,13 @@ from typing import (
     Tuple,
 )
 
+import numpy as np
 from cassandra.query import PreparedStatement
+from numpy.typing import NDArray
 
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.keys import Position
+from cassandra_ros.store.blocks.codec import Unpacked
 from cassandra_ros.store.directory import BucketRow, Directory
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_refused
 from cassandra_ros.store.paging import Asked, RawRow
@@ -62,6 +65,10 @@ Query = Tuple[Terms, bool]
 """What the server is to check, and whether it finds the rows by an index."""
 
 
+Sift = Callable[[Unpacked], Optional[NDArray[np.bool_]]]
+"""From a block to a mask of the messages that may be wanted; None = all may be."""
+
+
 class Chooser(Protocol):
     """Decides, bucket by bucket, what the server is to check."""
 
@@ -72,7 +79,13 @@ class Chooser(Protocol):
         """Say whether the server is expected to let few rows of a bucket through."""
 
     def learn(self, table: RowTable, bucket: Sequence[BucketRow], found: int) -> None:
-        """Take note of how many rows the queries of a bucket found."""
+        """Take note of how many rows (messages, also of blocks) the queries of a bucket found."""
+
+    def sift(self, table: RowTable) -> Optional[Sift]:
+        """Return what leaves out messages of unpacked blocks; None = nothing can be left out."""
+
+    def opened(self, table: RowTable, messages: int, kept: int) -> None:
+        """Take note of a block that was unpacked, and how many of its messages became rows."""
 
 
 class Scan(NamedTuple):

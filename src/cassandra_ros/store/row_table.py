@@ -38,6 +38,9 @@ _T = TypeVar("_T")
 
 Indexed = Tuple[Sequence[Optional[bytes]], bool]
 """Encoded values of the shadow columns (None = unset), and whether the row must be marked odd."""
+Zones = Tuple[Sequence[Optional[bytes]], Tuple[str, ...], bool]
+"""Encoded values of the zone columns (None = unset), the fields of which a value is NaN (sorted),
+and whether the block must be marked odd."""
 Terms = Tuple[Tuple[str, str, bytes], ...]
 """Column, operator and encoded value; all of them hold."""
 Order = Tuple[int, int]
@@ -108,10 +111,13 @@ class RowTable:
     Attributes:
         named: Rows are found by a name, not by their time.
         partition: Name of the second column of the partition key.
+        packed: A row of the table is a block of messages, each of which is a row to the readers.
+        zone_columns: The columns that bound the values in a block.
         longest_text: A longer text of a large message is in no column; bytes of UTF-8.
     """
 
     longest_text = INLINE_COLUMN_BYTES
+    zone_columns: Tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -129,6 +135,7 @@ class RowTable:
         self.columns = tuple(columns)
         self.named = metadata.named
         self.partition = metadata.partition
+        self.packed = metadata.packed
         self._where = f'WHERE "_node" = ? AND "{self.partition}" = ?'
         self._once = metadata.key_format == "hash"
         self._received = tuple(metadata.received_columns)
@@ -163,6 +170,10 @@ class RowTable:
     def shadows(self) -> Shadows | None:
         """Return the indexes that a bucket which is opened now is filled with; None = none."""
         return None
+
+    def zones(self, wires: Sequence[bytes]) -> Zones:
+        """Find the bounds of the values in serialised messages; any bytes will do."""
+        return (), (), False
 
     # ---------------------------------------------------------------- statements
 

@@ -22,6 +22,7 @@ from cassandra_ros.errors import (
     TopicExists,
     TopicNotFound,
 )
+from cassandra_ros.formats.table import format_class
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.graph import topic_type
@@ -29,7 +30,7 @@ from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.finding import Filter, Where
 from cassandra_ros.topics.indexes import check_unnamed
-from cassandra_ros.topics.keyspace import Keyspace, Wish
+from cassandra_ros.topics.keyspace import Keyspace, Wish, check_packed
 from cassandra_ros.topics.message_writer import Adder, Clock
 from cassandra_ros.topics.runs import RunName
 from cassandra_ros.topics.selection import EVERYBODY, Stretch, Whose, spellings
@@ -64,6 +65,8 @@ class Catalog:
         format_name = self.keyspace.format_for(topic, asked=wanted.format)
         wish = Wish(wanted.with_(format=format_name), asked=wanted.format != "", pending=True)
         stored = self.keyspace.tables.of_topic(topic)
+        if format_class(format_name).PACKED:
+            check_packed(stored[0].metadata if stored else wish.metadata)
         definition = self._definition_for(topic, msg_type, known=bool(stored))
         for table in stored:
             wish.check(table.metadata, definition)

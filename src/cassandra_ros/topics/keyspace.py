@@ -18,9 +18,16 @@ from cassandra_ros.arguments import (
     check_ttl,
     check_user_keys,
 )
-from cassandra_ros.errors import InvalidKey, InvalidName, TopicExists, TypeMismatch, WriteFailed
+from cassandra_ros.errors import (
+    InvalidKey,
+    InvalidName,
+    InvalidOption,
+    TopicExists,
+    TypeMismatch,
+    WriteFailed,
+)
 from cassandra_ros.formats.table import DEFAULT_FORMAT, FALLBACK_FORMAT, format_class
-from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
 from cassandra_ros.messages.definition import Definition, definition_of
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
@@ -39,6 +46,10 @@ from cassandra_ros.topics.topic_table import TopicTable, TopicTables, definition
 from cassandra_ros.topics.totals import holds_any
 
 _log = logging.getLogger(__name__)
+
+MIN_SPAN_NS = 10_000_000
+UNKNOWN_SPAN_NS = 10 * SECOND_NS
+"""Of the time that a block covers: the least, and what it is where the rate is unknown."""
 
 
 class Keyspace:
@@ -96,15 +107,20 @@ class Keyspace:
 
         def plan(others: Sequence[TopicMetadata]) -> Planned:
             wanted = _beside(metadata, others)
+            if fmt.PACKED:
+                check_packed(wanted, definition)
+                wanted = wanted.with_(indexes={})
             wanted, shadows = _indexed(wanted, definition, new=not others)
             bucket_ns = wanted.bucket_ns or _default_bucket(definition)
+            bucket_ns = limit_for_ttl(bucket_ns, wanted.ttl)
             wanted = wanted.with_(
                 key_format=wanted.key_format or "time",
-                bucket_ns=limit_for_ttl(bucket_ns, wanted.ttl),
+                bucket_ns=bucket_ns,
+                span_ns=_span(wanted.span_ns, bucket_ns) if fmt.PACKED else 0,
                 columns=tuple(fmt.describe()),
                 date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
             )
-            return wanted, fmt.getColValidationClasses(), shadows
+            return wanted, fmt.table_columns(), shadows
 
         key = (metadata.topic, metadata.md5sum, metadata.format)
         found = self.tables.by_name(self.schema.ensure_table(key, plan))
@@ -209,6 +225,32 @@ def _indexed(
         metadata = metadata.with_index(path, metadata.next_shadow)
         shadows[index.shadow] = index.cql_type
     return metadata, shadows
+
+
+def check_packed(metadata: TopicMetadata, definition: Optional[Definition] = None) -> None:
+    """Raise InvalidOption where messages cannot lie in blocks, for their key is no time."""
+    key_format, part = metadata.key_format, metadata.key_part
+    if key_format not in NAMED_FORMATS and key_format != "msg_part":
+        return
+    if key_format == "msg_part":
+        if definition is None:
+            return
+        try:
+            if KeyPart(definition, part).is_time:
+                return
+        except InvalidKey:
+            return  # these messages are found by time
+    what = f"key_part={part!r}, which is no time" if part else f"key_format={key_format!r}"
+    raise InvalidOption(
+        f"topic {metadata.topic} cannot be kept in format packed, whose messages lie in blocks by "
+        f"their time, with {what}: choose another format for it, or key_format='time' for a new "
+        "topic"
+    )
+
+
+def _span(wanted: int, bucket_ns: int) -> int:
+    """Return how much time a block may cover, ns; wanted 0 = nobody knows the rate."""
+    return min(max(wanted or UNKNOWN_SPAN_NS, MIN_SPAN_NS), bucket_ns)
 
 
 def _default_bucket(definition: Optional[Definition]) -> int:

@@ -8,7 +8,7 @@ import hashlib
 import logging
 import threading
 from functools import lru_cache, partial
-from typing import Any, Callable, Mapping, Optional, Tuple
+from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import DefinitionError, InvalidName
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
@@ -18,9 +18,10 @@ from cassandra_ros.messages.classes import message_class, raw_class
 from cassandra_ros.messages.definition import Definition, parse_definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
+from cassandra_ros.messages.wire.zones import zone_map
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.row_table import Indexed, NewRow, RowTable, Shadows, encode_long
+from cassandra_ros.store.row_table import Indexed, NewRow, RowTable, Shadows, Zones, encode_long
 from cassandra_ros.store.schema import Schema
 from cassandra_ros.topics.connections import ConnectionCache
 from cassandra_ros.topics.runs import Runs
@@ -51,7 +52,11 @@ class TopicTable(RowTable):
             metadata.msg_type, metadata.md5sum, definition
         )
         columns = tuple(self.format.getColValidationClasses())
+        # Decided by the format, which tells what the columns of the table are.
+        self.zone_map = zone_map(definition) if definition and self.format.PACKED else None
+        """What bounds the values in a block, where a row is one."""
         super().__init__(cassandra, keyspace, name, metadata, columns)
+        self.zone_columns = tuple(self.zone_map.columns) if self.zone_map else ()
         # A definition that lacks the field has neither index nor receive time; rows lie by time.
         able = metadata.own_time or metadata.key_part in metadata.indexes
         found = definition if able and metadata.key_format == "msg_part" else None
@@ -126,6 +131,10 @@ class TopicTable(RowTable):
             return encoded, odd
 
         return Shadows(tuple(values), together)
+
+    def zones(self, wires: Sequence[bytes]) -> Zones:
+        """Find the bounds of the values in serialised messages; any bytes will do."""
+        return super().zones(wires) if self.zone_map is None else self.zone_map.measure(wires)
 
     def make_row(self, received: int, seq: int, conn: int, wire: bytes, name: str = "") -> NewRow:
         """Make the row of a message: its columns, and its place by the topic's key format.
