@@ -14,7 +14,7 @@ export ROS_IP := 127.0.0.1
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup demo test campaign lint bench bench-formats bench-play bench-queries clean distclean
+.PHONY: help setup demo test campaign lint bench bench-quick bench-formats bench-play clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, workspace .ws"
@@ -22,10 +22,10 @@ help:
 	@echo "make test           all tests, on a real Cassandra and a real roscore (ARGS='-k name')"
 	@echo "make campaign       random searches and faults, ten times as far (LENGTH=short: once, for CI)"
 	@echo "make lint           ruff, mypy, catkin_lint"
-	@echo "make bench          measure beside rosbag and the bare driver"
+	@echo "make bench          measure beside rosbag, MCAP, SQLite and the bare driver (40 minutes)"
+	@echo "make bench-quick    the same with small numbers (5 minutes)"
 	@echo "make bench-formats  measure the five formats on real bags: bytes on disk, time"
 	@echo "make bench-play     measure how late messages are played, beside rosbag play"
-	@echo "make bench-queries  measure a condition over 1,000,000 messages beside a scan by rosbag"
 	@echo "make clean          remove what was built; make distclean: also .venv"
 
 setup:
@@ -50,14 +50,14 @@ lint: setup
 bench: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench.py $(ARGS)
 
+bench-quick: setup
+	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench.py --size quick $(ARGS)
+
 bench-formats: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/formats.py $(ARGS)
 
 bench-play: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/playing.py $(ARGS)
-
-bench-queries: setup
-	@$(IN_WORKSPACE) $(PYTHON) benchmark/queries.py $(ARGS)
 
 clean:
 	rm -rf .ws build .mypy_cache .pytest_cache .ruff_cache .hypothesis demo-output

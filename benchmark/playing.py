@@ -20,36 +20,23 @@ import sys
 import tempfile
 import threading
 import time
-import uuid
 from pathlib import Path
-from typing import Iterator, Mapping
+from typing import Mapping
 
 import rosbag
-from bench import START_SEC, addStoreOptions, makeMessages, runAnywhere, writeBag
-from genpy import Time
-from sensor_msgs.msg import Image
+from suite.contenders import folder_bag
+from suite.messages import Batch, blob, imu
+from suite.server import Server
 
-from cassandra_ros import RosCassandra
 from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.local_server import free_port
 
 ROOT = Path(__file__).resolve().parents[1]
 PLAYER = ROOT / ".ws/devel/lib/cassandra_ros/player"
 TOPIC = "/imu"
-"""What writeBag calls all of them."""
 SETTLED_SEC = 2.0
 """A run has ended when nothing has come for so long after its player."""
-
-
-def images(count: int, size: int, hz: float) -> Iterator[tuple[Image, Time]]:
-    """Make images of random bytes, some times a second."""
-    data = os.urandom(size)
-    for i in range(count):
-        t = int(i * 1e9 / hz)
-        stamp = Time(START_SEC + t // 10**9, t % 10**9)
-        msg = Image(height=1, width=size, encoding="mono8", step=size, data=data)
-        msg.header.seq, msg.header.stamp = i, stamp
-        yield msg, stamp
 
 
 def listen() -> None:
@@ -120,12 +107,12 @@ def showRate(what: str, found: list[tuple[int, int]], sent: int, size: int) -> N
     )
 
 
-def compare(args: argparse.Namespace, env: Mapping[str, str], path: Path, keyspace: str) -> None:
+def compare(args: argparse.Namespace, env: Mapping[str, str], path: Path, server: Server) -> None:
     """Measure one bag, paced and not."""
     with rosbag.Bag(str(path)) as bag:
         sent = bag.get_message_count()
     size = path.stat().st_size // sent
-    store = ["--host", args.host, "--port", str(args.port), "--keyspace", keyspace]
+    store = ["--host", server.host, "--port", str(server.port), "--keyspace", server.keyspace]
     wait = ["--wait-for-subscribers", "--queue", "100"]
     players = {
         "rosbag play": ["rosbag", "play", "-q", *wait, str(path)],
@@ -138,48 +125,51 @@ def compare(args: argparse.Namespace, env: Mapping[str, str], path: Path, keyspa
         showRate(f"{what} -i", arrivals(env, [*command, "-i"]), sent, size)
 
 
-def run(args: argparse.Namespace) -> None:
+def run(args: argparse.Namespace, folder: Path, server: Server) -> None:
     """Make the bags, import them, measure."""
     env = dict(os.environ, ROS_MASTER_URI=f"http://127.0.0.1:{free_port()}")
-    with tempfile.TemporaryDirectory() as folder:
-        env.update(ROS_HOME=folder, ROS_LOG_DIR=folder)
-        port = env["ROS_MASTER_URI"].rpartition(":")[2]
-        master = subprocess.Popen(
-            ["roscore", "-p", port], env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        try:
-            small, large = Path(folder) / "small.bag", Path(folder) / "large.bag"
-            writeBag(small, makeMessages(int(args.seconds * args.hz), 10**9 // args.hz))
-            writeBag(large, images(int(args.seconds * 30), 2_000_000, 30), raw=True)
-            for path, what in (
-                (small, f"sensor_msgs/Imu, {args.hz:,}/s, {args.seconds:g} s"),
-                (large, f"images of 2 MB, 30/s (60 MB/s), {args.seconds:g} s"),
-            ):
-                measure(args, env, path, what)
-        finally:
-            master.send_signal(signal.SIGINT)
-            master.wait()
+    env.update(ROS_HOME=str(folder), ROS_LOG_DIR=str(folder))
+    port = env["ROS_MASTER_URI"].rpartition(":")[2]
+    master = subprocess.Popen(
+        ["roscore", "-p", port], env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        small = imu(int(args.seconds * args.hz), args.hz)
+        large = blob(int(args.seconds * 30), 2_000_000, 30)
+        for batch, what in (
+            (small, f"sensor_msgs/Imu, {args.hz:,}/s, {args.seconds:g} s"),
+            (large, f"images of 2 MB, 30/s (60 MB/s), {args.seconds:g} s"),
+        ):
+            measure(args, env, batch.first(len(batch), TOPIC), folder / batch.kind, server, what)
+    finally:
+        master.send_signal(signal.SIGINT)
+        master.wait()
 
 
-def measure(args: argparse.Namespace, env: Mapping[str, str], path: Path, what: str) -> None:
+def measure(
+    args: argparse.Namespace,
+    env: Mapping[str, str],
+    batch: Batch,
+    folder: Path,
+    server: Server,
+    what: str,
+) -> None:
     """Import one bag and compare."""
-    keyspace = f"bench_playing_{uuid.uuid4().hex[:8]}"
-    with RosCassandra(args.host, args.port) as rosCas:
-        rosCas.connectToKeyspace(keyspace)
-        try:
-            import_bag(rosCas, path, format=args.format)
-            print(f"{what}, format {args.format}; late by (arrival - time) - smallest of the run")
-            compare(args, env, path, keyspace)
-        finally:
-            rosCas.cassandra.schema_change(
-                f'DROP KEYSPACE IF EXISTS "{keyspace}"', what="ending the benchmark"
-            )
+    folder.mkdir()
+    path = folder_bag(batch, folder)
+    try:
+        import_bag(server.store, path, format=args.format)
+        print(f"{what}, format {args.format}; late by (arrival - time) - smallest of the run")
+        compare(args, env, path, server)
+    finally:
+        server.store.removeTopic(TOPIC)
 
 
 def main() -> int:
     """Parse the command line and run."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
-    addStoreOptions(parser)
+    parser.add_argument("--host", help="a running Cassandra (default: one of our own)")
+    parser.add_argument("--port", type=int, default=9042, help="its port (%(default)s)")
     parser.add_argument("--seconds", type=float, default=10, help="of each bag (%(default)s)")
     parser.add_argument("--hz", type=int, default=1000, help="of small messages (%(default)s)")
     parser.add_argument("--rounds", type=int, default=2, help="(%(default)s)")
@@ -189,7 +179,19 @@ def main() -> int:
     if args.listen:
         listen()
         return 0
-    return runAnywhere("playing", args, run)
+    address = f"{args.host}:{args.port}" if args.host else None
+    with tempfile.TemporaryDirectory(prefix="cassandra_ros_bench_") as folder:
+        server = Server(Path(folder) / "server", address)
+        try:
+            server.start()
+            try:
+                run(args, Path(folder), server)
+            finally:
+                server.end()
+        except CassandraRosError as exc:
+            print(f"playing: {exc}", file=sys.stderr)
+            return 1
+    return 0
 
 
 if __name__ == "__main__":

@@ -1,0 +1,14 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The experiments, in their order."""
+
+from __future__ import annotations
+
+from typing import Callable, Dict
+
+from suite.context import Context
+from suite.experiments import writing
+
+EXPERIMENTS: Dict[str, Callable[[Context], None]] = {
+    "writing": writing.run,
+}

@@ -1,0 +1,118 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How much is measured: all of it, little of it, or so little that only its correctness shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Dict, Tuple
+
+
+@dataclass(frozen=True)
+class Size:
+    """Counts of a run."""
+
+    counts: Dict[str, int]
+    """Messages of each kind that are written and read back."""
+    warm_ups: int
+    """Rounds that do not count, for the server's Java to warm up."""
+    rounds: int
+    """Measured ones."""
+    steps: Tuple[int, ...]
+    """Messages stored in the growing tables (fig. 5, 6, 7); the last is the largest."""
+    lookups: int
+    slow_lookups: int
+    """Where one takes long: a bag of the largest step."""
+    condition_messages: int
+    condition_rounds: int
+    clauses: int
+    """Random WHERE clauses (fig. 7)."""
+    bag_bytes: int
+    """Real bags are repeated until they have so many wire bytes."""
+    writers: Tuple[int, ...]
+    writer_messages: int
+    """Of each writer."""
+    rates: Tuple[int, ...]
+    """Messages a second that recorders are tried with, ascending."""
+    image_rates: Tuple[int, ...]
+    """Images of 2 MB a second."""
+    live_sec: float
+    nodes: int
+    """Of the cluster; 0 = the server that runs anyway."""
+    cluster_messages: int
+
+
+FULL = Size(
+    counts={
+        "paper": 60_000,
+        "imu": 60_000,
+        "tf": 18_000,
+        "joints": 40_000,
+        "scan": 6_000,
+        "image": 150,
+        "cloud": 120,
+    },
+    warm_ups=1,
+    rounds=3,
+    steps=(100, 1_000, 10_000, 100_000, 1_000_000),
+    lookups=1_000,
+    slow_lookups=50,
+    condition_messages=1_000_000,
+    condition_rounds=3,
+    clauses=30,
+    bag_bytes=16 << 20,
+    writers=(1, 2, 4),
+    writer_messages=60_000,
+    rates=(5_000, 10_000, 20_000, 40_000),
+    image_rates=(10, 30),
+    live_sec=10.0,
+    nodes=3,
+    cluster_messages=60_000,
+)
+QUICK = Size(
+    counts={
+        "paper": 10_000,
+        "imu": 10_000,
+        "tf": 3_000,
+        "joints": 6_000,
+        "scan": 1_000,
+        "image": 25,
+        "cloud": 20,
+    },
+    warm_ups=1,
+    rounds=1,
+    steps=(100, 1_000, 10_000),
+    lookups=100,
+    slow_lookups=20,
+    condition_messages=50_000,
+    condition_rounds=1,
+    clauses=10,
+    bag_bytes=2 << 20,
+    writers=(1, 2),
+    writer_messages=10_000,
+    rates=(2_000, 10_000),
+    image_rates=(10,),
+    live_sec=3.0,
+    nodes=3,
+    cluster_messages=10_000,
+)
+SMOKE = Size(
+    counts={"paper": 300, "tf": 100, "image": 2},
+    warm_ups=0,
+    rounds=1,
+    steps=(100, 1_000),
+    lookups=3,
+    slow_lookups=2,
+    condition_messages=2_000,
+    condition_rounds=1,
+    clauses=3,
+    bag_bytes=1,
+    writers=(1, 2),
+    writer_messages=200,
+    rates=(500,),
+    image_rates=(),
+    live_sec=0.4,
+    nodes=0,
+    cluster_messages=200,
+)
+SIZES = {"full": FULL, "quick": QUICK, "smoke": SMOKE}
