@@ -2,13 +2,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A TCP proxy before the real Cassandra that holds back or fails the requests a test names.
 
-It understands where the requests and answers of the native protocol begin and end, no more:
+It understands where the requests and answers of the native protocol 4 begin and end, no more:
 whatever no test names goes through byte for byte, and only an answer that a test asks for is ours.
 """
 
 from __future__ import annotations
 
-import io
 import socket
 import struct
 import threading
@@ -16,13 +15,11 @@ from typing import NamedTuple
 
 from cassandra import ConsistencyLevel
 from cassandra.protocol import BatchMessage, ExecuteMessage
-from cassandra.segment import SegmentCodec
 
 EXECUTE, BATCH = ExecuteMessage.opcode, BatchMessage.opcode
-_ERROR, _STARTUP, _READY = 0x00, 0x01, 0x02
+_ERROR = 0x00
 _HEAD = struct.Struct(">BBhBi")  # version, flags, stream, opcode, length of the body
 _ONE_NODE = struct.pack(">Hii", ConsistencyLevel.LOCAL_ONE, 0, 1)  # received 0 of 1
-_CHECKSUM_BYTES = 4
 _WITH_PAGING_STATE = 0x08
 WAIT_SEC = 60
 
@@ -56,10 +53,8 @@ def asks_on(frame):
     """Say whether a request is one for a further page of a result."""
     if frame.opcode != EXECUTE:
         return False
-    at = 0
-    for _ in ("statement", "columns"):
-        at += 2 + struct.unpack_from(">H", frame.body, at)[0]
-    _, flags = struct.unpack_from(">Hi", frame.body, at)
+    at = 2 + struct.unpack_from(">H", frame.body)[0]  # behind the statement's id
+    _, flags = struct.unpack_from(">HB", frame.body, at)
     return bool(flags & _WITH_PAGING_STATE)
 
 
@@ -168,8 +163,6 @@ class _Pair:
     def __init__(self, client, server, caught):
         self._sockets = {"client": client, "server": server}
         self._caught = caught
-        self._segments = threading.Event()
-        """Behind the handshake the frames lie in segments with checksums."""
         self._writing = {"client": threading.Lock(), "server": threading.Lock()}
         self._failing = {}
         for sender, take in (("client", self._request), ("server", self._answer)):
@@ -193,24 +186,9 @@ class _Pair:
             self.close()
 
     def _frames(self, source):
-        while not self._segments.is_set():
+        while True:
             head = _HEAD.unpack(_exactly(source, _HEAD.size))
             yield Frame(*head[:4], _exactly(source, head[4]))
-            if head[3] == _STARTUP:
-                self._segments.wait(WAIT_SEC)
-        codec, waiting = SegmentCodec(), b""
-        while True:
-            begin = _exactly(source, codec.header_length_with_crc)
-            header = codec.decode_header(io.BytesIO(begin))
-            rest = io.BytesIO(_exactly(source, header.payload_length + _CHECKSUM_BYTES))
-            waiting += codec.decode(rest, header).payload
-            while len(waiting) >= _HEAD.size:
-                head = _HEAD.unpack_from(waiting)
-                end = _HEAD.size + head[4]
-                if len(waiting) < end:
-                    break
-                yield Frame(*head[:4], waiting[_HEAD.size : end])
-                waiting = waiting[end:]
 
     def _request(self, frame):
         caught = next((each for each in self._caught if each.takes(frame)), None)
@@ -239,15 +217,9 @@ class _Pair:
             threading.Thread(target=self._late, args=(request, caught), daemon=True).start()
             return
         self._send("client", frame)
-        if frame.opcode == _READY:
-            self._segments.set()
 
     def _send(self, receiver, frame):
         packed = frame.packed()
-        if self._segments.is_set():
-            buffer = io.BytesIO()
-            SegmentCodec().encode(buffer, packed)
-            packed = buffer.getvalue()
         with self._writing[receiver]:
             self._sockets[receiver].sendall(packed)
 

@@ -20,14 +20,12 @@ from cassandra.cluster import (
     ResponseFuture,
     Session,
 )
-from cassandra.cqltypes import BytesType
 from cassandra.policies import (
     DCAwareRoundRobinPolicy,
     ExponentialReconnectionPolicy,
     TokenAwarePolicy,
 )
 from cassandra.pool import Host
-from cassandra.protocol import ProtocolHandler, ResultMessage
 from cassandra.query import PreparedStatement, SimpleStatement, Statement, tuple_factory
 
 from cassandra_ros.errors import ConnectionFailed, KeyspaceNotFound, TopicNotFound
@@ -41,6 +39,11 @@ from cassandra_ros.store.driver_errors import (
 )
 from cassandra_ros.store.outage import Outage
 from cassandra_ros.store.paging import RETRY_SEC, Seconds, retried, sent_ahead
+from cassandra_ros.store.protocol import (
+    PROTOCOL_VERSION,
+    LargeBuffers,
+    RawProtocolHandler,
+)
 
 CONNECT_TIMEOUT_SEC = 10.0
 REQUEST_TIMEOUT_SEC = 20.0
@@ -51,36 +54,6 @@ AT_ONCE = 16
 
 CqlRow = Tuple[Any, ...]
 """The decoded values of a row."""
-
-# Our columns are encoded straight from the wire buffer and go back into one: decoding them into
-# Python values and encoding those again would cost twice and change signalling NaNs. So a session
-# of its own hands out each column as the bytes that Cassandra stores.
-_Decoding = ProtocolHandler.message_types_by_opcode[ResultMessage.opcode]
-
-
-class _RawResultMessage(_Decoding):  # type: ignore[misc, valid-type]
-    column_metadata: list[CqlRow] | None
-
-    def recv_results_metadata(self, f: object, user_type_map: object) -> None:
-        super().recv_results_metadata(f, user_type_map)
-        self.column_metadata = _as_bytes(self.column_metadata)
-
-    def recv_results_rows(
-        self, f: object, version: int, types: object, metadata: list[CqlRow] | None, policy: object
-    ) -> None:
-        # The compiled parser binds self.recv_results_metadata, so ours above is called.
-        super().recv_results_rows(f, version, types, _as_bytes(metadata), policy)
-
-
-def _as_bytes(metadata: list[CqlRow] | None) -> list[CqlRow] | None:
-    return [(*column[:3], BytesType) for column in metadata] if metadata else metadata
-
-
-class _RawProtocolHandler(ProtocolHandler):
-    message_types_by_opcode = {
-        **ProtocolHandler.message_types_by_opcode,
-        ResultMessage.opcode: _RawResultMessage,
-    }
 
 
 class Cassandra:
@@ -141,7 +114,8 @@ class Cassandra:
         return Cluster(
             contact_points=self.hosts,
             port=self.port,
-            protocol_version=5,
+            protocol_version=PROTOCOL_VERSION,
+            connection_class=LargeBuffers,
             compression=False,
             auth_provider=auth,
             ssl_context=ssl_context,
@@ -175,7 +149,7 @@ class Cassandra:
         for each in (session, raw_session):
             # Robots' clocks are wrong, and a fast one would hide later rows.
             each.use_client_timestamp = False
-        raw_session.client_protocol_handler = _RawProtocolHandler
+        raw_session.client_protocol_handler = RawProtocolHandler
         return session, raw_session
 
     # ---------------------------------------------------------------- statements
