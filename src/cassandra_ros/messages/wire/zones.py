@@ -10,18 +10,23 @@ them apart. A long text is bounded by what it begins with.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple
+
+import numpy as np
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.plan import wire_plan
+from cassandra_ros.messages.wire.stacked import Numbers, Stack, by_size, read_numbers, stacker
 from cassandra_ros.messages.wire.values import encode_value
 
 MAX_FIELDS = 64
 MAX_TEXT_BYTES = 64
 LOW, HIGH = "_min.", "_max."
 """What the names of the columns begin with; the field's column follows."""
+_Found = Dict[str, List[Any]]
+"""By field: values among which are the least and the greatest."""
 _LAST = "\U0010ffff".encode("utf-8")
 """Above all other characters."""
 
@@ -47,40 +52,83 @@ class ZoneMap:
     """
 
     def __init__(self, definition: Definition) -> None:
-        self._plan = wire_plan(definition)
-        able = [column for column in self._plan.all_columns if _has_bounds(column)]
+        plan = wire_plan(definition)
+        able = [column for column in plan.all_columns if _has_bounds(column)]
         self.fields: Dict[str, FieldColumn] = {c.name: c for c in able[:MAX_FIELDS]}
-        self._names = list(self.fields)
         self.columns = {
             prefix + name: column.element_type
             for name, column in self.fields.items()
             for prefix in (LOW, HIGH)
         }
-        self._read = self._plan.reader(self._names)
+        self._stacker = stacker(definition)
+        self._read = plan.reader(list(self.fields))
+        self._texts = [name for name, column in self.fields.items() if column.kind == "text"]
+        self._numbers: Dict[str, List[str]] = {}
+        """Of each primitive type the fields."""
+        for name, column in self.fields.items():
+            if column.kind != "text":
+                self._numbers.setdefault(column.field_type, []).append(name)
 
     def measure(self, wires: Sequence[bytes]) -> Zones:
         """Find the bounds over some serialised messages; any bytes will do."""
-        found: List[List[Any]] = [[] for _ in self._names]
+        found: _Found = {name: [] for name in self.fields}
+        nan: Set[str] = set()
         odd = False
-        for wire in wires:
-            try:
-                values = self._read(wire)
-            except CorruptMessage:
-                odd = True
-                continue
-            for column, gathered, value in zip(self.fields.values(), found, values):
-                gathered.extend(value if column.is_list else (value,))
+        for members, planes in by_size(wires):
+            stacks, rest = self._stacker.stacks(planes, members)
+            for stack in stacks:
+                self._add_stack(stack, found, nan)
+            for n in rest.tolist():
+                odd = not self._add_one(wires[n], found, nan) or odd
         zones: List[Optional[bytes]] = []
-        nan = []
-        for name, values in zip(self._names, found):
-            column = self.fields[name]
-            real = [value for value in values if value == value]
-            if len(real) < len(values):
-                nan.append(name)
-            low, high = bounds(column, real)
-            odd = odd or (high is None and bool(real))
+        for name, column in self.fields.items():
+            low, high = _encoded(column, found[name])
+            odd = odd or (high is None and bool(found[name]))
             zones += (low, high)
         return Zones(zones, tuple(sorted(nan)), odd)
+
+    def _add_stack(self, stack: Stack, found: _Found, nan: Set[str]) -> None:
+        """Add the bounds of messages of one layout."""
+        for name in self._texts:
+            found[name] += [raw.decode("utf-8", "replace") for raw in stack.texts(name)]
+        for base, names in self._numbers.items():
+            ats = [stack.layout.numbers(name) for name in names]
+            owners = [name for name, each in zip(names, ats) for _ in range(len(each))]
+            if not owners:
+                continue
+            values = read_numbers(stack.planes, np.concatenate(ats), base)
+            low, high, without = _ends(values)
+            for name, *ends, is_nan, has_value in zip(owners, low, high, *without):
+                if is_nan:
+                    nan.add(name)
+                if has_value:
+                    found[name] += ends
+
+    def _add_one(self, wire: bytes, found: _Found, nan: Set[str]) -> bool:
+        """Add the values of one message; return whether it is one."""
+        try:
+            values = self._read(wire)
+        except CorruptMessage:
+            return False
+        for column, value in zip(self.fields.values(), values):
+            for each in value if column.is_list else (value,):
+                if each == each:
+                    found[column.name].append(each)
+                else:
+                    nan.add(column.name)
+        return True
+
+
+def _ends(values: Numbers) -> Tuple[List[Any], List[Any], Tuple[List[bool], List[bool]]]:
+    """Return of each row least and greatest value, whether it has NaN, and whether other values."""
+    nan = values != values if values.dtype.kind == "f" else None
+    if nan is None or not nan.any():
+        without = [False] * len(values), [True] * len(values)
+        return values.min(axis=1).tolist(), values.max(axis=1).tolist(), without
+    # Not numpy.fmin: after a signalling NaN it forgets what came before.
+    low = np.where(nan, np.inf, values).min(axis=1)
+    high = np.where(nan, -np.inf, values).max(axis=1)
+    return low.tolist(), high.tolist(), (nan.any(axis=1).tolist(), (~nan).any(axis=1).tolist())
 
 
 def _has_bounds(column: FieldColumn) -> bool:
@@ -88,12 +136,11 @@ def _has_bounds(column: FieldColumn) -> bool:
     return not many and column.kind not in ("array", "wire")
 
 
-def bounds(column: FieldColumn, values: Iterable[Any]) -> Tuple[Optional[bytes], Optional[bytes]]:
+def _encoded(column: FieldColumn, values: Sequence[Any]) -> Tuple[Optional[bytes], Optional[bytes]]:
     """Encode the least and the greatest of some values, without NaN; None: there is none."""
-    every = list(values)
-    if not every:
+    if not values:
         return None, None
-    low, high = min(every), max(every)
+    low, high = min(values), max(values)
     if column.kind == "text":
         return _below(low), _above(high)
     if column.kind == "float":

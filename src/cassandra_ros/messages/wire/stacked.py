@@ -1,0 +1,304 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Fields of many messages at once, as numpy arrays out of their bytes.
+
+Messages of equal size mostly have their fields at the same places: one of them is walked, and the
+others have its layout if the lengths of their strings and arrays are the same. Messages that
+share a layout with few are left to whoever walks them one by one.
+"""
+
+from __future__ import annotations
+
+import struct
+from functools import lru_cache
+from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES, Field, Specs
+from cassandra_ros.messages.wire.skip import fixed_size, short_buffer
+
+Bytes = NDArray[np.uint8]
+"""Of messages as planes: row k holds byte k of every message."""
+Places = NDArray[np.int64]
+Numbers = NDArray[Any]
+
+MIN_STACKED = 8
+"""Fewer messages of a layout are quicker walked one by one ..."""
+LARGE_BYTES = 4096
+"""... unless they are so large."""
+MAX_PARTS = 8
+"""So many layouts are looked for among messages of one size."""
+MAX_SIZES = 128
+"""Sizes of messages whose layouts are kept ..."""
+MAX_LAYOUTS = 4
+"""... and layouts of each."""
+MAX_KEPT = 4096
+"""Bytes of lengths and elements in a layout that is kept."""
+DTYPES = {
+    name: np.dtype("u1" if name == "bool" else "<" + code.replace("?", "B"))
+    for name, code in CODES.items()
+}
+"""As a primitive type lies on the wire; a time or duration as one integer."""
+_PARTS = {"time": np.dtype("<u4"), "duration": np.dtype("<i4")}
+_NOWHERE: Places = np.zeros(0, np.int64)
+_length = struct.Struct("<I").unpack_from
+
+
+class Texts(NamedTuple):
+    """Where a string lies: its bytes, behind their number."""
+
+    at: int
+    size: int
+
+
+class Elements(NamedTuple):
+    """Where an array of primitives lies, in each of the messages that have it."""
+
+    ats: Places
+    length: int
+
+
+class Layout:
+    """Where in a message its fields lie, by their dotted path.
+
+    Inside of an array of messages a field lies at several places, in the order of the wire.
+
+    Attributes:
+        texts: Of strings.
+        arrays: Of arrays of numbers.
+        end: Bytes that the message takes.
+        prefixes: Where the bytes of lengths lie.
+        lengths: What stands there.
+    """
+
+    def __init__(self, definition: Definition, wire: bytes) -> None:
+        self._wire = wire
+        self._specs = definition.specs
+        self._found: Dict[str, List[Places]] = {}
+        self._counted: List[int] = []
+        self.texts: Dict[str, List[Texts]] = {}
+        self.arrays: Dict[str, List[Elements]] = {}
+        self.end = self._message(definition.type, "", 0)
+        if self.end > len(wire):
+            raise short_buffer()
+        prefixes = np.array(self._counted, np.int64)[:, None] + np.arange(4)
+        self.prefixes: Places = prefixes.ravel()
+        self.lengths: Bytes = np.frombuffer(wire, np.uint8)[self.prefixes]
+        self._numbers = {
+            path: ats[0] if len(ats) == 1 else np.concatenate(ats)
+            for path, ats in self._found.items()
+        }
+        self.weight = len(self.prefixes) + sum(map(len, self._numbers.values()))
+        del self._wire, self._found, self._counted
+
+    def numbers(self, path: str) -> Places:
+        """Return where a number, bool or time lies; nowhere in an array without elements."""
+        return self._numbers.get(path, _NOWHERE)
+
+    def fits(self, planes: Bytes) -> NDArray[np.bool_]:
+        """Say of each message whether it has this layout; all are of the same size."""
+        same: NDArray[np.bool_] = (planes[self.prefixes] == self.lengths[:, None]).all(axis=0)
+        return same
+
+    def _message(self, msg_type: str, prefix: str, at: int) -> int:
+        """Note where the fields of a message lie; return where it ends. Raises struct.error."""
+        for field in self._specs[msg_type].fields:
+            path = prefix + field.name
+            if field.type == "string":
+                at = self._strings(field, path, at)
+            elif field.is_array:
+                at = self._array(field, path, at)
+            elif field.is_primitive:
+                self._found.setdefault(path, []).append(np.array([at], np.int64))
+                at += PRIMITIVE_SIZES[field.type]
+            else:
+                at = self._message(field.type, path + ".", at)
+        return at
+
+    def _count(self, at: int) -> int:
+        self._counted.append(at)
+        (count,) = _length(self._wire, at)
+        return int(count)
+
+    def _strings(self, field: Field, path: str, at: int) -> int:
+        count = 1
+        if field.is_array and field.length is None:
+            count, at = self._count(at), at + 4
+        elif field.length is not None:
+            count = field.length
+        for _ in range(count):
+            size = self._count(at)
+            self.texts.setdefault(path, []).append(Texts(at + 4, size))
+            at += 4 + size
+        return at
+
+    def _array(self, field: Field, path: str, at: int) -> int:
+        count = field.length
+        if count is None:
+            count, at = self._count(at), at + 4
+        size = _size_of(field.type, self._specs)
+        if size is None:
+            for _ in range(count):
+                at = self._message(field.type, path + ".", at)
+            return at
+        end = at + count * size
+        if end > len(self._wire):
+            raise short_buffer()
+        if field.is_primitive:
+            elements = Elements(np.array([at], np.int64), count)
+            self.arrays.setdefault(path, []).append(elements)
+        elif count and size:
+            self._fixed(field.type, path + ".", np.arange(at, end, size))
+        return end
+
+    def _fixed(self, msg_type: str, prefix: str, ats: Places) -> None:
+        """Note where the fields of messages of a type of fixed size lie, all at once."""
+        for field in self._specs[msg_type].fields:
+            path, size = prefix + field.name, _size_of(field.type, self._specs) or 0
+            count = 1 if field.length is None else field.length
+            if field.is_array and field.is_primitive:
+                self.arrays.setdefault(path, []).append(Elements(ats, count))
+            elif field.is_primitive:
+                self._found.setdefault(path, []).append(ats)
+            elif count and size:
+                inner = ats[:, None] + np.arange(count) * size
+                self._fixed(field.type, path + ".", inner.ravel())
+            ats = ats + count * size
+
+
+def _size_of(type_: str, specs: Specs) -> Optional[int]:
+    known = PRIMITIVE_SIZES.get(type_)
+    return fixed_size(type_, specs) if known is None or type_ == "string" else known
+
+
+class Stack(NamedTuple):
+    """Messages of one layout."""
+
+    layout: Layout
+    members: Places
+    """Which they are."""
+    planes: Bytes
+
+    def numbers(self, path: str, base: str) -> Numbers:
+        """Return a field of a primitive type: (places, messages); times as ns, a bool as 0 or 1."""
+        return read_numbers(self.planes, self.layout.numbers(path), base)
+
+    def element(self, path: str, index: int, base: str) -> Numbers:
+        """Return one element of an array of numbers that lies at one place; as numbers."""
+        found = self.layout.arrays.get(path, [])
+        ats = [e.ats + index * PRIMITIVE_SIZES[base] for e in found if index < e.length]
+        return read_numbers(self.planes, ats[0] if ats else _NOWHERE, base)
+
+    def texts(self, path: str) -> List[bytes]:
+        """Return the different values of a string, or of all strings of an array."""
+        found: Dict[bytes, None] = {}
+        for at, size in dict.fromkeys(self.layout.texts.get(path, [])):
+            rows = self.planes[at : at + size]
+            if (rows == rows[:, :1]).all():
+                found[rows[:, 0].tobytes()] = None
+            else:
+                every = rows.T.tobytes()
+                found.update(dict.fromkeys(every[n : n + size] for n in range(0, len(every), size)))
+        return list(found)
+
+
+class Stacker:
+    """Finds the layouts of messages of one type."""
+
+    def __init__(self, definition: Definition) -> None:
+        self._definition = definition
+        self._kept: Dict[int, Tuple[Layout, ...]] = {}
+
+    def stacks(self, planes: Bytes, members: Places) -> Tuple[List[Stack], Places]:
+        """Divide messages of equal size by their layout.
+
+        Args:
+            planes: (size, messages).
+            members: By what each is known.
+
+        Returns:
+            Those that share one, and the members left over, which are to be walked one by one:
+            also what is no message.
+        """
+        size, count = planes.shape
+        least = 1 if size >= LARGE_BYTES else MIN_STACKED
+        found: List[Stack] = []
+        rest: List[Places] = []
+        left = np.arange(count)
+        for _ in range(MAX_PARTS):
+            if len(left) < max(1, least):
+                break
+            layout = self._layout(planes[:, left[0]].tobytes())
+            part = planes if len(left) == count else planes[:, left]
+            fits = np.arange(len(left)) == 0 if layout is None else layout.fits(part)
+            if layout is not None and fits.all():
+                return [*found, Stack(layout, members[left], part)], _joined(rest)
+            chosen = left[fits]
+            if layout is not None and len(chosen) >= least:
+                found.append(Stack(layout, members[chosen], part[:, fits]))
+            else:
+                rest.append(members[chosen])
+            left = left[~fits]
+        return found, _joined([*rest, members[left]])
+
+    def _layout(self, wire: bytes) -> Optional[Layout]:
+        """Return the layout of a message; None: it is none."""
+        kept = self._kept.get(len(wire), ())
+        raw = np.frombuffer(wire, np.uint8)[:, None]
+        for layout in kept:
+            if layout.fits(raw)[0]:
+                return layout
+        try:
+            layout = Layout(self._definition, wire)
+        except struct.error:
+            return None
+        if layout.weight <= MAX_KEPT:
+            if len(self._kept) >= MAX_SIZES:
+                self._kept.clear()
+            self._kept[len(wire)] = (layout, *kept[: MAX_LAYOUTS - 1])
+        return layout
+
+
+stacker = lru_cache(maxsize=512)(Stacker)
+"""Returns the stacker of a definition, made once per type and md5."""
+
+
+def as_planes(wires: Sequence[bytes]) -> Bytes:
+    """Return messages of equal size as planes; no bytes but those of the whole are copied."""
+    joined = np.frombuffer(b"".join(wires), np.uint8)
+    return joined.reshape(len(wires), len(joined) // len(wires)).T
+
+
+def by_size(wires: Sequence[bytes]) -> Iterable[Tuple[Places, Bytes]]:
+    """Divide messages by their size: which they are, and their planes."""
+    sizes = np.fromiter(map(len, wires), np.int64, len(wires))
+    if len(wires) and (sizes == sizes[0]).all():
+        yield np.arange(len(wires)), as_planes(wires)
+        return
+    order = np.argsort(sizes, kind="stable")
+    for members in np.split(order, np.flatnonzero(np.diff(sizes[order])) + 1):
+        if len(members):
+            yield members, as_planes([wires[n] for n in members.tolist()])
+
+
+def read_numbers(planes: Bytes, ats: Places, base: str) -> Numbers:
+    """Return what lies at some places of all messages: (places, messages); see Stack.numbers."""
+    unit = PRIMITIVE_SIZES[base]
+    if len(ats) == 1:
+        rows = planes[None, ats[0] : ats[0] + unit]
+    else:
+        rows = planes[ats[:, None] + np.arange(unit)]
+    turned = np.ascontiguousarray(rows.transpose(0, 2, 1))
+    if base in _PARTS:
+        halves = turned.view(_PARTS[base]).astype(np.int64)
+        return halves[..., 0] * SECOND_NS + halves[..., 1]
+    values: Numbers = turned.view(DTYPES[base])[..., 0]
+    return (values != 0).view(np.uint8) if base == "bool" else values
+
+
+def _joined(parts: Sequence[Places]) -> Places:
+    return np.sort(np.concatenate(parts)) if parts else _NOWHERE

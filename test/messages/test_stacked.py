@@ -1,0 +1,174 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Fields of many messages at once are what walking each of them gives."""
+
+from __future__ import annotations
+
+import random
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from messages.random_wire import DefinitionMaker, WireMaker
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.messages.classes import installed_definition, message_class, serialize
+from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.wire import stacked
+from cassandra_ros.messages.wire.plan import wire_plan
+from cassandra_ros.messages.wire.stacked import by_size, stacker
+from cassandra_ros.messages.wire.values import compile_decoder
+from cassandra_ros.messages.wire.zones import zone_map
+
+SEEDS = st.integers(0, 2**32)
+
+
+def manyWires(definition, seed, count=40):
+    """Messages of which many have the same size, and some are none or have too many bytes."""
+    rng = random.Random(seed)
+    kept = [WireMaker(definition, rng.randrange(2**32), odd=True).make() for _ in range(3)]
+    wires = []
+    for _ in range(count):
+        wire = bytearray(rng.choice(kept))
+        if wire and rng.random() < 0.5:
+            wire[rng.randrange(len(wire))] = rng.randrange(256)
+        if rng.random() < 0.1:
+            wire += bytes(rng.randrange(3))
+        wires.append(bytes(wire[: rng.randint(0, len(wire))] if rng.random() < 0.05 else wire))
+    return wires
+
+
+def sameNumbers(found, expected):
+    return all(a == b or (a != a and b != b) for a, b in zip(found, expected)) and len(
+        found
+    ) == len(expected)
+
+
+def checkStack(definition, stack, wires):
+    plan = wire_plan(definition)
+    for column in plan.all_columns:
+        read = plan.reader([column.name])
+        if column.kind in ("array", "wire"):
+            continue
+        every = [read(wires[n])[0] for n in stack.members.tolist()]
+        if column.kind == "text":
+            texts = [t for each in every for t in (each if column.is_list else [each])]
+            found = [raw.decode("utf-8", "replace") for raw in stack.texts(column.name)]
+            assert sorted(set(found)) == sorted(set(texts))
+            continue
+        values = stack.numbers(column.name, column.field_type).T.tolist()
+        assert len(values) == len(every)
+        for found, each in zip(values, every):
+            assert sameNumbers(found, each if column.is_list else [each])
+
+
+@settings(deadline=None, max_examples=60)
+@given(seed=SEEDS)
+def test_stacked_fields_are_those_of_each_message(seed):
+    definition = parse_definition(*DefinitionMaker(seed).make())
+    plan = wire_plan(definition)
+    read = plan.reader([c.name for c in plan.all_columns])
+    wires = manyWires(definition, seed)
+    seen = []
+    for members, planes in by_size(wires):
+        stacks, rest = stacker(definition).stacks(planes, members)
+        seen += rest.tolist()
+        for stack in stacks:
+            seen += stack.members.tolist()
+            checkStack(definition, stack, wires)
+    assert sorted(seen) == list(range(len(wires)))
+    for wire in wires:  # nothing that is no message is stacked
+        try:
+            read(wire)
+        except CorruptMessage:
+            assert stacker(definition)._layout(wire) is None
+        else:
+            assert stacker(definition)._layout(wire) is not None
+
+
+def bound(zones, table, name, prefix, column):
+    raw = zones.values[list(table.columns).index(prefix + name)]
+    return None if raw is None else compile_decoder(column, {})(raw)
+
+
+@settings(deadline=None, max_examples=100)
+@given(seed=SEEDS, ordered=st.booleans())
+def test_zones_bound_every_value(seed, ordered):
+    definition = parse_definition(*DefinitionMaker(seed).make())
+    zone = zone_map(definition)
+    wires = manyWires(definition, seed)
+    if ordered:
+        wires.sort(key=len)
+    checkZones(definition, zone, wires)
+
+
+def checkZones(definition, zone, wires):
+    zones = zone.measure(wires)
+    assert len(zones.values) == len(zone.columns)
+    names, gone = list(zone.fields), False
+    read = wire_plan(definition).reader(names)
+    values, nan = {name: [] for name in names}, set()
+    for wire in wires:
+        try:
+            row = read(wire)
+        except CorruptMessage:
+            gone = True
+            continue
+        for (name, column), value in zip(zone.fields.items(), row):
+            for each in value if column.is_list else [value]:
+                nan.add(name) if each != each else values[name].append(each)
+    assert zones.odd or not gone
+    assert zones.nan == tuple(sorted(nan))
+    for name, column in zone.fields.items():
+        one = wire_plan(definition).column(name)
+        one = type(one)(one.name, one.element_type, one.kind, one.field_type)
+        low, high = (bound(zones, zone, name, prefix, one) for prefix in ("_min.", "_max."))
+        if not values[name]:
+            assert low is None and high is None
+            continue
+        if column.kind != "text":
+            assert (low, high) == (min(values[name]), max(values[name]))
+        elif not zones.odd or high is not None:
+            assert low <= min(values[name]) and max(values[name]) <= high
+            assert len(low.encode()) <= 64 and len(high.encode()) <= 64
+
+
+@pytest.mark.parametrize("tail", ["", "z", "\U0010ffff", "\U0010ffff\U0010ffff", "é" * 40])
+def test_long_texts_are_bounded_by_their_beginning(tail):
+    definition = installed_definition("std_msgs/String")
+    for start in ("x" * 59, "x" * 60, "x" * 64, "é" * 31, "𝄞" * 16):
+        wires = [struct.pack("<I", len(t)) + t for t in [(start + tail).encode(), b"y"]]
+        for these in (wires, wires[:1] * 20):
+            checkZones(definition, zone_map(definition), these)
+
+
+def test_zeros_are_bounded_by_both():
+    definition = installed_definition("std_msgs/Float64")
+    for values in ([0.0], [-0.0], [-0.0, 0.0] * 10, [float("nan"), 0.0] * 10):
+        zones = zone_map(definition).measure([struct.pack("<d", v) for v in values])
+        assert list(zones.values) == [struct.pack(">d", v) for v in (-0.0, 0.0)]
+    only = zone_map(definition).measure([struct.pack("<d", float("nan"))] * 20)
+    assert list(only.values) == [None, None] and only.nan == ("data",) and not only.odd
+
+
+def test_equal_messages_are_not_walked_one_by_one(monkeypatch):
+    walks = []
+    whole = stacked.Layout.__init__
+    monkeypatch.setattr(
+        stacked.Layout, "__init__", lambda self, *args: (walks.append(1), whole(self, *args))[1]
+    )
+    definition = installed_definition("tf2_msgs/TFMessage")
+    made = message_class(definition)()
+    transform = message_class(installed_definition("geometry_msgs/TransformStamped"))()
+    transform.header.frame_id, transform.child_frame_id = "odom", "base"
+    made.transforms = [transform] * 3
+    planes = np.tile(np.frombuffer(serialize(made), np.uint8)[:, None], (1, 500))
+    stacker.cache_clear()
+    for _ in range(3):
+        stacks, rest = stacker(definition).stacks(planes, np.arange(500))
+        assert len(stacks) == 1 and not len(rest)
+        assert stacks[0].texts("transforms.child_frame_id") == [b"base"]
+        assert stacks[0].numbers("transforms.transform.rotation.w", "float64").shape == (3, 500)
+    assert len(walks) == 1
