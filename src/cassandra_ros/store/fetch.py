@@ -12,6 +12,8 @@ import heapq
 import zlib
 from typing import Iterable, Iterator, NamedTuple, Sequence
 
+from cassandra.query import BoundStatement
+
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.store.directory import Directory, slot_of
@@ -20,6 +22,7 @@ from cassandra_ros.store.row_table import (
     FIRST,
     LAST,
     RowTable,
+    Sent,
     TableRow,
     bind,
     decode_long,
@@ -28,7 +31,7 @@ from cassandra_ros.store.row_table import (
 
 AHEAD = 16
 KEY_PAGE_ROWS = 5000
-_PAGE_CHUNKS = 4
+_PAGE_CHUNKS = 8
 VERSION_PAGE_ROWS = 16
 FEW_ROWS = 1000
 """So many keys are asked for in one query over the whole table and put in order here."""
@@ -91,8 +94,21 @@ def _answer(key: Wanted, asked: Asked) -> Iterator[TableRow]:
             yield table.row_from_values(position.node, values, position.name)
 
 
-def read_chunks(table: RowTable, row: TableRow) -> bytes:
-    """Read the bytes of a large message; raises CorruptMessage where they are not its row's."""
+def _select_chunks(table: RowTable, row: TableRow) -> BoundStatement:
+    return bind(table.select_chunks(), table.key_of(row), _PAGE_CHUNKS)
+
+
+def ask_chunks(table: RowTable, row: TableRow) -> Sent:
+    """Ask for the bytes of a large message, for read_chunks."""
+    return table.begin(_select_chunks(table, row))
+
+
+def read_chunks(table: RowTable, row: TableRow, sent: Sent | None = None) -> bytes:
+    """Read the bytes of a large message; raises CorruptMessage where they are not its row's.
+
+    Args:
+        sent: What ask_chunks gave, where it was called.
+    """
 
     def data_of(rows: Iterable[RawRow]) -> list[bytes]:
         parts: list[bytes] = []
@@ -102,8 +118,8 @@ def read_chunks(table: RowTable, row: TableRow) -> bytes:
             parts.append(data or b"")
         return parts
 
-    bound = bind(table.select_chunks(), table.key_of(row), _PAGE_CHUNKS)
-    parts = table.collect(bound, data_of, "reading a large message of")
+    what = "reading a large message of"
+    parts = table.collect(_select_chunks(table, row), data_of, what, sent=sent)
     wire = b"".join(parts)
     if len(parts) != row.nchunks or len(wire) != row.size or zlib.crc32(wire) != row.crc:
         raise CorruptMessage(

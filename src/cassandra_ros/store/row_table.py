@@ -7,6 +7,7 @@ from __future__ import annotations
 import struct
 from typing import Callable, Iterable, NamedTuple, Optional, Sequence, Tuple, TypeVar
 
+from cassandra.cluster import ResponseFuture
 from cassandra.query import UNSET_VALUE, BoundStatement, PreparedStatement, Statement
 
 from cassandra_ros.errors import CorruptMessage
@@ -74,6 +75,12 @@ class Shadows(NamedTuple):
     names: Tuple[str, ...]
     values: Callable[[bytes], Indexed]
     """From the serialised message."""
+
+
+class Sent(NamedTuple):
+    """A request that is on its way."""
+
+    future: ResponseFuture
 
 
 class TableRow(NamedTuple):
@@ -284,14 +291,24 @@ class RowTable:
         statement: BoundStatement,
         make: Callable[[Iterable[RawRow]], _T],
         what: str = "reading",
+        *,
+        sent: Sent | None = None,
     ) -> _T:
-        """Give all rows of a statement to make; anew where one of its pages fails."""
-        send = self._cassandra.send_raw
-        return retried(
-            self._doing(what),
-            lambda: make(send(statement).result()),
-            outage=self._cassandra.outage,
-        )
+        """Give all rows of a statement to make; anew where one of its pages fails.
+
+        Args:
+            sent: What begin gave for the statement, where it was called.
+        """
+        begun = [sent] if sent is not None else []
+
+        def run() -> _T:
+            return make((begun.pop() if begun else self.begin(statement)).future.result())
+
+        return retried(self._doing(what), run, outage=self._cassandra.outage)
+
+    def begin(self, statement: BoundStatement) -> Sent:
+        """Send a statement whose rows collect is to give."""
+        return Sent(self._cassandra.send_raw(statement))
 
     def _doing(self, what: str) -> str:
         return f"{what} topic {self.metadata.topic}"

@@ -25,6 +25,7 @@ from cassandra_ros.store.fetch import (
 )
 from cassandra_ros.store.reader import Scan, read_rows
 from cassandra_ros.store.row_table import RowTable, TableRow
+from cassandra_ros.topics.chunks_ahead import chunks_ahead
 from cassandra_ros.topics.selection import (
     EVERYBODY,
     LAST_NS,
@@ -96,9 +97,9 @@ class RowReader:
         self, rows: Iterable[TableRow], tables: Sequence[TopicTable]
     ) -> Iterator[StoredRow]:
         by_name = {table.name: table for table in tables}
-        for row in rows:
+        for row in chunks_ahead(StoredRow(row, by_name[row.table]) for row in rows):
             self._cassandra.require_open()  # also an iterator says at once that it cannot go on
-            yield StoredRow(row, by_name[row.table])
+            yield row
 
     def _named(self, tables: Sequence[TopicTable], scan: Scan, whose: Whose) -> Iterator[TableRow]:
         keys = [

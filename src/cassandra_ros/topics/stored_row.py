@@ -4,15 +4,16 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any, Optional, Union
 
-from cassandra_ros.errors import CorruptMessage, MessageNotFound
+from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFound
 from cassandra_ros.keys import Position, RowName, writer_of
 from cassandra_ros.messages.classes import deserialize
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.store.fetch import Wanted, fetch_rows, read_chunks
-from cassandra_ros.store.row_table import TableRow
+from cassandra_ros.store.fetch import Wanted, ask_chunks, fetch_rows, read_chunks
+from cassandra_ros.store.row_table import Sent, TableRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 Key = Union[Stamp, RowName]
@@ -33,7 +34,9 @@ class StoredRow:
         name: The name under which it is kept; '' where it is found by time.
     """
 
-    __slots__ = "_row _wire chunked columns conn name node odd received seq size t table".split()
+    __slots__ = (
+        "_row _sent _wire chunked columns conn name node odd received seq size t table".split()
+    )
 
     def __init__(self, row: TableRow, table: TopicTable) -> None:
         self.t, self.node, self.seq, _, self.conn, self.size, chunks = row[:7]
@@ -43,6 +46,7 @@ class StoredRow:
         self.table = table
         self._row = row
         self._wire: Optional[bytes] = None
+        self._sent: Optional[Sent] = None
 
     @property
     def topic(self) -> str:
@@ -75,8 +79,19 @@ class StoredRow:
     def wire(self) -> bytes:
         """The serialised message, byte for byte as it was sent."""
         if self._wire is None:
-            self._wire = read_wire(self.table, self._row)
+            self._wire = read_wire(self.table, self._row, self._sent)
+            self._sent = None
         return self._wire
+
+    def ask(self) -> None:
+        """Ask for the chunks of a large message, which ``wire`` waits for then."""
+        with suppress(CassandraRosError):  # it is told to whoever reads it
+            self._sent = ask_chunks(self.table, self._row)
+
+    @property
+    def was_read(self) -> bool:
+        """Whether its bytes have been read."""
+        return self._wire is not None
 
     def keep_wire(self) -> bytes:
         """Return the serialised message, and let go of the columns that it was made of."""
@@ -118,8 +133,8 @@ def fetch_row(table: TopicTable, position: Position) -> Optional[TableRow]:
     return next(fetch_rows([Wanted(table, position)], ahead=1), None)
 
 
-def read_wire(table: TopicTable, row: TableRow) -> bytes:
-    """Return the serialised message of a row.
+def read_wire(table: TopicTable, row: TableRow, sent: Optional[Sent] = None) -> bytes:
+    """Return the serialised message of a row, whose chunks may have been asked for already.
 
     Raises:
         CorruptMessage: Its chunks are incomplete, or its columns give another message.
@@ -127,7 +142,7 @@ def read_wire(table: TopicTable, row: TableRow) -> bytes:
     """
     topic = table.metadata.topic
     if row.nchunks:
-        return read_chunks(table, row)
+        return read_chunks(table, row, sent)
     if row.raw is None and len(row.columns) < len(table.columns):
         whole = fetch_row(table, row.position)
         if whole is None:
