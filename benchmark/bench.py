@@ -18,9 +18,11 @@ from pathlib import Path
 from suite import machine
 from suite.context import Context, warn
 from suite.experiments import EXPERIMENTS
+from suite.plots import save_all
 from suite.results import Results
 from suite.server import Server
 from suite.sizes import SIZES
+from suite.targets import rows, text_table
 
 RESULTS = Path(__file__).resolve().parent / "results"
 
@@ -36,8 +38,8 @@ def run(args: argparse.Namespace, folder: Path) -> Results:
         found = server.store.cassandra.execute("SELECT release_version FROM system.local")
         results.machine["versions"]["cassandra"] = next(iter(found))[0]
         context = Context(SIZES[args.size], server, folder, results)
-        for name in args.only or EXPERIMENTS:
-            context.say(f"{name}: {EXPERIMENTS[name].__module__.rpartition('.')[2]}")
+        for name in [n for n in EXPERIMENTS if not args.only or n in args.only]:
+            context.say(name)
             context.experiment, start = name, time.perf_counter()
             with context.part(name):
                 EXPERIMENTS[name](context)
@@ -73,7 +75,9 @@ def main() -> int:
     name = args.size + ("-" + "-".join(args.only) if args.only else "")
     path = args.results / f"{name}.json"
     results.save(path)
-    print(f"\n{path}")
+    print(text_table(rows(results)))
+    for made in (path, *save_all(results, args.results, name)):
+        print(made)
     for failure in results.failures:
         warn("bench: {experiment}: {part}: {error}".format(**failure))
     return 1 if results.failures else 0

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import uuid
 from pathlib import Path
-from typing import Optional
+from typing import Optional, Sequence
 
 import psutil
 
@@ -68,9 +68,13 @@ class Server:
     def end(self) -> None:
         """Stop it; leave nothing behind on one that is not ours."""
         if self._cluster is None:
-            cql = f'DROP KEYSPACE IF EXISTS "{self.keyspace}"'
-            self.store.cassandra.schema_change(cql, what="ending the benchmark")
+            self.drop(self.keyspace)
         self.stop()
+
+    def drop(self, keyspace: str) -> None:
+        """Drop a keyspace."""
+        cql = f'DROP KEYSPACE IF EXISTS "{keyspace}"'
+        self.store.cassandra.schema_change(cql, what="ending the benchmark")
 
     def cpu(self) -> Optional[float]:
         """Return the processor time of all its nodes so far, s; None where it is not ours."""
@@ -84,9 +88,17 @@ class Server:
         """Return the size of the files of a table and of its chunks; None where it is not ours."""
         if self._cluster is None:
             return None
-        folder = self._cluster.nodes[0].directory / "data" / self.keyspace
-        folders = [*folder.glob(f"{table}-*"), *folder.glob(f"{table}_c-*")]
-        files = [path for one in folders for path in one.rglob("*") if path.is_file()]
+        return self._bytes(self.keyspace, (f"{table}-*", f"{table}_c-*"))
+
+    def keyspace_bytes(self, keyspace: str) -> int:
+        """Return the size of the files of all tables of messages in a keyspace of our server."""
+        return self._bytes(keyspace, ("t_*",))
+
+    def _bytes(self, keyspace: str, patterns: Sequence[str]) -> int:
+        assert self._cluster is not None
+        data = self._cluster.nodes[0].directory / "data" / keyspace
+        folders = [folder for pattern in patterns for folder in data.glob(pattern)]
+        files = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
         if not any(path.name.endswith("-Data.db") for path in files):
-            raise RuntimeError(f"nothing of {table} is on disk")
+            raise RuntimeError(f"nothing of {patterns} is on disk in {data}")
         return sum(path.stat().st_size for path in files)

@@ -7,8 +7,16 @@ from __future__ import annotations
 from typing import Callable, Dict
 
 from suite.context import Context
-from suite.experiments import writing
+from suite.experiments import bags, conditions, growth, live, lookups, writers, writing
 
 EXPERIMENTS: Dict[str, Callable[[Context], None]] = {
     "writing": writing.run,
+    "bags": bags.run,
+    "growth": growth.run,
+    "lookups": lookups.run,
+    "clauses": conditions.run_clauses,
+    "conditions": conditions.run,
+    "live": live.run,
+    "writers": writers.run,
+    "cluster": writers.run_cluster,
 }

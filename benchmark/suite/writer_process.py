@@ -1,0 +1,31 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""One of several writers of a topic: HOST PORT KEYSPACE FORMAT COUNT."""
+
+from __future__ import annotations
+
+import sys
+
+from cassandra_ros import RosCassandra
+from cassandra_ros.store.directory import bucket_for
+from suite.messages import imu
+
+TOPIC = "/many"
+
+
+def main() -> None:
+    """Write the messages when told to."""
+    host, port, keyspace, format, count = sys.argv[1:]
+    batch = imu(int(count)).first(int(count), TOPIC)
+    with RosCassandra(host, int(port), keyspace=keyspace) as store:
+        with store.messageWriter(format=format) as writer:
+            handle = writer.connect(batch.connection, bucket_for(*batch.rate))
+            print("ready", flush=True)
+            sys.stdin.readline()
+            for number, (t_ns, wire) in enumerate(zip(batch.times, batch.wires)):
+                writer.write(handle, t_ns, number, wire)
+        print("done", flush=True)
+
+
+if __name__ == "__main__":
+    main()
