@@ -153,6 +153,7 @@ def bounded_rows(
     after: Optional[Position] = None,
     reverse: bool = False,
     limit: Optional[int] = None,
+    wanted: Optional[int] = None,
 ) -> Iterator[RowT_co]:
     """Walk through the rows of a topic inside of bounds; see Source.rows."""
     if bounds.empty:
@@ -168,6 +169,7 @@ def bounded_rows(
             columns=columns,
             chooser=chooser,
             run=bounds.writers,
+            wanted=wanted,
         )
     node, run = bounds.node, bounds.writers
     try:
@@ -227,13 +229,18 @@ class Condition:
         reverse: bool = False,
         *,
         bare: bool = False,
+        wanted: Optional[int] = None,
     ) -> Iterator[RowT_co]:
-        """Walk through the rows that satisfy the condition; bare rows fetch their messages late."""
+        """Walk through the rows that satisfy the condition; bare rows fetch their messages late.
+
+        Args:
+            wanted: How many are probably taken; None = all.
+        """
         tables = source.tables
         projections = Projections(self._select, tables)
         bounds = self.bounds(tables).within(key, to_key)
         columns, chooser = projections.columns if bare else None, Pushdown(self._select.condition)
-        rows = bounded_rows(source, bounds, columns, chooser, after, reverse)
+        rows = bounded_rows(source, bounds, columns, chooser, after, reverse, wanted=wanted)
         return filter(projections.hit, rows)
 
 
@@ -386,8 +393,11 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         reverse: bool = False,
         limit: Optional[int] = None,
     ) -> Iterator[Row]:
-        columns = self._projections.columns
-        rows = bounded_rows(self._source, bounds, columns, self.pushdown, after, reverse, limit)
+        columns, push = self._projections.columns, self.pushdown
+        wanted = None if self.select.aggregates else self._left
+        rows = bounded_rows(
+            self._source, bounds, columns, push, after, reverse, limit, wanted=wanted
+        )
         for row in rows:
             self.read += 1
             yield row

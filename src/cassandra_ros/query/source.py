@@ -41,8 +41,13 @@ class Source(Protocol[RowT_co]):
         columns: Optional[Columns] = None,
         chooser: Optional[Pushdown] = None,
         run: Writers = None,
+        wanted: Optional[int] = None,
     ) -> Iterator[RowT_co]:
-        """Walk through the rows with a time in [key, to_key], ns, in its order; None = open."""
+        """Walk through the rows with a time in [key, to_key], ns, in its order; None = open.
+
+        Args:
+            wanted: How many are probably taken; None = limit.
+        """
 
     def versions(
         self,

@@ -8,7 +8,7 @@ import socket
 import ssl
 import threading
 import time
-from typing import Any, Iterable, Sequence, Tuple
+from typing import Any, Callable, Iterable, Sequence, Tuple
 
 from cassandra import ConsistencyLevel, UnresolvableContactPoints
 from cassandra.auth import PlainTextAuthProvider
@@ -275,18 +275,26 @@ class Cassandra:
         with translated(what):
             return list(self._session.execute(bound))
 
+    def begin(
+        self, cql: str, params: Sequence[object] = (), *, what: str, retry_sec: Seconds = RETRY_SEC
+    ) -> Callable[[], list[CqlRow]]:
+        """Send one idempotent statement; what is returned waits for its answer, as execute does."""
+        future = self._session.execute_async(self.prepare(cql).bind(tuple(params)))
+
+        def answer() -> list[CqlRow]:
+            try:
+                return list(future.result())
+            except DRIVER_ERRORS:
+                return self.execute(cql, params, what=what, retry_sec=retry_sec)
+
+        return answer
+
     def execute_many(
         self, cql: str, params: Iterable[CqlRow], *, what: str, retry_sec: Seconds = RETRY_SEC
     ) -> list[list[CqlRow]]:
         """Run one idempotent statement with several sets of parameters, 16 at a time."""
-        prepared, results = self.prepare(cql), []
-        sent = ((values, self._session.execute_async(prepared.bind(values))) for values in params)
-        for values, future in sent_ahead(sent, AT_ONCE):
-            try:
-                results.append(list(future.result()))
-            except DRIVER_ERRORS:
-                results.append(self.execute(cql, values, what=what, retry_sec=retry_sec))
-        return results
+        sent = (self.begin(cql, values, what=what, retry_sec=retry_sec) for values in params)
+        return [answer() for answer in sent_ahead(sent, AT_ONCE)]
 
     def schema_change(self, cql: str, *, what: str) -> None:
         """Run one DDL statement and wait until all nodes agree on the schema.

@@ -14,11 +14,22 @@ import time
 from copy import copy
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Dict, FrozenSet, Iterable, NamedTuple, Optional, Sequence, Tuple
+from functools import partial
+from typing import (
+    Callable,
+    Dict,
+    FrozenSet,
+    Iterable,
+    Iterator,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.store.connection import Cassandra, CqlRow
-from cassandra_ros.store.paging import Seconds
+from cassandra_ros.store.connection import AT_ONCE, Cassandra, CqlRow
+from cassandra_ros.store.paging import Seconds, sent_ahead
 from cassandra_ros.store.row_table import RowTable
 from cassandra_ros.store.side_tables import SideTables
 
@@ -27,6 +38,7 @@ MAX_BUCKET_BYTES = 64_000_000
 MAX_BUCKET_ROWS = 100_000
 SLOT_BUCKETS = 4096
 """Buckets per partition of the directory."""
+ALL_ROWS = 2**31 - 1
 STALE_SEC = 60.0
 """An open bucket whose heartbeat is older than this has no living writer."""
 HEARTBEAT_SEC = 10.0
@@ -140,6 +152,8 @@ class Directory:
         self._cassandra = cassandra
         self._tables = side_tables
         self._noted: Dict[Tuple[str, int, str], float] = {}
+        self.seen: Dict[str, Dict[int, Tuple[str, ...]]] = {}
+        """Table -> slot -> nodes, as some were listed last: what it may be, not what it is."""
 
     def patient(self, retry_sec: Seconds) -> Directory:
         """Return the directory for one writer, which guards it and tries for so long."""
@@ -150,9 +164,20 @@ class Directory:
 
     def nodes(self, table: str, first_slot: int, last_slot: int) -> list[tuple[int, str]]:
         """List the (slot, node) of a table in [first_slot, last_slot]."""
-        where, params = "tbl = ? AND slot >= ? AND slot <= ?", (table, first_slot, last_slot)
-        what = "reading the directory of nodes"
-        return self._tables.select("cr_node", "slot, node", where, params, what=what)
+        return self.begin_nodes(table, (first_slot, last_slot))()
+
+    def begin_nodes(
+        self, table: str, slots: tuple[int, int], limit: int = ALL_ROWS, *, reverse: bool = False
+    ) -> Callable[[], list[CqlRow]]:
+        """Ask for the first (slot, node) of a table in [first, last]; see Cassandra.begin."""
+        if not self._tables.has("cr_node"):
+            return list
+        cql = (
+            f"SELECT slot, node FROM {self._tables.qualified('cr_node')} "
+            f"WHERE tbl = ? AND slot >= ? AND slot <= ?{' ORDER BY slot DESC' * reverse} LIMIT ?"
+        )
+        what, retry_sec = "reading the directory of nodes", self._tables.retry_sec
+        return self._cassandra.begin(cql, (table, *slots, limit), what=what, retry_sec=retry_sec)
 
     def buckets(
         self, table: str, first: int, last: int, nodes: Sequence[str] | None = None, ttl: int = 0
@@ -172,18 +197,38 @@ class Directory:
         """List the writers of one bucket."""
         return self._buckets([(table, node, slot_of(bucket), bucket, bucket)])
 
-    def _buckets(self, params: Sequence[tuple[str, str, int, int, int]]) -> list[BucketRow]:
+    def _buckets(
+        self,
+        params: Sequence[tuple[str, str, int, int, int]],
+        limit: int = ALL_ROWS,
+        *,
+        reverse: bool = False,
+    ) -> list[BucketRow]:
+        asked = self.begin_buckets(params, limit, reverse=reverse)
+        return [row for answer in sent_ahead(asked, AT_ONCE) for row in answer()]
+
+    def begin_buckets(
+        self,
+        params: Iterable[tuple[str, str, int, int, int]],
+        limit: int = ALL_ROWS,
+        *,
+        reverse: bool = False,
+    ) -> Iterator[Callable[[], list[BucketRow]]]:
+        """Ask for buckets, each time one is taken: of (table, node, slot, first, last).
+
+        Each answer has so many rows at most, from the first bucket on or from the last.
+        """
         if not self._tables.has("cr_bucket"):
-            return []
+            return
         cql = (
             f"SELECT {_COLUMNS}, toTimestamp(now()) FROM {self._tables.qualified('cr_bucket')} "
             "WHERE tbl = ? AND node = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
+            f"{' ORDER BY bucket DESC' * reverse} LIMIT ?"
         )
         what, retry_sec = "reading the directory of buckets", self._tables.retry_sec
-        every = zip(
-            params, self._cassandra.execute_many(cql, params, what=what, retry_sec=retry_sec)
-        )
-        return [_bucket_row(node, row) for (_, node, *_), rows in every for row in rows]
+        for each in params:
+            asked = self._cassandra.begin(cql, (*each, limit), what=what, retry_sec=retry_sec)
+            yield partial(_bucket_rows, each[1], asked)
 
     def add_node(self, table: str, slot: int, node: str, ttl: int = 0) -> None:
         """Note, before its first, that a node has buckets in a slot; for ttl seconds, 0 = ever."""
@@ -249,6 +294,7 @@ class Directory:
         slots = [(table, node, slot) for slot, node in self.nodes(table, -(2**63), 2**63 - 1)]
         key = ("tbl", "node", "slot")
         self._tables.delete("cr_bucket", key, slots, "clearing the directory of buckets")
+        self.seen.pop(table, None)
         self._tables.delete("cr_node", ("tbl",), [(table,)], "clearing the directory")
 
 
@@ -261,6 +307,10 @@ def _key(place: Place) -> dict[str, object]:
 
 def _ttl(ttl: int) -> int:
     return ttl + TTL_MARGIN_SEC if ttl else 0
+
+
+def _bucket_rows(node: str, answer: Callable[[], list[CqlRow]]) -> list[BucketRow]:
+    return [_bucket_row(node, row) for row in answer()]
 
 
 def _bucket_row(node: str, row: CqlRow) -> BucketRow:

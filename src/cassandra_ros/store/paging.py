@@ -21,6 +21,8 @@ RETRY_SEC = 30.0
 BUSY_PAUSE_SEC = 0.002
 FIRST_PAUSE_SEC = 0.1
 LAST_PAUSE_SEC = 5.0
+GROWTH = 4
+"""How much larger a page is than the one before, where little was wanted at first."""
 
 RawRow = Tuple[Optional[bytes], ...]
 """The columns of a row as the bytes that Cassandra stores; None = null."""
@@ -123,6 +125,8 @@ class Asked:
     Args:
         statement_from: Makes the statement, given the last row that was read (None = none yet):
             where a later page fails the rest is asked for from there, so no row comes twice.
+        first_rows: Rows of the first page; each further one has GROWTH times as many, up to those
+            of the statement, and is not asked for ahead before that. 0 = all are that large.
 
     Attributes:
         last: The last row that was read.
@@ -136,19 +140,25 @@ class Asked:
         what: str,
         refused: Optional[Refused] = None,
         on_page: Optional[OnPage] = None,
+        first_rows: int = 0,
     ) -> None:
         self._send = send
         self._statement_from = statement_from
         self._what = what
         self._refused = refused
         self._on_page = on_page
+        self._small = first_rows
         self.last: Optional[RawRow] = None
         self.more = True
         self._failed = False
         self._future = self._ask()
 
     def _ask(self) -> ResponseFuture:
-        future = self._send(self._statement_from(self.last))
+        statement = self._statement_from(self.last)
+        if self._small:
+            self._small = self._small if self._small < statement.fetch_size else 0
+            statement.fetch_size = self._small or statement.fetch_size
+        future = self._send(statement)
         if self._on_page is not None:
             future.add_callback(self._on_page)
         return future
@@ -172,12 +182,16 @@ class Asked:
         """Yield the pages; ahead: the next is asked for before one is yielded, not behind it."""
         while self.more:
             page = self.page()
-            if self.more and ahead:
+            early = ahead and not self._small
+            if self.more and early:
                 self._future.start_fetching_next_page()
             if page:
                 self.last = page[-1]
             yield page
-            if self.more and not ahead:
+            if self.more and self._small and page:
+                self._small *= GROWTH
+                self._future = self._ask()
+            elif self.more and not early:
                 self._future.start_fetching_next_page()
 
     def rows(self, *, ahead: bool = True) -> Iterator[RawRow]:

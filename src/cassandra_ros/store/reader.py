@@ -31,7 +31,7 @@ from cassandra_ros.keys import Position
 from cassandra_ros.store.blocks.codec import Unpacked
 from cassandra_ros.store.directory import BucketRow, Directory
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_refused
-from cassandra_ros.store.paging import Asked, RawRow
+from cassandra_ros.store.paging import GROWTH, Asked, RawRow
 from cassandra_ros.store.row_table import (
     KEYS,
     MAX_SEQ,
@@ -43,6 +43,7 @@ from cassandra_ros.store.row_table import (
     bind,
     encode_int,
 )
+from cassandra_ros.store.walk import Walk
 
 _log = logging.getLogger(__name__)
 
@@ -55,6 +56,8 @@ AHEAD = 16
 UNKNOWN_ROW_BYTES = 32 * 1024
 """Assumed where the directory knows nothing yet of a bucket (opened seconds ago)."""
 _ROW_OVERHEAD = 64
+MERGED_ROWS = 16
+"""Where few rows of several streams are wanted, so many are asked of each at least."""
 KEYS_AT_ONCE = 100
 """Rows that are fetched with one statement."""
 TURNED_PAGES = 2
@@ -102,6 +105,13 @@ class Scan(NamedTuple):
     """None = all rows."""
     writers: Optional[FrozenSet[int]] = None
     """Only rows of these writer ids; None = of all."""
+    wanted: Optional[int] = None
+    """How many rows are probably taken; None = all. More come all the same."""
+
+    @property
+    def few(self) -> bool:
+        """Whether less than a page is probably taken."""
+        return self.wanted is not None and self.wanted <= MAX_PAGE_ROWS
 
     def lists(self, bucket: Sequence[BucketRow]) -> bool:
         """Say whether a bucket may hold rows of the writers: the directory lists a superset."""
@@ -119,6 +129,13 @@ class Piece(NamedTuple):
     rows: Sequence[BucketRow]
     """What its writers say in the directory."""
     page_rows: int = 0
+    first_rows: int = 0
+    """Rows of its first page, which the next ones outgrow; 0 = page_rows."""
+
+    @property
+    def listed(self) -> int:
+        """How many rows it has, as its writers say: of a closed bucket what there are."""
+        return sum(row.rows for row in self.rows)
 
 
 _ALL: Query = ((), False)
@@ -187,6 +204,7 @@ class _Stream:
                 _ends(self._piece, self._scan),
                 terms=self._terms,
                 page_rows=self._piece.page_rows,
+                first_rows=0 if self._turned or last else self._piece.first_rows,
                 reverse=self._scan.reverse and not self._turned,
                 last=last,
                 refused=is_refused if self._terms else None,
@@ -295,7 +313,7 @@ def read_rows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> I
     """
     sign = -1 if scan.reverse else 1
     heap: list[tuple[_Order, int, TableRow, Iterator[TableRow]]] = []
-    waiting = _Prefetched(_pieces(directory, tables, scan), scan)
+    waiting = _Prefetched(directory, tables, scan)
     count = 0
     while heap or waiting.left:
         while waiting.left and (not heap or waiting.opens_before(heap[0][2].t, sign)):
@@ -329,26 +347,33 @@ def _inverted(text: str) -> tuple[int, ...]:
     return (*(-ord(c) for c in text), 1)
 
 
-def _pieces(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> list[Piece]:
-    found: list[Piece] = []
+def _walk(directory: Directory, table: RowTable, scan: Scan) -> Walk:
     low, high = scan.low, scan.high
     if scan.after is not None and scan.reverse:
         high = min(high, scan.after.t)
     elif scan.after is not None:
         low = max(low, scan.after.t)
-    for table in tables:
-        length = table.metadata.bucket_ns
-        ends = (table.bucket_of(low), table.bucket_of(high))
-        by_bucket: dict[tuple[str, int], list[BucketRow]] = {}
-        for row in directory.buckets(table.name, *ends, scan.nodes, table.metadata.ttl):
-            by_bucket.setdefault((row.node, row.bucket), []).append(row)
-        for (node, bucket), group in by_bucket.items():
-            if not scan.lists(group):
-                continue
+    ends, (nodes, ttl) = (
+        (table.bucket_of(low), table.bucket_of(high)),
+        (scan.nodes, table.metadata.ttl),
+    )
+    return Walk(directory, table.name, *ends, nodes, ttl, reverse=scan.reverse, few=scan.few)
+
+
+def _pieces(table: RowTable, walk: Walk, scan: Scan) -> Iterator[Piece]:
+    """Yield the buckets of a table that may hold rows of a scan, as they begin."""
+    length = table.metadata.bucket_ns
+    high = scan.high if scan.after is None else min(scan.high, scan.after.t)
+    for group in walk.groups():
+        node, bucket = group[0].node, group[0].bucket
+        empty = all(row.closed and not row.rows for row in group)
+        if scan.lists(group) and not empty:
             start = min((bucket + 1) * length, high + 1) if scan.reverse else bucket * length
-            found.append(Piece(start, table, node, bucket, group))
-    found.sort(key=lambda p: (p.start, p.node, p.table.name), reverse=scan.reverse)
-    return found
+            yield Piece(start, table, node, bucket, group)
+
+
+def _begins(piece: Piece) -> tuple[int, str, str]:
+    return piece.start, piece.node, piece.table.name
 
 
 def _page_rows(group: Sequence[BucketRow], page_bytes: int) -> int:
@@ -367,33 +392,60 @@ class _Prefetched:
 
     Where whole buckets are read, one is asked for ahead. Where the server filters them, little
     comes of each and many are worked on at once; but not from the start, for whoever only wants
-    the first row.
+    the first row. Where few rows are wanted, so many are asked for: of one bucket, of those that
+    begin with it, and of more where these list less. Who goes on is given more and more.
+
+    Attributes:
+        left: There are buckets to be read.
+        start: Where the next one begins.
     """
 
-    def __init__(self, pieces: list[Piece], scan: Scan) -> None:
+    def __init__(self, directory: Directory, tables: Sequence[RowTable], scan: Scan) -> None:
         self._scan = scan
-        self._pieces = pieces
-        self._next = 0
-        self._asked: deque[tuple[Iterator[TableRow], bool]] = deque()
-        self._ahead = 1
-        streams = len({(piece.table.name, piece.node) for piece in pieces})
-        pages = streams + (1 if scan.chooser is None else AHEAD)
+        walks = [(table, _walk(directory, table, scan)) for table in tables]
+        pieces = [_pieces(table, walk, scan) for table, walk in walks]
+        self._pieces = heapq.merge(*pieces, key=_begins, reverse=scan.reverse)
+        self._next = next(self._pieces, None)
+        self._asked: deque[tuple[Piece, Iterator[TableRow], bool]] = deque()
+        self._ahead = 0 if scan.few else 1
+        self._rows = max(1, scan.wanted or 1)
+        self._streams = max(1, sum(len(walk.met) for _, walk in walks))
+        pages = self._streams + (AHEAD if scan.few or scan.chooser is not None else 1)
         self._page_bytes = min(PAGE_BYTES, max(64 * 1024, ALL_PAGES_BYTES // (2 * pages)))
+        self._look()
 
-    @property
-    def left(self) -> bool:
-        return self._next < len(self._pieces)
+    def _look(self) -> None:
+        first = self._asked[0][0] if self._asked else self._next
+        self.left = first is not None
+        self.start = 0 if first is None else first.start
 
     def opens_before(self, t: int, sign: int) -> bool:
         """Say whether the next bucket may hold rows that come before or at t."""
-        return (self._pieces[self._next].start - t) * sign <= 0
+        return (self.start - t) * sign <= 0
 
     def take(self) -> Iterator[TableRow]:
-        end = self._next + 1 + self._ahead
-        for piece in self._pieces[self._next + len(self._asked) : end]:
-            piece = piece._replace(page_rows=_page_rows(piece.rows, self._page_bytes))
-            self._asked.append(_open(piece, self._scan))
-        self._next += 1
-        rows, filtered = self._asked.popleft()
-        self._ahead = min(2 * self._ahead, AHEAD) if filtered else 1
+        """Return the rows of the next bucket; ask for some behind it."""
+        while self._next is not None and self._asks(self._next):
+            self._ask(self._next)
+            self._next = next(self._pieces, None)
+        piece, rows, filtered = self._asked.popleft()
+        self._look()
+        if not self._scan.few or self.start != piece.start:
+            self._ahead = min(max(1, 2 * self._ahead), AHEAD) if filtered else 1
+            self._rows = min(GROWTH * self._rows, MAX_PAGE_ROWS)
         return rows
+
+    def _asks(self, piece: Piece) -> bool:
+        """Say whether a bucket is asked for besides those that are."""
+        if len(self._asked) <= self._ahead:
+            return True
+        if not self._scan.few or len(self._asked) > AHEAD:
+            return False
+        least = sum(each.listed for each, _, _ in self._asked)
+        return piece.start == self._asked[0][0].start or least < self._rows
+
+    def _ask(self, piece: Piece) -> None:
+        page_rows = _page_rows(piece.rows, self._page_bytes)
+        rows = min(self._rows, max(MERGED_ROWS, 2 * self._rows // self._streams))
+        piece = piece._replace(page_rows=page_rows, first_rows=rows if self._scan.few else 0)
+        self._asked.append((piece, *_open(piece, self._scan)))

@@ -259,6 +259,7 @@ class RowTable:
         *,
         terms: Terms = (),
         page_rows: int | None = None,
+        first_rows: int = 0,
         reverse: bool = False,
         last: RawRow | None = None,
         what: str = "reading",
@@ -270,6 +271,7 @@ class RowTable:
         Args:
             names: What to read, as CQL; begins with KEYS where there are many pages.
             terms: What the server is to check.
+            first_rows: Rows of the first page, where fewer are wanted than page_rows; see Asked.
         """
         checks = "".join(f" AND {quote_name(name)} {operator} ?" for name, operator, _ in terms)
         order, allow = _NEWEST if reverse else "", " ALLOW FILTERING" if terms else ""
@@ -280,7 +282,8 @@ class RowTable:
             left = _encode_ends(ends, read or last, reverse)
             return bind(statement, (*place, *left, *values), page_rows)
 
-        return Asked(self._cassandra.send_raw, rest, self._doing(what), refused, on_page)
+        send, doing = self._cassandra.send_raw, self._doing(what)
+        return Asked(send, rest, doing, refused, on_page, first_rows)
 
     def send(self, statement: Statement, what: str = "reading") -> Asked:
         """Send a statement whose answer is one page, or of which only one is wanted."""

@@ -297,6 +297,7 @@ class CassandraTopic:
         columns: Optional[Columns] = None,
         chooser: Optional[Pushdown] = None,
         run: RunName = None,
+        wanted: Optional[int] = None,
     ) -> Iterator[StoredRow]:
         """Walk through messages by their time, as items does, without making objects.
 
@@ -307,9 +308,11 @@ class CassandraTopic:
             columns: Which columns of a table to read, None = all; a row fetches the others when
                 its bytes are asked for.
             chooser: Tells what the server may leave out.
+            wanted: How many are probably taken, None = limit: so much is asked for at first.
         """
         if not isinstance(after, (Position, type(None))):
             raise InvalidKey(f"after={after!r:.80} is no place: give the position of a row")
+        limit = check_limit(limit)
         rows = self._keyspace.rows.read(
             self._stored(),
             Stretch.between(key, to_key),
@@ -318,8 +321,9 @@ class CassandraTopic:
             reverse=reverse,
             columns=columns,
             chooser=chooser,
+            wanted=limit if wanted is None else wanted,
         )
-        return islice(rows, check_limit(limit))
+        return islice(rows, limit)
 
     def _stored(self) -> list[TopicTable]:
         tables, wish = self.tables, self._wish

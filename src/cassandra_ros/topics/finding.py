@@ -68,14 +68,21 @@ class Finder:
     ) -> Iterator[StoredRow]:
         """Walk through the rows that key and to_key mean, as the ends of a stretch or alone."""
         limit = check_limit(limit)
-        return islice(self._select(self.several(key, to_key), reverse=reverse), limit)
+        rows = self._select(self.several(key, to_key), reverse=reverse, few=limit)
+        return islice(rows, limit)
 
     def _select(
-        self, wanted: Selection, *, reverse: bool = False, bare: bool = False
+        self,
+        wanted: Selection,
+        *,
+        reverse: bool = False,
+        bare: bool = False,
+        few: Optional[int] = None,
     ) -> Iterator[StoredRow]:
+        """Walk through what is meant; few: so many are probably taken, None = all."""
         if self.where is not None and isinstance(wanted, Stretch):
-            return self.where.rows(wanted, reverse=reverse, bare=bare)
-        rows = self.keyspace.rows.select(self.tables, wanted, self.whose, reverse)
+            return self.where.rows(wanted, reverse=reverse, bare=bare, wanted=few)
+        rows = self.keyspace.rows.select(self.tables, wanted, self.whose, reverse, few)
         return rows if self.where is None else filter(self.where.test, rows)
 
     def columns(
@@ -134,7 +141,7 @@ class Finder:
         """Find the row at a time, ns: of several the first in the order of all reads."""
         if self.where is None:
             return self.keyspace.rows.at(self.tables, t, self.whose)
-        return next(self._select(Stretch(t, t)), None)
+        return next(self._select(Stretch(t, t), few=1), None)
 
     def _table_of(self, key: AnyKey) -> Optional[TopicTable]:
         """Return the table in which a key of ours lies; None where it is gone."""
@@ -167,11 +174,11 @@ class Finder:
         before = after = None
         low = 0
         if nearest != "before":
-            after = next(self._select(Stretch(t, LAST_NS)), None)
+            after = next(self._select(Stretch(t, LAST_NS), few=1), None)
             if after is not None and nearest == "either":
                 low = max(0, t - (after.t - t))  # what lies before that is further away
         if nearest != "after":
-            before = next(self._select(Stretch(low, t), reverse=True), None)
+            before = next(self._select(Stretch(low, t), reverse=True, few=1), None)
         # Backwards the last of equal stamps comes first.
         return after if before is None else self._at(before.t) or before
 
@@ -297,7 +304,14 @@ class Filter:
         self.test = self._condition.test(topic.tables)
 
     def rows(
-        self, stretch: Stretch, *, reverse: bool = False, bare: bool = False
+        self,
+        stretch: Stretch,
+        *,
+        reverse: bool = False,
+        bare: bool = False,
+        wanted: Optional[int] = None,
     ) -> Iterator[StoredRow]:
-        """Walk through those in a stretch, in order of time; bare: no messages are wanted."""
-        return self._condition.rows(self._topic, *stretch, reverse=reverse, bare=bare)
+        """Walk through those in a stretch, in order of time; see Condition.rows."""
+        low, high = stretch
+        rows = self._condition.rows
+        return rows(self._topic, low, high, reverse=reverse, bare=bare, wanted=wanted)

@@ -49,11 +49,20 @@ class RowReader:
         self._directory = directory
 
     def select(
-        self, tables: Sequence[TopicTable], wanted: Selection, whose: Whose, reverse: bool
+        self,
+        tables: Sequence[TopicTable],
+        wanted: Selection,
+        whose: Whose,
+        reverse: bool,
+        few: Optional[int] = None,
     ) -> Iterator[StoredRow]:
-        """Yield the rows that a selection means, in the order of time or newest first."""
+        """Yield the rows that a selection means, in the order of time or newest first.
+
+        Args:
+            few: How many are probably taken; None = all.
+        """
         if isinstance(wanted, Stretch):
-            return self.read(tables, wanted, whose=whose, reverse=reverse)
+            return self.read(tables, wanted, whose=whose, reverse=reverse, wanted=few)
         if isinstance(wanted, Named):
             rows = self._versions(tables, wanted.name, whose, reverse)
         else:
@@ -70,11 +79,12 @@ class RowReader:
         reverse: bool = False,
         columns: Optional[Columns] = None,
         chooser: Optional[Pushdown] = None,
+        wanted: Optional[int] = None,
     ) -> Iterator[StoredRow]:
         """Yield rows with a time in a stretch in the order (t, node, seq, table), lazily.
 
         Of topics whose messages lie under names all keys are listed first, and all rows are read.
-        For columns and chooser see CassandraTopic.rows; the server may leave out less.
+        For columns, chooser and wanted see CassandraTopic.rows; the server may leave out less.
         """
         scan = Scan(
             *stretch,
@@ -85,6 +95,7 @@ class RowReader:
             cast("Optional[Callable[[RowTable], Optional[Sequence[str]]]]", columns),
             cast("Optional[reader.Chooser]", chooser),
             whose.writers,
+            wanted,
         )
         timed = [table for table in tables if not table.named]
         rows: Iterable[TableRow] = read_rows(self._directory, timed, scan)
@@ -188,7 +199,7 @@ class RowReader:
         """Read the first row with exactly this time."""
         timed = [table for table in tables if not table.named]
         if whose.writers is not None:  # the first of a partition may be another's
-            return next(self.read(timed, Stretch(t, t), whose=whose), None)
+            return next(self.read(timed, Stretch(t, t), whose=whose, wanted=1), None)
         return self._single(first_at(self._directory, timed, t, whose.nodes), tables)
 
     def _single(self, row: Optional[TableRow], tables: Sequence[TopicTable]) -> Optional[StoredRow]:
