@@ -28,6 +28,7 @@ from cassandra_ros.store.row_table import (
     decode_long,
     encode_int,
 )
+from cassandra_ros.store.walk import begin_slot
 
 AHEAD = 16
 KEY_PAGE_ROWS = 5000
@@ -77,6 +78,61 @@ def _best(places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
     asked = [(key, _ask(key, any_seq=True)) for key in keys]
     rows = [row for each in asked for row in _answer(*each)]
     return min(rows, key=lambda row: row[:4], default=None)
+
+
+def beside(
+    directory: Directory,
+    tables: Sequence[RowTable],
+    t: int,
+    nodes: Sequence[str] | None,
+    ways: Sequence[bool],
+) -> list[TableRow] | None:
+    """Find the rows nearest to a time, ns, in one round trip; None where that is in vain.
+
+    Whoever was seen to write at the time is asked for what lies in the very bucket, and the
+    directory meanwhile whether these are all.
+
+    Args:
+        ways: False = at or behind the time, True = at or before it.
+
+    Returns:
+        One row for each way: of several with the same time the first.
+    """
+    listings = [
+        (table, begin_slot(directory, table.name, slot_of(table.bucket_of(t)))) for table in tables
+    ]
+    streams: list[list[tuple[RowTable, str, Asked]]] = [[] for _ in ways]
+    for table, (seen, _) in listings:
+        for node in (node for node in seen if nodes is None or node in nodes):
+            for reverse, asked in zip(ways, streams):
+                asked.append((table, node, _ask_side(table, node, t, reverse)))
+    if any(set(seen) != set(now()) for _, (seen, now) in listings):
+        return None
+    found = [_best_side(*each) for each in zip(streams, ways)]
+    low = max(table.bucket_of(t) * table.metadata.bucket_ns for table in tables)
+    high = min((table.bucket_of(t) + 1) * table.metadata.bucket_ns for table in tables)
+    # Beyond these another table may have a row that is nearer, in its next bucket.
+    near = [row for row in found if row is not None and low <= row.t < high]
+    return near if len(near) == len(ways) else None
+
+
+def _ask_side(table: RowTable, node: str, t: int, reverse: bool) -> Asked:
+    ends = (FIRST, (t, LAST[1])) if reverse else ((t, FIRST[1]), LAST)
+    place, page_rows = table.place(node, table.bucket_of(t)), 1 + reverse
+    return table.stretch(table.listing(), place, ends, page_rows=page_rows, reverse=reverse)
+
+
+def _best_side(asked: Sequence[tuple[RowTable, str, Asked]], reverse: bool) -> TableRow | None:
+    """Return the row that is nearest of all; None where there is none, or it cannot be said."""
+    rows: list[TableRow] = []
+    for table, node, each in asked:
+        values = each.page()
+        found = [table.row_from_values(node, v) for v in values if not table.is_rest(v)]
+        # The last of several with the same time comes first.
+        if len(found) < len(values) or len(found) == 2 and found[0].t == found[1].t:
+            return None
+        rows += found[:1]
+    return min(rows, key=lambda r: (-r.t if reverse else r.t, *r[1:4]), default=None)
 
 
 def _ask(key: Wanted, *, any_seq: bool = False) -> Asked:

@@ -113,6 +113,11 @@ class Scan(NamedTuple):
         """Whether less than a page is probably taken."""
         return self.wanted is not None and self.wanted <= MAX_PAGE_ROWS
 
+    def reaches(self, row: BucketRow) -> bool:
+        """Say whether a writer may have rows of the time in a bucket."""
+        inside = row.rows and row.t_min <= self.high and row.t_max >= self.low
+        return bool(not row.closed or inside)
+
     def lists(self, bucket: Sequence[BucketRow]) -> bool:
         """Say whether a bucket may hold rows of the writers: the directory lists a superset."""
         return self.writers is None or any(row.writer in self.writers for row in bucket)
@@ -127,7 +132,8 @@ class Piece(NamedTuple):
     node: str
     bucket: int
     rows: Sequence[BucketRow]
-    """What its writers say in the directory."""
+    """What its writers say in the directory; empty: this is no bucket, but from here on there may
+    be some that were not looked for yet."""
     page_rows: int = 0
     first_rows: int = 0
     """Rows of its first page, which the next ones outgrow; 0 = page_rows."""
@@ -364,12 +370,11 @@ def _pieces(table: RowTable, walk: Walk, scan: Scan) -> Iterator[Piece]:
     """Yield the buckets of a table that may hold rows of a scan, as they begin."""
     length = table.metadata.bucket_ns
     high = scan.high if scan.after is None else min(scan.high, scan.after.t)
-    for group in walk.groups():
-        node, bucket = group[0].node, group[0].bucket
-        empty = all(row.closed and not row.rows for row in group)
-        if scan.lists(group) and not empty:
-            start = min((bucket + 1) * length, high + 1) if scan.reverse else bucket * length
-            yield Piece(start, table, node, bucket, group)
+    for bucket, group in walk.groups():
+        if group and not (scan.lists(group) and any(scan.reaches(row) for row in group)):
+            continue
+        start = min((bucket + 1) * length, high + 1) if scan.reverse else bucket * length
+        yield Piece(start, table, group[0].node if group else "", bucket, group)
 
 
 def _begins(piece: Piece) -> tuple[int, str, str]:
@@ -409,6 +414,7 @@ class _Prefetched:
         self._asked: deque[tuple[Piece, Iterator[TableRow], bool]] = deque()
         self._ahead = 0 if scan.few else 1
         self._rows = max(1, scan.wanted or 1)
+        self._listed = 0
         self._streams = max(1, sum(len(walk.met) for _, walk in walks))
         pages = self._streams + (AHEAD if scan.few or scan.chooser is not None else 1)
         self._page_bytes = min(PAGE_BYTES, max(64 * 1024, ALL_PAGES_BYTES // (2 * pages)))
@@ -430,21 +436,25 @@ class _Prefetched:
             self._next = next(self._pieces, None)
         piece, rows, filtered = self._asked.popleft()
         self._look()
-        if not self._scan.few or self.start != piece.start:
+        self._listed += max(1, piece.listed) if piece.rows else 0
+        if not self._scan.few or (self._listed >= self._rows and self.start != piece.start):
             self._ahead = min(max(1, 2 * self._ahead), AHEAD) if filtered else 1
             self._rows = min(GROWTH * self._rows, MAX_PAGE_ROWS)
         return rows
 
     def _asks(self, piece: Piece) -> bool:
         """Say whether a bucket is asked for besides those that are."""
-        if len(self._asked) <= self._ahead:
+        if not self._asked or (piece.rows and len(self._asked) <= self._ahead):
             return True
-        if not self._scan.few or len(self._asked) > AHEAD:
+        if not self._scan.few or not piece.rows or len(self._asked) > AHEAD:
             return False
-        least = sum(each.listed for each, _, _ in self._asked)
-        return piece.start == self._asked[0][0].start or least < self._rows
+        listed = self._listed + sum(each.listed for each, _, _ in self._asked)
+        return piece.start == self._asked[0][0].start or listed < self._rows
 
     def _ask(self, piece: Piece) -> None:
+        if not piece.rows:
+            self._asked.append((piece, iter(()), False))
+            return
         page_rows = _page_rows(piece.rows, self._page_bytes)
         rows = min(self._rows, max(MERGED_ROWS, 2 * self._rows // self._streams))
         piece = piece._replace(page_rows=page_rows, first_rows=rows if self._scan.few else 0)

@@ -33,6 +33,8 @@ WIDER = 4
 
 Group = List[BucketRow]
 """What the writers of one bucket of one node say."""
+Found = Tuple[int, Group]
+"""A bucket and its group; an empty one says that from here on the directory was not read yet."""
 _Slot = Tuple[int, Tuple[str, ...]]
 """A slot, and the nodes that have buckets in it."""
 _Answers = Iterator[Callable[[], List[BucketRow]]]
@@ -72,25 +74,31 @@ class Walk:
         self._few = few
         self.met: Set[str] = set()
 
-    def groups(self) -> Iterator[Group]:
-        """Yield the buckets, those of all nodes in the order of their time."""
+    def groups(self) -> Iterator[Found]:
+        """Yield the buckets, those of all nodes in the order of their time.
+
+        Where few are needed an empty group comes before each further request.
+        """
         limit = FEW_BUCKETS if self._few else ALL_ROWS
         slots = self._slots()
         next(slots)  # they are asked for
         # The first is mostly the one that it was before: its buckets are asked for at once.
         expected = self._expected()
         early = None if expected is None else self._ask(expected, self._inside(expected), limit)
+        begun = False
         for slot in slots:
             if slot is None:
                 continue
             low, high = self._inside(slot)
             asked = early if slot == expected else None
             while low <= high:
+                if begun and self._few:
+                    yield (high if self._reverse else low), []
                 asked = self._ask(slot, (low, high), limit) if asked is None else asked
                 found, end = self._window(asked, low, high, limit)
-                yield from found
+                yield from ((group[0].bucket, group) for group in found)
                 low, high = (low, end - 1) if self._reverse else (end + 1, high)
-                limit, asked = min(ALL_ROWS, WIDER * limit), None
+                limit, asked, begun = min(ALL_ROWS, WIDER * limit), None, True
 
     def _inside(self, slot: _Slot) -> Tuple[int, int]:
         """Return the first and the last bucket of a slot that are wanted."""
@@ -114,14 +122,8 @@ class Walk:
                 first, last = (first, cut) if self._reverse else (cut, last)
                 limit = min(ALL_ROWS, WIDER * limit)
             if self._few:
-                self._note(asked, slots)
+                note(self._directory, self._table, asked, slots)
             yield from [kept for kept in map(self._kept, slots) if kept is not None]
-
-    def _note(self, asked: range, slots: Sequence[_Slot]) -> None:
-        """Keep what was listed for who asks next."""
-        seen = self._directory.seen
-        kept = {s: n for s, n in seen.get(self._table, {}).items() if s not in asked}
-        seen[self._table] = {**(kept if len(kept) < MANY_SLOTS else {}), **dict(slots)}
 
     def _kept(self, slot: _Slot) -> Optional[_Slot]:
         """Leave nodes out that are not wanted; None where none is left."""
@@ -164,3 +166,23 @@ class Walk:
             if inside and not (self._ttl and row.expired(self._ttl)):
                 groups.setdefault((row.bucket, row.node), []).append(row)
         return [groups[key] for key in sorted(groups, reverse=self._reverse)], end
+
+
+def note(directory: Directory, table: str, asked: range, slots: Sequence[_Slot]) -> None:
+    """Keep what was listed of some slots for who asks next."""
+    kept = {s: n for s, n in directory.seen.get(table, {}).items() if s not in asked}
+    directory.seen[table] = {**(kept if len(kept) < MANY_SLOTS else {}), **dict(slots)}
+
+
+def begin_slot(
+    directory: Directory, table: str, slot: int
+) -> Tuple[Tuple[str, ...], Callable[[], Tuple[str, ...]]]:
+    """Ask for the nodes of a slot; return those seen there last, and what waits for the answer."""
+    answer = directory.begin_nodes(table, (slot, slot))
+
+    def nodes() -> Tuple[str, ...]:
+        found = tuple(node for _, node in answer())
+        note(directory, table, range(slot, slot + 1), [(slot, found)] if found else [])
+        return found
+
+    return directory.seen.get(table, {}).get(slot, ()), nodes

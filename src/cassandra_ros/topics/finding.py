@@ -171,6 +171,11 @@ class Finder:
         return self._nearest(wanted.low, nearest)
 
     def _nearest(self, t: int, nearest: str) -> Optional[StoredRow]:
+        ways = {"before": [True], "after": [False], "either": [True, False]}[nearest]
+        if self.where is None:
+            near = self.keyspace.rows.beside(self.tables, t, self.whose, ways)
+            if near is not None:
+                return min(near, key=lambda row: abs(row.t - t))
         before = after = None
         low = 0
         if nearest != "before":
@@ -178,9 +183,11 @@ class Finder:
             if after is not None and nearest == "either":
                 low = max(0, t - (after.t - t))  # what lies before that is further away
         if nearest != "after":
-            before = next(self._select(Stretch(low, t), reverse=True, few=1), None)
-        # Backwards the last of equal stamps comes first.
-        return after if before is None else self._at(before.t) or before
+            for row in self._select(Stretch(low, t), reverse=True, few=2):
+                if before is not None and row.t != before.t:
+                    break
+                before = row  # backwards the last of equal stamps comes first
+        return before or after
 
     def absent(self, key: AnyKey, nearest: Optional[str]) -> str:
         """Say that there is no message at a key, what lies near, and what was probably meant."""

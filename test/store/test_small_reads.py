@@ -1,0 +1,189 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Who wants one row asks for one row: requests and rows are counted, and the answers compared."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from types import SimpleNamespace
+
+import pytest
+from campaign import campaign
+from cassandra.cluster import ResponseFuture
+from hypothesis import HealthCheck, given
+from hypothesis import strategies as st
+from std_msgs.msg import String, UInt32
+
+from cassandra_ros.keys import Position
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.store import reader, walk
+
+SEC = 10**9
+SLOT = 4096 * SEC
+T0 = 390_625 * SLOT  # a slot begins, of buckets of a second
+
+
+@contextmanager
+def metered(monkeypatch):
+    """Count the answers of the server and their rows."""
+    told = SimpleNamespace(requests=0, rows=0)
+    original = ResponseFuture._set_final_result
+
+    def final(future, answer):
+        told.requests += 1
+        told.rows += len(answer) if isinstance(answer, list) else 0
+        return original(future, answer)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ResponseFuture, "_set_final_result", final)
+        yield told
+
+
+def write(rosCas, entries):
+    """Write (t, node, whether of the second definition); return them with their positions."""
+    kinds = [definition_of(UInt32), definition_of(String)]
+    found = []
+    for writer_id, node in enumerate(sorted({node for _, node, _ in entries}), 2):
+        with rosCas.messageWriter(writer_id=writer_id, nodeID=node) as writer:
+            handles = {
+                second: writer.connect(api_connection("/a", kinds[second], "/x"), bucket_ns=SEC)
+                for second in sorted({second for _, of, second in entries if of == node})
+            }
+            for n, (t, of, second) in enumerate(entries):
+                if of == node:
+                    msg = String(data=str(n)) if second else UInt32(data=n)
+                    handle = handles[second]
+                    seq = writer.write(handle, t, n, serialize(msg)).seq
+                    found.append((Position(t, node, seq, handle.table.name), n))
+    return sorted(found)
+
+
+@pytest.fixture(scope="module")
+def long(fresh):
+    """A message in one of 100 seconds, over ten slots of the directory; by two nodes at the end."""
+    with fresh() as rosCas:
+        entries = [(T0 + n * 100 * SEC + n, "", 0) for n in range(410)]
+        entries += [(T0 + n * 100 * SEC, "r1", 0) for n in range(400, 411)]
+        yield rosCas.getTopic("/a") if write(rosCas, entries) else None
+
+
+@pytest.mark.parametrize(
+    ("ask", "wanted", "requests", "rows"),
+    [
+        (lambda a: [a.first().ns], [0], 3, 24),
+        (lambda a: [a.last().ns], [410 * 100 * SEC], 4, 40),
+        (lambda a: [k.ns for k, _ in a.items(limit=3)], [n * 100 * SEC + n for n in range(3)],
+         5, 30),
+        (lambda a: [k.ns for k, _ in a.items(reverse=True, limit=1)], [410 * 100 * SEC], 4, 40),
+        (lambda a: [a.getRow(T0 + 15_000 * SEC, nearest="after").t], [150 * 100 * SEC + 150],
+         4, 24),
+        (lambda a: [a.getRow(T0 + 15_000 * SEC, nearest="before").t], [149 * 100 * SEC + 149],
+         6, 24),
+        (lambda a: [a.getRow(T0 + 15_000 * SEC, nearest="either").t], [150 * 100 * SEC + 150],
+         9, 48),
+    ],
+)  # fmt: skip
+def test_one_of_many_buckets_costs_little(long, monkeypatch, ask, wanted, requests, rows):
+    ask(long)
+    with metered(monkeypatch) as told:
+        found = ask(long)
+    assert [t - T0 * (t > T0 - 1) for t in found] == wanted
+    assert told.requests <= requests
+    assert told.rows <= rows
+
+
+def test_of_a_full_bucket_a_row_is_read(rosCas, monkeypatch):
+    write(rosCas, [(T0 + n, "", 0) for n in range(3000)])
+    topic = rosCas.getTopic("/a")
+    select = rosCas.executeCQL
+    asks = {
+        lambda: topic.first().ns: 10,
+        lambda: topic.last().ns: 10,
+        lambda: topic.getRow(T0 + 1500, nearest="either").t: 20,
+        lambda: len(list(topic.items(limit=10))): 20,
+        lambda: len(select("select * from a limit 10")): 20,
+        lambda: len(select("select KEY from a order by KEY desc limit 1")): 10,
+        lambda: len(select("select KEY from a where NODE != 'x' limit 10")): 20,
+    }
+    for ask, rows in asks.items():
+        ask()
+        with metered(monkeypatch) as told:
+            assert ask() in (10, 1, T0, T0 + 2999, T0 + 1500)
+        assert told.requests <= 7
+        assert told.rows <= rows
+
+
+def test_pages_grow_where_more_is_taken(rosCas, monkeypatch):
+    write(rosCas, [(T0 + n, "", 0) for n in range(2000)])
+    topic = rosCas.getTopic("/a")
+    list(topic.rows(wanted=1))
+    with metered(monkeypatch) as told:
+        assert [row.t - T0 for row in topic.rows(wanted=1)] == list(range(2000))
+    assert told.requests < 12
+    statement = "select KEY from a where NODE like 'x%' limit 1"
+    assert rosCas.executeCQL(statement) == []
+
+
+ENTRIES = st.lists(
+    st.tuples(
+        st.one_of(st.integers(0, 40), st.sampled_from([4094, 4095, 4096, 12_000])),
+        st.sampled_from(["", "r1", "r2"]),
+        st.booleans(),
+    ),
+    min_size=1,
+    max_size=40,
+)
+
+
+@campaign(40, suppress_health_check=list(HealthCheck))
+@given(data=st.data(), entries=ENTRIES, unit=st.sampled_from([SEC, SEC // 4]))
+def test_small_reads_give_what_a_plain_list_gives(fresh, data, entries, unit):
+    with pytest.MonkeyPatch.context() as patch, fresh() as rosCas:
+        for module, name, values in (
+            (walk, "FEW_BUCKETS", (1, 2, 8)), (walk, "FEW_SLOTS", (1, 2, 64)),
+            (reader, "PAGE_BYTES", (100, 10**6)), (reader, "AHEAD", (1, 16)),
+        ):  # fmt: skip
+            patch.setattr(module, name, data.draw(st.sampled_from(values), name))
+        entries = [(T0 + t * unit, node, second) for t, node, second in entries]
+        every = write(rosCas, entries)
+        topic = rosCas.getTopic("/a")
+        for low, high in data.draw(st.lists(st.tuples(*[st.integers(0, 50)] * 2), max_size=2)):
+            low, high = T0 + low * unit, T0 + high * unit
+            topic.removeData(low, high)
+            every = [entry for entry in every if not low <= entry[0].t <= high]
+        if data.draw(st.booleans(), "settled"):
+            rosCas.info()
+        _compare(data, topic, [position for position, _ in every], unit)
+
+
+def _compare(data, topic, every, unit):
+    """Compare every small read with a list of the positions that are there."""
+    node = data.draw(st.sampled_from([None, "", "r1"]), "node")
+    mine = [p for p in every if node in (None, p.node)]
+    writer = data.draw(st.sampled_from([None, 2, 3]), "run")
+    mine = [p for p in mine if writer is None or p.seq >> 32 == writer]
+    whose = {"nodeID": node, "run": None if writer is None else frozenset([writer])}
+    limit = data.draw(st.integers(0, 12), "limit")
+    for reverse in (False, True):
+        wanted = mine[::-1] if reverse else mine
+        found = [r.position for r in topic.rows(limit=limit, reverse=reverse, **whose)]
+        assert found == wanted[:limit]
+        found = [r.position for r in topic.rows(wanted=limit, reverse=reverse, **whose)]
+        assert found == wanted
+        end = topic.last(**whose) if reverse else topic.first(**whose)
+        assert (end and (end.ns, end.node, end.seq)) == (wanted[0][:3] if wanted else None)
+        for after in wanted[:: max(1, len(wanted) // 3)]:
+            found = topic.rows(limit=2, after=after, reverse=reverse, **whose)
+            rest = wanted[wanted.index(after) + 1 :]
+            assert [r.position for r in found] == rest[:2]
+    for t in data.draw(st.lists(st.integers(0, 4100), min_size=1, max_size=4), "near"):
+        t = T0 + t * unit + data.draw(st.integers(-1, 1))
+        before = [p.t for p in mine if p.t <= t][-1:]
+        after = [p.t for p in mine if p.t >= t][:1]
+        either = sorted(before + after, key=lambda near: (abs(near - t), near))[:1]
+        for how, times in (("before", before), ("after", after), ("either", either)):
+            row = topic.getRow(t, nearest=how, **whose)
+            wanted = [p for p in mine if [p.t] == times][:1]
+            assert ([] if row is None else [row.position]) == wanted
