@@ -7,11 +7,14 @@ from __future__ import annotations
 import logging
 import os
 from dataclasses import dataclass, field
-from typing import AbstractSet, Iterable, Mapping
+from functools import partial
+from typing import AbstractSet, Iterable, Mapping, Sequence
 
-from cassandra_ros.arguments import check_new_topic
+from cassandra_ros.arguments import check_integer, check_new_topic
 from cassandra_ros.bag import identity
 from cassandra_ros.bag.identity import BagContent
+from cassandra_ros.bag.jobs import MAX_JOBS, run_parts, spans_of_jobs
+from cassandra_ros.bag.part import Part
 from cassandra_ros.bag.reader import BagReader, Progress, chosen_connections
 from cassandra_ros.bag.verify import holds_nothing_else
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
@@ -19,12 +22,17 @@ from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_WRITER, SECOND_NS
 from cassandra_ros.store.directory import bucket_for
 from cassandra_ros.store.registry import Run
+from cassandra_ros.store.writer import WriteStats
 from cassandra_ros.topics.message_writer import Handle, MessageWriter, usable_definition
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
 
 _WINDOW_NS = 10 * SECOND_NS
+_REPAIRED = (
+    "A repaired copy counts as another bag: import it into another keyspace, or remove these "
+    "topics first"
+)
 
 
 @dataclass
@@ -65,6 +73,7 @@ def import_bag(
     nodeID: str = "",
     progress: Progress | None = None,
     reading: Progress | None = None,
+    jobs: int = 1,
 ) -> ImportReport:
     """Store the messages of a bag.
 
@@ -78,6 +87,8 @@ def import_bag(
         nodeID: The robot that recorded the bag; '' = nobody says.
         progress: Told how far the storing is.
         reading: Told how far the first pass over the bag is.
+        jobs: So many processes store the messages, 1 to 64; the rows are the same. It pays where
+            cores are free beside those that Cassandra keeps busy.
 
     Returns:
         What was stored. A topic whose definition is empty, broken or hostile is kept as binary,
@@ -91,17 +102,15 @@ def import_bag(
         TopicNotFound: The bag has no such topic.
         WriteFailed, StoreUnavailable: The store did not take all of it.
     """
+    jobs = check_integer("jobs", jobs, 1, MAX_JOBS)
+    store = {**ros_cas.cassandra.arguments(), "keyspace": ros_cas.keyspace} if jobs > 1 else {}
     with BagReader(path) as reader:
         numbers = chosen_connections(reader, topics)
         content = identity.read_content(reader, reading)
         writer_id = _writer_id(ros_cas, reader, nodeID, content)
         report = ImportReport(reader.path, writer_id, nodeID)
         numbers = _refuse_names(reader, numbers, report)
-        # The name of a file may be no text.
-        path = os.fsencode(os.path.abspath(reader.path)).decode("utf-8", "replace")
-        labels = {identity.CONTENT: content.digest}
-        name = os.path.basename(path)
-        run = Run(nodeID, writer_id, "import", name, path, format or "", labels=labels)
+        run = _run(reader, nodeID, writer_id, format, content)
         formats = _formats(ros_cas, reader, numbers, run)
         lengths = bucket_lengths(reader, content.sizes)
         with ros_cas.messageWriter(
@@ -116,9 +125,23 @@ def import_bag(
                 report.topics.setdefault(handle.topic, ImportedTopic(handle.format))
                 if handle.warning and handle.warning not in report.warnings:
                     report.warnings.append(handle.warning)
-            _write_messages(reader, writer, handles, report, progress)
+            task = partial(Part, reader.path, formats, lengths, writer_id, nodeID, store)
+            parts = list(map(task, spans_of_jobs(reader, handles, content.sizes, jobs)))
+            if not _write_parts(reader, writer, handles, report, progress, parts):
+                _write_messages(reader, writer, handles, report, progress)
             writer.close(lost=report.lost)
     return report
+
+
+def _run(
+    reader: BagReader, node: str, writer_id: int, format: str | None, content: BagContent
+) -> Run:
+    """Describe the import for the list of runs."""
+    # The name of a file may be no text.
+    path = os.fsencode(os.path.abspath(reader.path)).decode("utf-8", "replace")
+    labels = {identity.CONTENT: content.digest}
+    name = os.path.basename(path)
+    return Run(node, writer_id, "import", name, path, format or "", labels=labels)
 
 
 def _refuse_names(reader: BagReader, numbers: AbstractSet[int], report: ImportReport) -> set[int]:
@@ -212,10 +235,41 @@ def _write_messages(
                 progress(1, len(data))
     except BagError as exc:
         raise type(exc)(
-            f"{exc}; the {report.messages} messages before it are stored. A repaired copy counts "
-            "as another bag: import it into another keyspace, or remove these topics first"
+            f"{exc}; the {report.messages} messages before it are stored. {_REPAIRED}"
         ) from exc
     writer.flush()
+
+
+def _write_parts(
+    reader: BagReader,
+    writer: MessageWriter,
+    handles: dict[int, Handle],
+    report: ImportReport,
+    progress: Progress | None,
+    parts: Sequence[Part],
+) -> bool:
+    """Store the messages by processes; say whether that was all of them."""
+    counts: dict[int, list[int]] = {}
+    if len(parts) < 2:
+        return False  # one process is there already
+    try:
+        run_parts(parts, progress, counts)
+    except BagError as exc:
+        messages = sum(count for count, _ in counts.values())
+        raise BagError(f"{exc}; {messages} messages beside it are stored. {_REPAIRED}") from exc
+    finally:
+        for number, (messages, size) in counts.items():
+            name = handles[number].topic
+            stats = writer.elsewhere.setdefault(name, WriteStats())
+            stats.stored += messages
+            stats.bytes += size
+    if {n: count for n, (count, _) in counts.items()} != {n: reader.counts[n] for n in handles}:
+        # The index denies the times of some messages, by which they were divided.
+        writer.elsewhere.clear()
+        return False
+    for name, stats in writer.elsewhere.items():
+        report.topics[name].messages, report.topics[name].bytes = stats.stored, stats.bytes
+    return True
 
 
 @dataclass

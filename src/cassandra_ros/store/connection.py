@@ -28,7 +28,12 @@ from cassandra.policies import (
 from cassandra.pool import Host
 from cassandra.query import PreparedStatement, SimpleStatement, Statement, tuple_factory
 
-from cassandra_ros.errors import ConnectionFailed, KeyspaceNotFound, TopicNotFound
+from cassandra_ros.errors import (
+    ConnectionFailed,
+    InvalidOption,
+    KeyspaceNotFound,
+    TopicNotFound,
+)
 from cassandra_ros.store.address import host_names, port_number
 from cassandra_ros.store.driver_errors import (
     DRIVER_ERRORS,
@@ -88,6 +93,8 @@ class Cassandra:
         self._where = f"{','.join(self.hosts)} port {self.port}"
         self.outage = Outage(self._where)
         self.consistency = _consistency_level(consistency)
+        self._login = {"consistency": consistency, "username": username, "password": password}
+        self._by_tls = ssl_context is not None
         self._prepared: dict[str, PreparedStatement] = {}
         self._prepare_lock = threading.Lock()
         self._closed = False
@@ -158,6 +165,16 @@ class Cassandra:
     def closed(self) -> bool:
         """Whether it was closed: nothing can be read or written any more."""
         return self._closed
+
+    def arguments(self) -> dict[str, object]:
+        """Return the arguments by which another process connects as this one did.
+
+        Raises:
+            InvalidOption: It speaks TLS, with keys that cannot be handed on.
+        """
+        if self._by_tls:
+            raise InvalidOption("jobs: a connection with an ssl_context is of one process; use 1")
+        return {"host": list(self.hosts), "port": self.port, **self._login}
 
     def require_open(self) -> None:
         """Raise ConnectionFailed where it is closed; the driver takes that for a passing one."""

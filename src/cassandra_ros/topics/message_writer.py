@@ -126,6 +126,8 @@ class MessageWriter:
         self._handles: dict[tuple[Connection, Optional[str], str], Handle] = {}
         self._topics: dict[str, str] = {}
         self._refused: dict[str, WriteStats] = {}
+        self.elsewhere: dict[str, WriteStats] = {}
+        """What other processes have stored for this run, by topic; counted with ours."""
         self._mutex = threading.Lock()
         self._high = writer_id << COUNTER_BITS
         self._closed = False
@@ -297,7 +299,11 @@ class MessageWriter:
         """Return what became of the messages so far, by topic."""
         found: dict[str, WriteStats] = {}
         with self._mutex:
-            parts = [*self._rows.stats.items(), *self._refused.items()]
+            parts = [
+                *self._rows.stats.items(),
+                *self._refused.items(),
+                *self.elsewhere.items(),
+            ]
             topics = dict(self._topics)
         for name, part in parts:
             total = found.setdefault(topics.get(name, name), WriteStats())

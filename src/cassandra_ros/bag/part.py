@@ -1,0 +1,169 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""One part of an import, in a process of its own: what cuts it, and the process itself.
+
+It is told its task in a line of JSON, and answers with one for what it has handed over since the
+last, and at its end one for what the store has acknowledged.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import time
+from dataclasses import asdict, dataclass
+from types import FrameType
+from typing import Dict, Iterator, List, Optional, Tuple
+
+from cassandra_ros.bag.reader import BagReader, RawMessage
+from cassandra_ros.errors import BagError, CassandraRosError
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+TELL_SEC = 0.1
+"""How often a process says how far it is."""
+
+Span = Tuple[int, int]
+"""From this time on and before that one, ns."""
+
+
+@dataclass
+class Part:
+    """What one process stores of a bag: of some connections the messages of a stretch of time."""
+
+    path: str
+    formats: Dict[int, str]
+    """By number of the connection, as all of these."""
+    lengths: Dict[int, int]
+    """Bucket length, ns, where a table must be made anew: another client dropped it."""
+    writer_id: int
+    node: str
+    store: Dict[str, object]
+    """Arguments of RosCassandra."""
+    spans: Dict[int, Span]
+    """Which connections, and of which times."""
+
+    def to_line(self) -> str:
+        """Return it as a line of JSON."""
+        return json.dumps(asdict(self)) + "\n"
+
+    @staticmethod
+    def from_line(line: str) -> Part:
+        """Read back what to_line wrote."""
+        values = json.loads(line)
+        for name in ("spans", "formats", "lengths"):  # JSON has only texts as keys
+            values[name] = {int(number): value for number, value in values[name].items()}
+        return Part(**values)
+
+
+@dataclass
+class Stored:
+    """What became of a part: by connection, messages and bytes that are acknowledged."""
+
+    counts: Dict[int, List[int]]
+    error: str = ""
+    """Name of the error that ended it."""
+    text: str = ""
+
+    def to_line(self) -> str:
+        """Return it as a line of JSON."""
+        return json.dumps(asdict(self)) + "\n"
+
+    @staticmethod
+    def from_line(line: str) -> Stored:
+        """Read back what to_line wrote."""
+        values = json.loads(line)
+        counts = {int(number): count for number, count in values.pop("counts").items()}
+        return Stored(counts, **values)
+
+
+def part_messages(reader: BagReader, spans: Dict[int, Span]) -> Iterator[RawMessage]:
+    """Read the messages of some connections and times; chunks without any are not unpacked.
+
+    Which they are is told by the index: where it is wrong messages are missed.
+    """
+    for chunk in range(reader.chunk_count):
+        info = reader.chunk_info(chunk)
+        numbers = {
+            number
+            for number in info.counts
+            if number in spans
+            and spans[number][0] <= info.end_ns
+            and info.start_ns < spans[number][1]
+        }
+        if not numbers:
+            continue
+        for message in reader.chunk_messages(chunk, numbers):
+            start_ns, end_ns = spans[message.number]
+            if start_ns <= message.t_ns < end_ns:
+                yield message
+
+
+class _Teller:
+    """Says on standard output how far the process is, and whether it is to end early."""
+
+    def __init__(self) -> None:
+        self.counts: Dict[int, List[int]] = {}
+        self._messages = self._bytes = 0
+        self._told = time.monotonic()
+        self.ended = False
+
+    def end(self, _number: int, _frame: Optional[FrameType]) -> None:
+        """Handle a signal: stop before the next message."""
+        self.ended = True
+
+    def add(self, message: RawMessage) -> None:
+        """Count a message that was handed over."""
+        count = self.counts.setdefault(message.number, [0, 0])
+        count[0] += 1
+        count[1] += len(message.data)
+        self._messages += 1
+        self._bytes += len(message.data)
+        if not self._messages & 63 and time.monotonic() - self._told > TELL_SEC:
+            self.tell()
+
+    def tell(self) -> None:
+        """Say what came since the last time."""
+        _say(json.dumps([self._messages, self._bytes]) + "\n")
+        self._messages = self._bytes = 0
+        self._told = time.monotonic()
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(line)
+    sys.stdout.flush()
+
+
+def _write(part: Part, teller: _Teller) -> None:
+    """Store the messages of a part; those that the teller has counted are acknowledged then."""
+    with RosCassandra(**part.store) as ros_cas, BagReader(part.path) as reader:  # type: ignore[arg-type]
+        # The import's run, its heartbeat and its tables are those of the process that started us.
+        with ros_cas.messageWriter(writer_id=part.writer_id, nodeID=part.node) as writer:
+            handles = {
+                n: writer.connect(reader.connections[n], part.lengths[n], format=part.formats[n])
+                for n in part.spans
+            }
+            for message in part_messages(reader, part.spans):
+                if teller.ended:
+                    break
+                writer.write(handles[message.number], message.t_ns, message.position, message.data)
+                teller.add(message)
+            teller.tell()
+
+
+def main() -> int:
+    """Do what the line on standard input asks for; return the exit status."""
+    teller = _Teller()
+    # A Ctrl-C reaches all processes of the terminal; ours are told by the one that started them.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, teller.end)
+    part = Part.from_line(sys.stdin.readline())
+    try:
+        _write(part, teller)
+        stored = Stored(teller.counts)
+    except CassandraRosError as exc:
+        # What came before the damage is acknowledged; of a failed write nobody can say how much.
+        counts = teller.counts if isinstance(exc, BagError) else {}
+        stored = Stored(counts, type(exc).__name__, str(exc))
+    _say(stored.to_line())
+    return 1 if stored.error else 0

@@ -1,0 +1,109 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""An import by several processes: the same rows as by one, and a clean end where one fails."""
+
+from __future__ import annotations
+
+import psutil
+import pytest
+from bag.test_import_export import counts_agree, stored_rows
+from bag.truth import string_connection, string_wire
+
+from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.bag.reader import BagReader
+from cassandra_ros.bag.verify import verify_bag
+from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.errors import BagError, InvalidOption, WriteFailed
+
+HOUR_NS = 3600 * 10**9
+
+
+def sparse_bag(path, count=2000):
+    """Write a bag of one busy topic by two publishers, cut by days, and two small ones."""
+    with BagWriter(path, "bz2", chunk_bytes=20_000) as writer:
+        busy = [writer.connection(string_connection("/busy", callerid=c)) for c in ("/a", "/b")]
+        small = [writer.connection(string_connection(topic)) for topic in ("/small", "/late")]
+        for i in range(count):
+            # Some come late, some at the same time.
+            writer.write(busy[i % 2], (i - i % 7 * (i % 5 == 0)) * HOUR_NS, string_wire("x" * 100))
+            if not i % 50:
+                writer.write(small[i % 4 // 2], i * HOUR_NS + 5, string_wire(f"text {i}"))
+    return path
+
+
+def children():
+    """Return the processes that this one has started for an import."""
+    found = psutil.Process().children()
+    return [child for child in found if any("bag.part" in word for word in child.cmdline())]
+
+
+@pytest.mark.parametrize("form", ["binary", "ros", "packed"])
+def test_several_processes_write_the_rows_of_one(rosCas, cql, tmp_path, form):
+    path, seen = sparse_bag(tmp_path / "a.bag"), []
+
+    def progress(messages, size):
+        seen.append((messages, len(children())))
+
+    report = import_bag(rosCas, path, format=form, jobs=3, progress=progress)
+    assert max(count for _, count in seen) > 1
+    assert sum(messages for messages, _ in seen) == report.messages == 2040
+    rows, counts = stored_rows(rosCas), counts_agree(rosCas, cql)
+    assert verify_bag(rosCas, path).equal
+    assert rosCas.runs()[0].stored == counts
+    again = import_bag(rosCas, path, format=form)
+    assert again == report
+    assert (stored_rows(rosCas), counts_agree(rosCas, cql)) == (rows, counts)
+
+
+def test_a_process_that_is_killed_ends_the_import(rosCas, cql, tmp_path):
+    path = sparse_bag(tmp_path / "a.bag", 6000)
+    killed, busy = [], {"format": "binary", "topics": ["/busy"], "jobs": 2}  # one topic, cut in two
+
+    def kill(messages, size):
+        if messages and not killed and len(children()) > 1:
+            killed.append(children()[0])
+            killed[0].kill()
+
+    with pytest.raises(WriteFailed, match="has ended with status -9"):
+        import_bag(rosCas, path, progress=kill, **busy)
+    assert not children()
+    (run,) = rosCas.runs()
+    stored = counts_agree(rosCas, cql)
+    assert run.state == "interrupted"
+    assert sum(run.stored.values()) <= sum(stored.values()) < 6000
+    import_bag(rosCas, path, **busy)
+    assert counts_agree(rosCas, cql) == {"/busy": 6000}
+    assert verify_bag(rosCas, path, topics=["/busy"]).equal
+
+
+def test_an_interrupted_import_leaves_no_process(rosCas, cql, tmp_path):
+    path = sparse_bag(tmp_path / "a.bag", 6000)
+
+    def interrupt(messages, size):
+        if messages:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        import_bag(rosCas, path, format="binary", jobs=2, progress=interrupt)
+    assert not children()
+    (run,) = rosCas.runs()
+    assert 0 < sum(run.stored.values()) == sum(counts_agree(rosCas, cql).values())
+
+
+def test_damage_in_a_part_leaves_the_others(rosCas, cql, tmp_path):
+    path = sparse_bag(tmp_path / "a.bag")
+    with BagReader(path) as reader:
+        info = reader.chunk_info(reader.chunk_count - 2)
+    changed = bytearray(path.read_bytes())
+    changed[info.position + 200] ^= 0xFF
+    path.write_bytes(changed)
+    with pytest.raises(BagError, match="messages beside it are stored") as caught:
+        import_bag(rosCas, path, format="binary", jobs=2)
+    stored = sum(counts_agree(rosCas, cql).values())
+    assert f"; {stored} messages beside it" in str(caught.value)
+    assert stored > 1000
+
+
+def test_jobs_are_checked(rosCas, tmp_path):
+    with pytest.raises(InvalidOption, match="jobs=0 cannot be used: give a whole number of 1"):
+        import_bag(rosCas, sparse_bag(tmp_path / "a.bag", 10), jobs=0)
