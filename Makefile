@@ -14,7 +14,7 @@ export ROS_IP := 127.0.0.1
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup demo test campaign lint bench bench-quick bench-formats bench-play clean distclean
+.PHONY: help setup demo test campaign lint bench bench-quick bench-page bench-formats bench-play clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, workspace .ws"
@@ -24,7 +24,8 @@ help:
 	@echo "make lint           ruff, mypy, catkin_lint"
 	@echo "make bench          measure beside rosbag, MCAP, SQLite and the bare driver (40 minutes)"
 	@echo "make bench-quick    the same with small numbers (5 minutes)"
-	@echo "make bench-formats  measure the five formats on real bags: bytes on disk, time"
+	@echo "make bench-page     fill the tables of README.md and doc/performance.md from the last make bench"
+	@echo "make bench-formats  measure all formats on real bags: bytes on disk, time"
 	@echo "make bench-play     measure how late messages are played, beside rosbag play"
 	@echo "make clean          remove what was built; make distclean: also .venv"
 
@@ -52,6 +53,9 @@ bench: setup
 
 bench-quick: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench.py --size quick $(ARGS)
+
+bench-page: setup
+	@$(IN_WORKSPACE) $(PYTHON) benchmark/page.py $(ARGS)
 
 bench-formats: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/formats.py $(ARGS)

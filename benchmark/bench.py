@@ -72,7 +72,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="cassandra_ros_bench_") as folder:
         results = run(args, Path(folder))
     # Part of the experiments is no full run: it must not pass for one.
-    name = args.size + ("-" + "-".join(args.only) if args.only else "")
+    name = "-".join(["part", args.size, *args.only]) if args.only else args.size
     path = args.results / f"{name}.json"
     results.save(path)
     print(text_table(rows(results)))

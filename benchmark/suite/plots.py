@@ -45,7 +45,7 @@ def save_all(results: Results, folder: Path, name: str) -> List[Path]:
     for figure, draw in figures.items():
         if not results.of(needs[figure]):
             continue
-        image, axes = plt.subplots(figsize=(8, 4.5))
+        image, axes = plt.subplots(figsize=(9.5, 4.5))
         draw(results, axes)
         path = folder / f"{name}-{figure}.png"
         image.tight_layout()
@@ -53,6 +53,11 @@ def save_all(results: Results, folder: Path, name: str) -> List[Path]:
         plt.close(image)
         made.append(path)
     return made
+
+
+def _legend(axes: Any) -> None:
+    """Put the legend beside the picture: nothing in it is hidden."""
+    axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
 
 
 def _by_contender(series: List[Series]) -> Dict[str, List[Series]]:
@@ -69,7 +74,7 @@ def _size(results: Results, axes: Any) -> None:
     axes.set(xscale="log", yscale="log", xlabel="messages stored", ylabel="bytes a message")
     axes.set_title("Size on disk after flush (paper: figure 5a)")
     axes.grid(alpha=0.3)
-    axes.legend()
+    _legend(axes)
 
 
 def _write_time(results: Results, axes: Any) -> None:
@@ -80,7 +85,7 @@ def _write_time(results: Results, axes: Any) -> None:
     axes.set(yscale="log", xlabel="messages stored already", ylabel="µs a message")
     axes.set_title("Time of a write (paper: figure 5b)")
     axes.grid(alpha=0.3)
-    axes.legend()
+    _legend(axes)
 
 
 def _lookups(results: Results, axes: Any) -> None:
@@ -94,6 +99,7 @@ def _lookups(results: Results, axes: Any) -> None:
                 s.values, positions=[at], widths=0.7 / len(names), sym="", patch_artist=True
             )
             box["boxes"][0].set_facecolor(COLOURS[name])
+            box["medians"][0].set_color("black")
         axes.plot([], [], "s", color=COLOURS[name], label=name)
     marks = {"Cassandra": "*", "MongoDB, index": "P", "MongoDB": "X"}
     for name, values in paper.LOOKUP_MS.items():
@@ -104,7 +110,7 @@ def _lookups(results: Results, axes: Any) -> None:
     axes.set(yscale="log", xlabel="messages stored", ylabel="ms")
     axes.set_title("Lookups by key (paper: figure 6)")
     axes.grid(alpha=0.3, axis="y")
-    axes.legend(fontsize=8, ncol=2)
+    _legend(axes)
 
 
 def _clauses(results: Results, axes: Any) -> None:
@@ -123,7 +129,7 @@ def _clauses(results: Results, axes: Any) -> None:
     axes.set(xscale="log", yscale="log", xlabel="messages returned (0.5: none)", ylabel="s")
     axes.set_title("Random WHERE clauses (paper: figure 7)")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
+    _legend(axes)
 
 
 def _writing(results: Results, axes: Any) -> None:
@@ -145,4 +151,4 @@ def _writing(results: Results, axes: Any) -> None:
     axes.set_xticks(range(len(kinds)), kinds)
     axes.set(yscale="log", ylabel="x rosbag")
     axes.set_title("Messages written a second, as multiples of rosbag's")
-    axes.legend(fontsize=8, ncol=2)
+    _legend(axes)

@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The benchmark is right about what it measures; how fast anything is is not looked at."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+from conftest import ROOT
+
+sys.path.append(str(ROOT / "benchmark"))
+
+from suite.contenders import FORMAT_NAMES, NotEqual, Rosbag, verify  # noqa: E402
+from suite.messages import KINDS, serialized  # noqa: E402
+from suite.results import Results  # noqa: E402
+from suite.tables import TABLES, fill  # noqa: E402
+from suite.targets import rows, targets  # noqa: E402
+
+EXPERIMENTS = (
+    *("writing", "bags", "growth", "lookups", "clauses", "conditions", "live", "writers"),
+    "cluster",
+)
+FILES = ("rosbag", "mcap", "sqlite")
+PAGES = ("README.md", "doc/performance.md")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_messages_are_of_their_type_and_the_same_in_every_run(kind):
+    batch, again = KINDS[kind](3), KINDS[kind](3)
+    assert (batch.times, batch.wires) == (again.times, again.wires)
+    assert [serialized(msg) for msg in batch.objects()] == batch.wires
+    assert len(set(batch.wires)) == len(batch) == 3
+    assert batch.times == sorted(set(batch.times))
+
+
+def test_what_was_read_otherwise_is_told(tmp_path):
+    bag = Rosbag(KINDS["imu"](5), tmp_path)
+    bag.open()
+    bag.extend(0, 5)
+    bag.finish()
+    verify(bag, bag.batch)
+    with pytest.raises(NotEqual, match="read 5 messages of 4"):
+        verify(bag, bag.batch.first(4))
+    bag.batch.wires[2] = bag.batch.wires[1]
+    with pytest.raises(NotEqual, match="others than were written"):
+        verify(bag, bag.batch)
+
+
+def made_up():
+    results = Results()
+    for kind, rosbag, mine in (("imu", [100, 200, 300], 500), ("tf", [10], 19)):
+        results.add("writing", "write", "rosbag", rosbag, "msg/s", kind)
+        results.add("writing", "write", "packed import", [mine], "msg/s", kind)
+    results.add("lookups", "lookup", "ros", [1.0, 2.0, 9.0], "ms", x=100)
+    results.add("lookups", "lookup", "ros", [2.3], "ms", x=1000)
+    results.add("lookups", "lookup", "bare SELECT, ros", [2.0], "ms", x=100)
+    results.add("lookups", "lookup", "bare SELECT, ros", [2.0], "ms", x=1000)
+    return results
+
+
+def find(results, work, unit):
+    (found,) = [one for one in targets(results) if (one.work, one.unit) == (work, unit)]
+    return found
+
+
+def test_a_target_is_told_by_its_worst_case():
+    importing = find(made_up(), "import packed, small messages", "x rosbag")
+    assert (importing.reached, importing.case, importing.ok) == (1.9, "tf", False)
+    assert importing.verdict == "missed: 95% of it"
+    lookup = find(made_up(), "lookup by key, ros", "x bare SELECT")
+    assert (lookup.case, lookup.ok, lookup.verdict) == ("1,000", True, "reached")
+    grown = find(made_up(), "lookup by key, ros", "x that at 100")
+    assert grown.ok and grown.reached == pytest.approx(1.15)
+    grown = Results(series=[one for one in made_up().series if one.x == 1000])
+    grown.add("lookups", "lookup", "ros", [1.0], "ms", x=100)
+    assert find(grown, "lookup by key, ros", "x that at 100").verdict == "missed: 92% above it"
+
+
+def test_what_was_not_measured_is_neither_reached_nor_missed():
+    verdicts = {row[-1] for row in rows(Results())[1:]}
+    assert verdicts == {"not measured"}
+    assert find(made_up(), "import packed, small messages", "x mcap").ok is None
+
+
+def test_results_are_the_same_from_their_file(tmp_path):
+    results = made_up()
+    results.save(tmp_path / "some.json")
+    assert Results.load(tmp_path / "some.json") == results
+
+
+@pytest.fixture(scope="module")
+def smoke(cassandra, workspace_env, tmp_path_factory):
+    """The results of a run of the whole suite with next to nothing to measure."""
+    folder = tmp_path_factory.mktemp("results")
+    command = [sys.executable, ROOT / "benchmark/bench.py", "--size", "smoke"]
+    command += ["--host", cassandra.host, "--port", str(cassandra.port), "--results", folder]
+    done = subprocess.run(
+        list(map(str, command)), env=workspace_env, capture_output=True, text=True, timeout=900
+    )
+    assert done.returncode == 0, done.stderr[-4000:] + done.stdout[-2000:]
+    return folder, done.stdout, Results.load(folder / "smoke.json")
+
+
+def test_every_part_of_the_suite_runs(smoke):
+    folder, output, results = smoke
+    assert results.failures == []
+    assert tuple(results.seconds) == EXPERIMENTS
+    for experiment in EXPERIMENTS:
+        assert results.of(experiment), experiment
+    assert all(one.values for one in results.series)
+    # What was written was compared with what is read: extend, finish, raw of each contender.
+    for kind in ("paper", "tf", "image"):
+        for name in (*FORMAT_NAMES, *FILES, "bare driver"):
+            assert results.find("writing", "write", name, kind), (name, kind)
+            assert results.find("writing", "read", name, kind), (name, kind)
+        for name in (*(f"{name} import" for name in FORMAT_NAMES), "rosbag objects"):
+            assert results.find("writing", "write", name, kind), (name, kind)
+    for name in (*FORMAT_NAMES, *FILES):
+        assert len(results.find("lookups", "lookup", name, x=1000)) == 3, name
+    for one in results.of("live", "lost"):
+        assert one.values == [0], one
+    assert "must reach" in output
+    assert len(list(folder.glob("smoke-*.png"))) == 5
+    machine = json.loads((folder / "smoke.json").read_text())["machine"]
+    assert machine["commit"] and machine["date"] and machine["versions"]["cassandra"]
+
+
+def test_every_table_is_made_of_what_was_measured(smoke):
+    _, _, results = smoke
+    for name in TABLES:
+        page = f"a\n<!-- bench:{name} -->\nold\n<!-- /bench:{name} -->\nb\n"
+        filled = fill(page, results)
+        assert "old" not in filled
+        assert fill(filled, results) == filled
+    for page in ("<!-- bench:done -->", "<!-- bench:nothing --><!-- /bench:nothing -->"):
+        with pytest.raises(ValueError, match="bench:"):
+            fill(page, results)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_figures_of_the_pages_are_those_of_the_last_full_run(page):
+    path = ROOT / "benchmark/results/full.json"
+    if not path.is_file():
+        pytest.skip("there was no full run yet")
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert "<!-- bench:" in text
+    assert fill(text, Results.load(path)) == text, "fill them with: make bench-page"
