@@ -9,14 +9,15 @@ ISO 8601. Numbers stay as they are, for Python compares int and float exactly an
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from decimal import Decimal
 from numbers import Integral, Real
-from typing import Any, Callable, Optional, Union
+from typing import Any, Callable, Iterator, Optional, Union
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.messages.stamps import seconds_to_ns, to_ns
 from cassandra_ros.query.names import FieldRef
-from cassandra_ros.query.syntax import DecimalText, Literal, StatementError
+from cassandra_ros.query.syntax import DecimalText, Leaf, Literal, StatementError, given
 
 Comparable = Union[int, float, str]
 
@@ -35,6 +36,13 @@ def fit_to_field(literal: Literal, ref: FieldRef) -> Comparable:
         reason = f"{is_a}; compare it with {wanted}, not with {_shown(literal.value)}"
         raise StatementError(literal.position, reason)
     return fitted
+
+
+def fitting(leaf: Leaf, ref: FieldRef) -> Iterator[Comparable]:
+    """Yield what the values of a field are compared with, as far as it is of their kind."""
+    for literal in given(leaf):
+        with suppress(StatementError):  # of another kind: it equals nothing here
+            yield fit_to_field(literal, ref)
 
 
 def fit_to_time(literal: Literal, name: str = "KEY") -> int:

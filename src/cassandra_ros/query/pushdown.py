@@ -6,24 +6,16 @@ It only has to leave out what cannot match: every row that comes is checked agai
 cannot be said in CQL is left away, OR becomes several queries whose rows are united, and the rows
 whose columns are not exact (``_odd``) are read besides.
 
-Cassandra compares otherwise than we do: −0.0 is less than 0.0 and NaN more than all, a float32
-column takes a double for the float32 nearest to it, and a bound beyond an integer column's range
-is an error. So bounds go outwards to the next value that the column can hold; what it cannot
-hold cannot match.
+Of a packed table the server checks blocks, by their zones; what it finds is unpacked, and sifted
+before it becomes rows.
 """
 
 from __future__ import annotations
 
-import math
-from contextlib import suppress
-from dataclasses import dataclass
 from itertools import product
 from typing import (
-    Any,
-    Callable,
     Dict,
     FrozenSet,
-    Iterator,
     NamedTuple,
     Optional,
     Protocol,
@@ -31,15 +23,13 @@ from typing import (
     Tuple,
 )
 
-import numpy
-from numpy.typing import NDArray
-
 from cassandra_ros.messages.index_field import MAX_TEXT_BYTES
 from cassandra_ros.messages.wire.plan import wire_plan
-from cassandra_ros.messages.wire.values import encode_value
-from cassandra_ros.query.literals import Comparable, fit_to_field
+from cassandra_ros.messages.wire.zones import zone_map
+from cassandra_ros.query.literals import Comparable, fitting
 from cassandra_ros.query.names import FieldRef, field_of
-from cassandra_ros.query.protocols import Block, Table
+from cassandra_ros.query.protocols import Table
+from cassandra_ros.query.sift import Sift, compile_sift
 from cassandra_ros.query.syntax import (
     All,
     Compare,
@@ -50,8 +40,17 @@ from cassandra_ros.query.syntax import (
     Negation,
     Path,
     StatementError,
-    given,
     wants_array,
+)
+from cassandra_ros.query.terms import (
+    NEVER,
+    Held,
+    Term,
+    Ways,
+    span_of,
+    ways_of,
+    zone_span,
+    zone_ways,
 )
 
 PLANS = ("auto", "index", "filter", "client")
@@ -69,22 +68,9 @@ DENSE_ROWS = 500
 """So few are no burden, whatever their share."""
 CROWDED_SHARE = 0.3
 """Where more of a bucket is wanted, it is read once instead of by several queries."""
-Sift = Callable[[Block], Optional[NDArray[numpy.bool_]]]
-"""From a block to a mask of the messages that may match; None = all may."""
-Term = Tuple[str, str, bytes]
-"""Column, operator and encoded value."""
 Query = Tuple[Tuple[Term, ...], bool]
 """What the server is to check, all of it, and whether it finds the rows by an index."""
 _ODD: Query = ((("_odd", "=", b"\x01"),), False)
-Ways = Optional[Tuple[Tuple[Term, ...], ...]]
-"""Each way is a set of terms that all hold; what matches does so in one way at least. None: any row
-may match. Empty: none can."""
-
-NEVER: Ways = ()
-_BITS = {"tinyint": 8, "smallint": 16, "int": 32, "bigint": 64}
-_RANGES = {cql_type: (-(2 ** (n - 1)), 2 ** (n - 1) - 1) for cql_type, n in _BITS.items()}
-_RANGES.update(boolean=(0, 1), varint=(0, 2**64 - 1))
-_FLOATS: Any = {"float": numpy.float32, "double": numpy.float64}
 
 
 class _Bucket(Protocol):
@@ -98,19 +84,6 @@ class _Bucket(Protocol):
     def closed(self) -> bool: ...
     @property
     def filled(self) -> FrozenSet[str]: ...
-
-
-@dataclass(frozen=True)
-class Held:
-    """A column of a table, or one that carries an index."""
-
-    column: str
-    cql_type: str
-    """Of one value."""
-    many: bool = False
-    """A list or set of values, which can only be asked for one that it contains."""
-    longest: int = 0
-    """Texts of more bytes may be missing, so that a range of texts is never asked for."""
 
 
 class Need(NamedTuple):
@@ -143,7 +116,8 @@ class Pushdown:
             alone, whole, and not at all.
         blocks, unpacked, kept: How many blocks were read, how many messages they held, and how
             many of those became rows.
-        used: The comparisons that the server checked, each with the way: 'index' or 'filter'.
+        used: The comparisons that the server checked, each with the way: 'index', 'filter' or
+            'zones'.
     """
 
     def __init__(self, expression: Optional[Expression], plan: str = "auto") -> None:
@@ -152,6 +126,7 @@ class Pushdown:
         self._expression = expression
         self._plan = plan
         self._branches: dict[str, Optional[list[Branch]]] = {}
+        self._sifts: dict[str, Optional[Sift]] = {}
         self._many: set[str] = set()
         self._dense: set[str] = set()
         self._crowded: set[str] = set()
@@ -188,7 +163,11 @@ class Pushdown:
 
     def sift(self, table: Table) -> Optional[Sift]:
         """Return what leaves out messages of blocks that cannot match; None = nothing does."""
-        return None
+        if self._plan == "client" or self._expression is None or table.definition is None:
+            return None
+        if table.name not in self._sifts:
+            self._sifts[table.name] = compile_sift(self._expression, table.definition)
+        return self._sifts[table.name]
 
     def opened(self, table: Table, messages: int, kept: int) -> None:
         """Take note of a block that was unpacked, and how many of its messages became rows."""
@@ -211,7 +190,7 @@ class Pushdown:
         queries: list[Query] = []
         used: Used = {}
         for branch in branches:
-            found = self._queries(branch, filled, used)
+            found = self._queries(branch, filled, used, "zones" if table.packed else "filter")
             if found is None or len(queries) + len(found) > MAX_QUERIES:
                 return None
             queries.extend(found)
@@ -222,7 +201,9 @@ class Pushdown:
             queries.append(_ODD)
         return queries
 
-    def _queries(self, branch: Branch, filled: frozenset[str], used: Used) -> Optional[list[Query]]:
+    def _queries(
+        self, branch: Branch, filled: frozenset[str], used: Used, way_without: str
+    ) -> Optional[list[Query]]:
         """Return the queries for one branch; None where the server cannot check anything of it."""
         if any(NEVER in (need.filtered, need.indexed) for need in branch):
             return []
@@ -238,7 +219,7 @@ class Pushdown:
             if way is not None and count * len(way) <= MAX_QUERIES:
                 count *= len(way)
                 ways.append(way)
-                used[id(need.leaf), "index" if by_index else "filter"] = need.leaf
+                used[id(need.leaf), "index" if by_index else way_without] = need.leaf
         if not ways:
             return None
         return [(_compatible(sum(terms, ())), bool(shadow)) for terms in product(*ways)]
@@ -294,9 +275,11 @@ def _need(leaf: Leaf, table: Table) -> Need:
         ref = field_of(leaf.operand, table.definition, wants_array(leaf))
     except StatementError:
         return Need(leaf, NEVER)  # missing here, and what is missing never matches
-    values = list(_fitted(leaf, ref))
+    values = list(fitting(leaf, ref))
     if not values or ref.part:
         return Need(leaf, None if values else NEVER)
+    if table.packed:
+        return Need(leaf, _zone_ways(ref, table, operator, values))
     filtered = _ways(_column_of(ref, table), operator, values, FEW_VALUES)
     index = table.index_fields.get(ref.column)
     if index is None:
@@ -312,10 +295,13 @@ def _ways(held: Optional[Held], operator: str, values: Sequence[Comparable], mos
     return found if found is None or len(found) <= most else span_of(held, values)
 
 
-def _fitted(leaf: Leaf, ref: FieldRef) -> Iterator[Comparable]:
-    for literal in given(leaf):
-        with suppress(StatementError):  # of another kind: it equals nothing here
-            yield fit_to_field(literal, ref)
+def _zone_ways(ref: FieldRef, table: Table, operator: str, values: Sequence[Comparable]) -> Ways:
+    column = None if table.definition is None else zone_map(table.definition).fields.get(ref.column)
+    if column is None:
+        return None
+    held = Held(column.name, column.element_type)
+    found = zone_ways(held, operator, values)
+    return found if found is None or len(found) <= FEW_VALUES else zone_span(held, values)
 
 
 def _column_of(ref: FieldRef, table: Table) -> Optional[Held]:
@@ -327,95 +313,3 @@ def _column_of(ref: FieldRef, table: Table) -> Optional[Held]:
     if column is None or column.kind in ("array", "wire"):
         return None
     return Held(column.name, column.element_type, column.is_list, table.longest_text)
-
-
-def ways_of(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
-    """Say how the server can check that a column compares so (= < <= > >= CONTAINS) with a value.
-
-    For ``=`` and ``CONTAINS`` there may be several, of which one is to match.
-    """
-    if operator == "=" or (operator == "CONTAINS" and held.many):
-        return _equal(held, "CONTAINS" if held.many else "=", values)
-    if held.many or operator not in ("<", "<=", ">", ">="):
-        return None
-    return _bounded(held, operator, values[0])
-
-
-def span_of(held: Held, values: Sequence[Comparable]) -> Ways:
-    """Say how the server can check that a number lies between the outermost of some."""
-    numbers = [v for v in values if not isinstance(v, str) and v == v]
-    if held.many or not numbers or len(numbers) < len(values):
-        return None
-    ways = [_bounded(held, ">=", min(numbers)), _bounded(held, "<=", max(numbers))]
-    if NEVER in ways:
-        return NEVER
-    terms = tuple(term for way in ways for term in (way[0] if way else ()))
-    return (terms,) if terms else None
-
-
-def _equal(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
-    ways: dict[tuple[Term, ...], None] = {}
-    for value in values:
-        raws = _exact(held, value)
-        if raws is None:
-            return None
-        if len(raws) == 2 and not held.many:  # both zeros, in one query
-            ways[(held.column, ">=", raws[0]), (held.column, "<=", raws[1])] = None
-        else:
-            ways.update(dict.fromkeys(((held.column, operator, raw),) for raw in raws))
-    return tuple(ways)
-
-
-def _exact(held: Held, value: Comparable) -> Optional[list[bytes]]:
-    """Encode all that equals a value; None where the column may lack what does."""
-    if isinstance(value, str) != (held.cql_type == "text") or value != value:
-        return []
-    if isinstance(value, str):
-        try:
-            raw = encode_value("text", value)
-        except UnicodeEncodeError:
-            return None
-        return [raw] if len(raw) <= held.longest else None
-    if held.cql_type in _FLOATS:
-        below, above = (_float(held.cql_type, value, upwards) for upwards in (True, False))
-        if below == above:
-            return [below]
-        return [below, above] if value == 0 else []
-    low, high = _RANGES[held.cql_type]
-    if not low <= value <= high or value != int(value):
-        return []
-    return [encode_value(held.cql_type, int(value))]
-
-
-def _bounded(held: Held, operator: str, value: Comparable) -> Ways:
-    if isinstance(value, str) or held.cql_type in ("text", "boolean"):
-        return None
-    if value != value:
-        return NEVER
-    upwards = operator in (">", ">=")
-    if held.cql_type in _FLOATS:
-        raw = _float(held.cql_type, value, upwards)
-        return (((held.column, operator[0] + "=", raw),),)
-    low, high = _RANGES[held.cql_type]
-    if (value > high or (value == high and operator == ">")) if upwards else value < low:
-        return NEVER
-    if value <= low if upwards else value >= high:
-        return None
-    bound = math.ceil(value) if upwards else math.floor(value)
-    return (((held.column, operator[0] + "=", encode_value(held.cql_type, bound)),),)
-
-
-def _float(cql_type: str, value: Comparable, upwards: bool) -> bytes:
-    """Encode the nearest float that is not above (upwards) or not below a value."""
-    kind = _FLOATS[cql_type]
-    try:
-        wide = float(value)
-    except OverflowError:
-        wide = math.inf if value > 0 else -math.inf  # type: ignore[operator]
-    with numpy.errstate(over="ignore"):
-        near = kind(wide)
-        # As Python numbers, for they compare exactly.
-        if (float(near) > value) if upwards else (float(near) < value):  # type: ignore[operator]
-            near = numpy.nextafter(near, kind(-math.inf if upwards else math.inf))
-    found = float(near)
-    return encode_value(cql_type, found if found else (-0.0 if upwards else 0.0))

@@ -183,9 +183,18 @@ class Stack(NamedTuple):
     """Which they are."""
     planes: Bytes
 
-    def numbers(self, path: str, base: str) -> Numbers:
+    def numbers(self, path: str, base: str, chosen: slice = slice(None)) -> Numbers:
         """Return a field of a primitive type: (places, messages); times as ns, a bool as 0 or 1."""
-        return read_numbers(self.planes, self.layout.numbers(path), base)
+        return read_numbers(self.planes, self.layout.numbers(path)[chosen], base)
+
+    def array(self, path: str, base: str) -> Numbers:
+        """Return the elements of an array of numbers: (elements, messages)."""
+        unit = PRIMITIVE_SIZES[base]
+        parts = [
+            (each.ats[:, None] + np.arange(each.length) * unit).ravel()
+            for each in self.layout.arrays.get(path, [])
+        ]
+        return read_numbers(self.planes, np.concatenate([_NOWHERE, *parts]), base)
 
     def element(self, path: str, index: int, base: str) -> Numbers:
         """Return one element of an array of numbers that lies at one place; as numbers."""
