@@ -8,7 +8,7 @@ import pytest
 from bag.truth import string_connection, string_wire
 
 from cassandra_ros.bag.identity import read_content
-from cassandra_ros.bag.importer import bucket_lengths
+from cassandra_ros.bag.importer import table_lengths
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.writer import BagWriter
 
@@ -23,7 +23,8 @@ def lengths(path, messages, connections=1):
         for number, t_ns, size in messages:
             writer.write(number, t_ns, string_wire(b"x" * size))
     with BagReader(path) as reader:
-        return bucket_lengths(reader, read_content(reader).sizes)
+        found = table_lengths(reader, read_content(reader).sizes)
+        return {number: lengths.bucket_ns for number, lengths in found.items()}
 
 
 def steady(rate_hz, seconds, size=100, start=10**18, number=0):

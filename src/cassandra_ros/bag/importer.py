@@ -10,17 +10,18 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import AbstractSet, Iterable, Mapping, Sequence
 
-from cassandra_ros.arguments import check_integer, check_new_topic
+from cassandra_ros.arguments import check_integer, check_new_topic, check_node
 from cassandra_ros.bag import identity
 from cassandra_ros.bag.identity import BagContent
 from cassandra_ros.bag.jobs import MAX_JOBS, run_parts, spans_of_jobs
-from cassandra_ros.bag.part import Part
+from cassandra_ros.bag.part import Part, connect
 from cassandra_ros.bag.reader import BagReader, Progress, chosen_connections
 from cassandra_ros.bag.verify import holds_nothing_else
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_WRITER, SECOND_NS
-from cassandra_ros.store.directory import bucket_for
+from cassandra_ros.store.blocks.limits import limits_for
+from cassandra_ros.store.directory import Lengths, bucket_for, span_for
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.writer import WriteStats
 from cassandra_ros.topics.message_writer import Handle, MessageWriter, usable_definition
@@ -112,12 +113,14 @@ def import_bag(
         numbers = _refuse_names(reader, numbers, report)
         run = _run(reader, nodeID, writer_id, format, content)
         formats = _formats(ros_cas, reader, numbers, run)
-        lengths = bucket_lengths(reader, content.sizes)
-        with ros_cas.messageWriter(
-            writer_id=writer_id, format=format, nodeID=nodeID, run=run
+        lengths = table_lengths(reader, content.sizes)
+        # Blocks are never sealed by time, nor do they depend on the topics that are chosen.
+        limits = limits_for(len(reader.connections))
+        with MessageWriter(
+            ros_cas.parts, writer_id, format=format, node=check_node(nodeID), run=run, limits=limits
         ) as writer:
             handles = {
-                n: writer.connect(connection, lengths[n], format=formats[n])
+                n: connect(writer, connection, lengths[n], formats[n])
                 for n, connection in reader.connections.items()
                 if n in numbers
             }
@@ -234,6 +237,7 @@ def _write_messages(
             if progress is not None:
                 progress(1, len(data))
     except BagError as exc:
+        writer.flush()
         raise type(exc)(
             f"{exc}; the {report.messages} messages before it are stored. {_REPAIRED}"
         ) from exc
@@ -280,6 +284,13 @@ class _Rate:
     bytes: float = 0.0
     peak_hz: float = 0.0
     peak_bytes: float = 0.0
+    connections: int = 0
+
+    def lengths(self) -> Lengths:
+        """Choose how much time buckets and blocks cover."""
+        per = max(self.connections, 1)
+        bucket_ns = bucket_for(self.peak_hz, self.peak_bytes)
+        return Lengths(bucket_ns, span_for(self.peak_hz / per, self.peak_bytes / per))
 
     def finish(self, start_ns: int, last: bool = False) -> None:
         """End a window; a short one at the end counts only where it is the only one."""
@@ -290,8 +301,8 @@ class _Rate:
         self.start_ns, self.count, self.bytes = start_ns, 0, 0.0
 
 
-def bucket_lengths(reader: BagReader, sizes: Mapping[int, int]) -> dict[int, int]:
-    """Choose the bucket length, ns, of each connection's table, equal for those that share one.
+def table_lengths(reader: BagReader, sizes: Mapping[int, int]) -> dict[int, Lengths]:
+    """Choose the lengths of each connection's table, equal for those that share one.
 
     The highest rate over stretches of at least 10 s decides, as the counts of the chunks and the
     sizes of the connections show it: a single stray stamp stretches the whole bag, but not all of
@@ -314,4 +325,6 @@ def bucket_lengths(reader: BagReader, sizes: Mapping[int, int]) -> dict[int, int
             rate.bytes += count * means[number]
     for rate in rates.values():
         rate.finish(rate.end_ns, last=True)
-    return {n: bucket_for(rates[key].peak_hz, rates[key].peak_bytes) for n, key in keys.items()}
+    for key in keys.values():
+        rates[key].connections += 1
+    return {n: rates[key].lengths() for n, key in keys.items()}

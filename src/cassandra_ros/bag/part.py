@@ -18,6 +18,10 @@ from typing import Dict, Iterator, List, Optional, Tuple
 
 from cassandra_ros.bag.reader import BagReader, RawMessage
 from cassandra_ros.errors import BagError, CassandraRosError
+from cassandra_ros.messages.connection import Connection
+from cassandra_ros.store.blocks.limits import limits_for
+from cassandra_ros.store.directory import Lengths
+from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 TELL_SEC = 0.1
@@ -34,8 +38,8 @@ class Part:
     path: str
     formats: Dict[int, str]
     """By number of the connection, as all of these."""
-    lengths: Dict[int, int]
-    """Bucket length, ns, where a table must be made anew: another client dropped it."""
+    lengths: Dict[int, Lengths]
+    """Of buckets and blocks, where a table must be made anew: another client dropped it."""
     writer_id: int
     node: str
     store: Dict[str, object]
@@ -53,6 +57,7 @@ class Part:
         values = json.loads(line)
         for name in ("spans", "formats", "lengths"):  # JSON has only texts as keys
             values[name] = {int(number): value for number, value in values[name].items()}
+        values["lengths"] = {number: Lengths(*each) for number, each in values["lengths"].items()}
         return Part(**values)
 
 
@@ -99,6 +104,14 @@ def part_messages(reader: BagReader, spans: Dict[int, Span]) -> Iterator[RawMess
                 yield message
 
 
+def connect(
+    writer: MessageWriter, connection: Connection, lengths: Lengths, format_name: str
+) -> Handle:
+    """Make ready for the messages of a connection of the bag."""
+    bucket_ns, span_ns = lengths
+    return writer.connect(connection, bucket_ns, span_ns=span_ns, format=format_name)
+
+
 class _Teller:
     """Says on standard output how far the process is, and whether it is to end early."""
 
@@ -138,9 +151,11 @@ def _write(part: Part, teller: _Teller) -> None:
     """Store the messages of a part; those that the teller has counted are acknowledged then."""
     with RosCassandra(**part.store) as ros_cas, BagReader(part.path) as reader:  # type: ignore[arg-type]
         # The import's run, its heartbeat and its tables are those of the process that started us.
-        with ros_cas.messageWriter(writer_id=part.writer_id, nodeID=part.node) as writer:
+        limits = limits_for(len(reader.connections))
+        number, parts = part.writer_id, ros_cas.parts
+        with MessageWriter(parts, number, node=part.node, limits=limits) as writer:
             handles = {
-                n: writer.connect(reader.connections[n], part.lengths[n], format=part.formats[n])
+                n: connect(writer, reader.connections[n], part.lengths[n], part.formats[n])
                 for n in part.spans
             }
             for message in part_messages(reader, part.spans):

@@ -35,6 +35,7 @@ from cassandra_ros.formats.table import format_class
 from cassandra_ros.local_server.jars import default_directory
 from cassandra_ros.messages.graph import master_answers
 from cassandra_ros.recording.options import RecorderOptions
+from cassandra_ros.recording.recording import BLOCK_SEC
 from cassandra_ros.recording.settings import (
     Rule,
     check_condition,
@@ -143,6 +144,11 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         "config/recorder.yaml. --where and --rate-limit go before it, it goes before --format"
     )
     add("--config", metavar="FILE", type=checked(read_config), default=(), help=text)
+    text = (
+        "store the messages of format packed, many of which are a row, when the first of them is "
+        "so old (default: 0.5 s)"
+    )
+    add("--block-age", metavar="SEC", type=duration, default=BLOCK_SEC, help=text)
     text = "name of the robot or entity that is recorded (default: none)"
     add("--node-id", metavar="N", default="", help=text)
 

@@ -11,7 +11,7 @@ from typing import Mapping, NamedTuple, Optional
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.store.directory import bucket_for
+from cassandra_ros.store.directory import UNKNOWN_SPAN_NS, Lengths, bucket_for, span_for
 from cassandra_ros.topics.message_writer import Handle
 
 ITEM_BYTES = 300
@@ -74,11 +74,14 @@ class Source:
         enough = self._seen >= FIRST_MESSAGES or self._seen_bytes >= FIRST_BYTES
         return enough or self._watched() >= FIRST_SEC
 
-    def bucket_length(self) -> int:
-        """Return the bucket length for the rate that was seen, ns."""
+    def lengths(self) -> Lengths:
+        """Choose how much time buckets and blocks cover, by the rate that was seen."""
         # What came in a burst is no rate; what came within a second is one.
         seconds = max(self._watched(), 0.1 if self._seen > 1 else 1.0)
-        return bucket_for(self._seen / seconds, self._seen_bytes / seconds, LONGEST_BUCKET_NS)
+        rate_hz, bytes_per_sec = self._seen / seconds, self._seen_bytes / seconds
+        # Live blocks are sealed by their age: a longer span would only make readers look further.
+        bucket_ns = bucket_for(rate_hz, bytes_per_sec, LONGEST_BUCKET_NS)
+        return Lengths(bucket_ns, min(span_for(rate_hz, bytes_per_sec), UNKNOWN_SPAN_NS))
 
     def _watched(self) -> float:
         return time.monotonic() - self._since if self._seen else 0.0

@@ -9,7 +9,7 @@ import time
 from dataclasses import dataclass, field
 from typing import Callable, Mapping, Optional, Sequence, Tuple
 
-from cassandra_ros.recording.recording import DEFAULT_BUFFER_BYTES
+from cassandra_ros.recording.recording import BLOCK_SEC, DEFAULT_BUFFER_BYTES
 from cassandra_ros.recording.settings import Rule, Settings, TopicSettings
 from cassandra_ros.recording.snapshot import Bound
 
@@ -58,6 +58,8 @@ class RecorderOptions:
     """Begin each further run with what is latched."""
     limit: int = 0
     """Messages of each topic; 0 = all."""
+    block_age: float = BLOCK_SEC
+    """Seconds that a message waits for others in a block of format packed."""
     buffsize: int = DEFAULT_BUFFER_BYTES
     """Most bytes that wait for the store; 0 = no bound."""
     snapshot: Optional[Bound] = None

@@ -27,6 +27,7 @@ from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.settings import Settings, TopicSettings
 from cassandra_ros.recording.tables import TableMaker, connect
+from cassandra_ros.store.directory import Lengths
 from cassandra_ros.store.registry import LossKind, Run
 from cassandra_ros.store.run_context import RunContext
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
@@ -35,6 +36,7 @@ from cassandra_ros.topics.ros_cassandra import RosCassandra
 _log = logging.getLogger(__name__)
 
 DEFAULT_BUFFER_BYTES = 256 * 1024 * 1024
+BLOCK_SEC = 0.5
 BATCH_ITEMS = 256
 BATCH_BYTES = 1024 * 1024
 POLL_SEC = 0.05
@@ -65,6 +67,7 @@ class Recording:
         filters: Which messages are left out; None = those that the settings say.
         node: The robot or entity that is recorded.
         buffer_bytes: Bound of all messages that wait; the oldest are dropped. 0 = none.
+        block_sec: How long a message waits for others in a block of format packed.
         limit: Record only so many messages of each topic; 0 = all.
         name, labels: Of the run in the store.
         restored: Messages that ``restore`` will bring: they come before those that arrive.
@@ -85,16 +88,17 @@ class Recording:
         node: str = "",
         buffer_bytes: int = DEFAULT_BUFFER_BYTES,
         limit: int = 0,
+        block_sec: float = BLOCK_SEC,
         name: str = "",
         labels: Optional[Mapping[str, str]] = None,
         restored: int = 0,
     ) -> None:
         self._rosCas = ros_cas
         self._clock = clock
-        self._settings = settings = settings or Settings(TopicSettings(format))
-        self._filters = filters or Filters(settings, node)
+        self._settings = settings or Settings(TopicSettings(format))
+        self._filters = filters or Filters(self._settings, node)
         self.node, self.name, self._labels = node, name, dict(labels or {})
-        self._limit = limit
+        self._limit, self._block_sec = limit, block_sec
         self._before: Mapping[str, int] = {}
         """Messages by topic that count for the limit already."""
         self._lock = threading.Lock()
@@ -107,9 +111,8 @@ class Recording:
         self._counts = Counts(self._losses)
         self._writers = [self._make_writer(self.writer_id)]
         self._buffer, self._buffer_bytes = Buffer(buffer_bytes), buffer_bytes
-        self._most_waiting = buffer_bytes // 2 or 2**63
+        self._most_waiting, self._waiting_bytes = buffer_bytes // 2 or 2**63, 0
         self._waiting: list[Source] = []
-        self._waiting_bytes = 0
         self._tables = TableMaker(self._connect, self._buffer.wake)
         self._ended, self._saving = threading.Event(), threading.Lock()
         ros_cas.cassandra.outage.waiting = self._waiting_for_long
@@ -347,7 +350,7 @@ class Recording:
                 self._writers.append(self._make_writer(new_writer_id()))
             writer = self._writers[generation]
             if generation:  # the counter ran over: another writer, with handles of its own
-                handle = connect(writer, source.connection, None, self._settings)
+                handle = connect(writer, source.connection, Lengths(), self._settings)
             writer.write(handle, item.t, counter, item.wire)
         except CassandraRosError as exc:
             self._lose(source.topic, LossKind.REFUSED, str(exc), item.t)
@@ -357,8 +360,7 @@ class Recording:
 
     def _connect(self, source: Source) -> Handle:
         """Make the table of a source, on the thread of the table maker."""
-        length = source.bucket_length()
-        return connect(self._writers[0], source.connection, length, self._settings)
+        return connect(self._writers[0], source.connection, source.lengths(), self._settings)
 
     def _make_writer(self, number: int) -> MessageWriter:
         run = Run(
@@ -375,6 +377,7 @@ class Recording:
             nodeID=self.node,
             ttl=self._settings.default.ttl,
             run=run,
+            block_sec=self._block_sec,
             # The buffer is the bound: an outage costs nothing while it lasts.
             give_up_after_sec=math.inf,
             on_loss=self._refused,

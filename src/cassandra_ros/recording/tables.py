@@ -24,6 +24,7 @@ from cassandra_ros.messages.connection import Connection
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.recording.buffer import Source
 from cassandra_ros.recording.settings import Settings, TopicSettings
+from cassandra_ros.store.directory import Lengths
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 
 _log = logging.getLogger(__name__)
@@ -97,21 +98,25 @@ class TableMaker:
 
 
 def connect(
-    writer: MessageWriter, connection: Connection, bucket_ns: Optional[int], settings: Settings
+    writer: MessageWriter, connection: Connection, lengths: Lengths, settings: Settings
 ) -> Handle:
     """Make ready for the messages of a connection; raises as MessageWriter.connect does.
 
     A key field that the type has not is left out with an error: recording goes before order.
     """
-    wanted = settings.of(connection.topic)
+    wanted, (bucket_ns, span_ns) = settings.of(connection.topic), lengths
     if wanted == settings.default and not (wanted.key_part or wanted.index):
-        return writer.connect(connection, bucket_ns)
+        return writer.connect(connection, bucket_ns, span_ns=span_ns)
     try:
-        handle = writer.connect(connection, bucket_ns, format=wanted.format, like=_like(wanted))
+        handle = writer.connect(
+            connection, bucket_ns, span_ns=span_ns, format=wanted.format, like=_like(wanted)
+        )
     except (InvalidKey, InvalidName) as exc:
         _log.error("topic %s is kept by time of reception: %s", connection.topic, exc)
         by_time = _like(replace(wanted, key_part=""))
-        handle = writer.connect(connection, bucket_ns, format=wanted.format, like=by_time)
+        handle = writer.connect(
+            connection, bucket_ns, span_ns=span_ns, format=wanted.format, like=by_time
+        )
     for text in differences(wanted, handle.table.metadata):
         _log.warning("topic %s %s", connection.topic, text)
     return handle

@@ -28,6 +28,7 @@ from typing import (
 )
 
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.store.blocks.limits import MAX_BYTES, MAX_MESSAGES
 from cassandra_ros.store.connection import AT_ONCE, Cassandra, CqlRow
 from cassandra_ros.store.paging import Seconds, sent_ahead
 from cassandra_ros.store.row_table import RowTable
@@ -36,6 +37,10 @@ from cassandra_ros.store.side_tables import SideTables
 BUCKET_LENGTHS = tuple(s * SECOND_NS for s in (1, 10, 60, 600, 3600, 6 * 3600, 86400))
 MAX_BUCKET_BYTES = 64_000_000
 MAX_BUCKET_ROWS = 100_000
+MIN_SPAN_NS = 10_000_000
+UNKNOWN_SPAN_NS = 10 * SECOND_NS
+"""Of the time that a block covers: the least, and what it is where the rate is unknown."""
+BLOCKS_IN_SPAN = 4
 SLOT_BUCKETS = 4096
 """Buckets per partition of the directory."""
 ALL_ROWS = 2**31 - 1
@@ -50,6 +55,15 @@ NOTE_SEC = 3600.0
 """A note that expires with its rows is renewed after so long, while rows are written."""
 NOTE_MARGIN_SEC = 7200
 """How much longer than a row written now a note must stay."""
+
+
+class Lengths(NamedTuple):
+    """Of a topic's table, chosen when it is made, ns; 0 = as where the rate is unknown."""
+
+    bucket_ns: int = 0
+    """Of its buckets."""
+    span_ns: int = 0
+    """Most time that a block covers."""
 
 
 def bucket_for(rate_hz: float, bytes_per_sec: float, longest_ns: int = BUCKET_LENGTHS[-1]) -> int:
@@ -70,6 +84,20 @@ def bucket_for(rate_hz: float, bytes_per_sec: float, longest_ns: int = BUCKET_LE
         if length <= longest_ns and fits:
             return length
     return BUCKET_LENGTHS[0]
+
+
+def span_for(rate_hz: float, bytes_per_sec: float) -> int:
+    """Choose how much time a block of a connection covers at the most, ns.
+
+    That is what four full ones take at this rate of the connection, messages and serialised bytes
+    a second; at least 10 ms. Without a rate: 10 s.
+    """
+    if not rate_hz:
+        return UNKNOWN_SPAN_NS
+    seconds = BLOCKS_IN_SPAN * MAX_MESSAGES / rate_hz
+    if bytes_per_sec:
+        seconds = min(seconds, BLOCKS_IN_SPAN * MAX_BYTES / bytes_per_sec)
+    return int(max(min(seconds * SECOND_NS, BUCKET_LENGTHS[-1]), MIN_SPAN_NS))
 
 
 def limit_for_ttl(bucket_ns: int, ttl_sec: int) -> int:

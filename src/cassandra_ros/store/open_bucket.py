@@ -12,6 +12,7 @@ from typing import Callable, Sequence
 
 from cassandra.query import BatchStatement, BatchType, BoundStatement
 
+from cassandra_ros.store.blocks.builder import Block
 from cassandra_ros.store.directory import BucketTotals
 from cassandra_ros.store.row_table import (
     INLINE_COLUMN_BYTES,
@@ -23,6 +24,7 @@ from cassandra_ros.store.row_table import (
     encode_int,
     encode_long,
     encode_own,
+    encode_texts,
 )
 
 BATCH_ROWS = 200
@@ -41,9 +43,14 @@ class Batch:
     sizes: list[int] = field(default_factory=list)
     times: list[int] = field(default_factory=list)
     again: list[Again | None] = field(default_factory=list)
+    blocks: list[Block] = field(default_factory=list)
     nbytes: int = 0
     odd_rows: int = 0
     since: float = field(default_factory=time.monotonic)
+
+    def rewriters(self) -> list[Again | None]:
+        """Return for each message what writes it anew, None where nobody can."""
+        return [*self.again, *(again for block in self.blocks for again in block.rewriters())]
 
 
 class OpenBucket:
@@ -86,7 +93,10 @@ class OpenBucket:
         self._shadows = shadows
         self.filled = filled
         names = shadows.names if shadows is not None else ()
-        self._plain, full = table.insert(names, full=False), table.insert(names)
+        if table.packed:
+            self._plain = full = table.insert_block()
+        else:
+            self._plain, full = table.insert(names, full=False), table.insert(names)
         self._plain_id, self._full_id = self._plain.query_id, full.query_id
         # Found from the values by the first row, then the same for all of the bucket.
         self._routing_key: bytes | None = None
@@ -124,6 +134,31 @@ class OpenBucket:
         batch.sizes.append(len(wire))
         batch.times.append(row.t)
         batch.again.append(again)
+
+    def add_block(self, block: Block, chunks: int = 0) -> None:
+        """Add a block to the batch, its one message in so many chunks."""
+        batch, sizes = self.batch, [len(wire) for wire in block.wires]
+        if not batch.rows:
+            batch.since = time.monotonic()
+        values = (
+            *self._place,
+            *encode_own(block.t, block.seq, block.conn, sum(sizes)),
+            encode_long(block.times[-1]),
+            encode_int(len(sizes)),
+            block.data or UNSET,
+            encode_long(block.crc),
+            encode_int(chunks) if chunks else UNSET,
+            ODD if block.odd else UNSET,
+            None,  # whatever was deleted is there again, as a row that is written anew
+            encode_texts(block.nan) if block.nan else UNSET,
+            *(UNSET if value is None else value for value in block.zones),
+        )
+        batch.rows.append((True, self._plain_id, values))
+        batch.nbytes += _ROW_OVERHEAD + len(block.data) + 12 * len(block.zones)
+        batch.odd_rows += block.odd
+        batch.blocks.append(block)
+        batch.sizes += sizes
+        batch.times += (block.times[0], block.times[-1])
 
     def is_full(self) -> bool:
         """Say whether the batch should be sent now."""

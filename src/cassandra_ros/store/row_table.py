@@ -30,6 +30,7 @@ _SPLIT = struct.Struct("8s8s8s4s")
 _LONG = struct.Struct(">q")
 _INT = struct.Struct(">i")
 _OWN = ("_t", "_seq", "_conn", "_size", "_nchunks", "_crc", "_odd", "_raw")
+_BLOCK = ("_last", "_n", "_data", "_crc", "_nchunks", "_odd", "_gone", "_nan")
 KEYS = '"_t", "_seq"'
 COUNTED = '"_t", "_seq", "_size", "_nchunks", "_odd"'
 _RANGE = 'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
@@ -188,6 +189,12 @@ class RowTable:
         """INSERT of a row; not full: of one without chunks and ``_raw``, as nearly all are."""
         own = _OWN if full else _OWN[:4]
         names = ["_node", self.partition, *own, *self.columns, *self._received, *shadows]
+        marks = ", ".join("?" * len(names))
+        return self._prepare(f"INSERT INTO {self.qualified} ({_listed(names)}) VALUES ({marks})")
+
+    def insert_block(self) -> PreparedStatement:
+        """INSERT of a block: its key, what OpenBucket says of it in _BLOCK, and its zones."""
+        names = ["_node", self.partition, *_OWN[:4], *_BLOCK, *self.zone_columns]
         marks = ", ".join("?" * len(names))
         return self._prepare(f"INSERT INTO {self.qualified} ({_listed(names)}) VALUES ({marks})")
 
@@ -360,6 +367,12 @@ def decode_long(raw: bytes | None) -> int:
 def encode_int(value: int) -> bytes:
     """Encode an int."""
     return _INT.pack(value)
+
+
+def encode_texts(values: Iterable[str]) -> bytes:
+    """Encode a set of texts."""
+    every = sorted(value.encode("utf-8") for value in values)
+    return encode_int(len(every)) + b"".join(encode_int(len(raw)) + raw for raw in every)
 
 
 def _encode_ends(

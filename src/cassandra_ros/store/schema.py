@@ -41,6 +41,10 @@ KEY_TYPES = {"_bucket": "bigint", "_key": "text"}
 """Second part of the partition key: a stretch of time, or the name of a message."""
 _WINDOWS = 25
 _CHUNK_TTL_MARGIN_SEC = 86_400
+_ROWS = "compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}"
+_PACKED = (  # what is compressed already stays as it is, with its checksum
+    "compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, 'min_compress_ratio': 1.1}"
+)
 _UNFINISHED = (
     "cassandra_ros makes the indexes of this table; one that stays like this was left by a "
     "client that died, is empty, and may be dropped"
@@ -157,7 +161,7 @@ class Schema:
             f"CREATE TABLE {self.qualified(name)} ({listing}, "
             f'PRIMARY KEY (("_node", "{wanted.partition}"), "_t", "_seq")) '
             f"WITH comment = {quote_text(comment)} AND {_storage(wanted.ttl, merged=not shadows)} "
-            "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}",
+            f"AND {_PACKED if wanted.packed else _ROWS}",
             what=f"making the table of topic {wanted.topic}",
         )
         for shadow in shadows:

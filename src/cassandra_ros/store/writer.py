@@ -9,15 +9,17 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
-from typing import Callable, Sequence
+from typing import Callable, Sequence, Union
 
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound, WriteFailed
+from cassandra_ros.store.blocks.builder import Block, BlockBuilder, Builders
+from cassandra_ros.store.blocks.limits import FULL, Limits
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.counting import recount
 from cassandra_ros.store.directory import HEARTBEAT_SEC, BucketTotals, Directory
 from cassandra_ros.store.driver_errors import is_table_gone, translate
 from cassandra_ros.store.flight import Flight, Outcome
-from cassandra_ros.store.open_bucket import Again, Batch, OpenBucket
+from cassandra_ros.store.open_bucket import BATCH_BYTES, Again, Batch, OpenBucket
 from cassandra_ros.store.paging import Patience
 from cassandra_ros.store.row_table import CHUNK_BYTES, NewRow, RowTable, bind, encode_int
 from cassandra_ros.store.schema import Schema
@@ -29,6 +31,7 @@ IDLE_SEC = 10.0
 REOPEN_SEC = 30.0
 """After so long without a heartbeat a bucket is marked open anew before it is written to."""
 
+_New = Union[NewRow, Block]
 LossCallback = Callable[[str, int, CassandraRosError], None]
 """Takes (topic, rows, why) of what was given up; called on any thread."""
 
@@ -52,6 +55,8 @@ class RowWriter:
         schema: Makes chunk tables when they are first needed.
         writer_id: 31 bits; the upper half of every ``_seq`` that is written.
         linger_sec: How long a batch may wait to be filled.
+        block_sec: How long a block may wait to be filled; None = until it is full.
+        limits: Most of what a block holds.
         give_up_after_sec: How long one request is tried.
         on_loss: Called with (topic, rows, error) for rows that were given up, on another
             thread; without it the next call of add, flush or close raises WriteFailed.
@@ -66,21 +71,22 @@ class RowWriter:
         writer_id: int,
         *,
         linger_sec: float = 0.2,
+        block_sec: float | None = None,
+        limits: Limits = FULL,
         give_up_after_sec: float = 60.0,
         on_loss: LossCallback | None = None,
         on_beat: Callable[[], None] | None = None,
     ) -> None:
-        self._cassandra = cassandra
-        self._schema = schema
+        self._cassandra, self._schema = cassandra, schema
         self.patience = Patience(give_up_after_sec)
         """How long one request is tried."""
         self._directory = directory.patient(self.patience)
         self._writer_id = writer_id
-        self._linger_sec = linger_sec
-        self._on_loss = on_loss
-        self._on_beat = on_beat
+        self._linger_sec, self._block_sec = linger_sec, block_sec
+        self._on_loss, self._on_beat = on_loss, on_beat
         self._flight = Flight(cassandra.send_raw, self.patience, cassandra.outage)
         self._buckets: dict[tuple[str, str, int], OpenBucket] = {}
+        # Taken after the lock of a builder, never before it.
         self._lock = threading.RLock()
         self._ready: deque[Callable[[], None]] = deque()
         """They send the rows of large messages whose chunks are all stored."""
@@ -88,10 +94,10 @@ class RowWriter:
         """Table name → what became of its rows."""
         self.gone: set[str] = set()
         """Tables that were dropped while they were written to."""
+        self._builders = Builders(limits, self._add_block, self._raise_error, self.gone)
         self._homeless: deque[tuple[RowTable, Again]] = deque()
         """Rows that such a table has not taken."""
-        self._moving = threading.Lock()
-        self._moves = 0
+        self._moving, self._moves = threading.Lock(), 0
         self._counting = threading.Lock()
         self._error: CassandraRosError | None = None
         self._closing = threading.Event()
@@ -127,6 +133,37 @@ class RowWriter:
                     self._send(bucket)
             except TopicNotFound:
                 self.gone.add(table.name)
+                raise
+
+    def builder(self, table: RowTable, node: str, conn: int) -> BlockBuilder:
+        """Return what takes the messages of a connection for a table of blocks."""
+        self.stats.setdefault(table.name, WriteStats())
+        return self._builders.get(table, node, conn)
+
+    def _add_block(self, builder: BlockBuilder, block: Block) -> None:
+        """Take a block; its messages are counted as lost where that fails."""
+        table, added = builder.table, False
+        try:
+            if table.name in self.gone:
+                raise TopicNotFound(f"topic {table.metadata.topic} was removed")
+            with self._lock:
+                bucket = self._bucket(table, builder.node, table.bucket_of(block.t))
+                waiting = bucket.batch.nbytes
+                if waiting and (block.in_chunks or waiting + len(block.data) > BATCH_BYTES):
+                    self._send(bucket)
+                if block.in_chunks:
+                    self._send_large(bucket, block)
+                    return
+                bucket.add_block(block)
+                added = True
+                if bucket.is_full():
+                    self._send(bucket)
+        except BaseException as exc:
+            # Also of Ctrl-C; but from the first chunk on the outcome is told by them.
+            known = isinstance(exc, CassandraRosError)
+            if not added and (known or not block.in_chunks):
+                self._failed(table, block.rewriters(), block.times, exc)
+            if not known:
                 raise
 
     def _name_bucket(self, table: RowTable, node: str, name: str) -> OpenBucket:
@@ -172,11 +209,11 @@ class RowWriter:
                 self._count(bucket.table, batch)
             else:
                 bucket.failed()
-                self._failed(bucket.table, batch.again, batch.times, exc)
+                self._failed(bucket.table, batch.rewriters(), batch.times, exc)
 
         self._flight.submit(statement, batch.nbytes, outcome)
 
-    def _send_large(self, bucket: OpenBucket, new: NewRow, again: Again | None) -> None:
+    def _send_large(self, bucket: OpenBucket, new: _New, again: Again | None = None) -> None:
         """Send the chunks of a message; its row follows when all of them are acknowledged."""
         table = bucket.table
         if not table.has_chunks:
@@ -200,7 +237,7 @@ class RowWriter:
         self._commit()
 
     def _chunk_outcome(
-        self, bucket: OpenBucket, new: NewRow, again: Again | None, chunks: int
+        self, bucket: OpenBucket, new: _New, again: Again | None, chunks: int
     ) -> Outcome:
         left, mutex = [chunks], threading.Lock()
         failures: list[BaseException] = []
@@ -215,21 +252,25 @@ class RowWriter:
             if failures:
                 bucket.failed()
                 worst = max(failures, key=is_table_gone)
-                self._failed(bucket.table, [again], [new.t], worst)
+                rewriters = new.rewriters() if isinstance(new, Block) else [again]
+                self._failed(bucket.table, rewriters, [new.t], worst)
             else:
                 # Not sent from here: this is the driver's thread, and sending may block.
                 self._ready.append(lambda: self._send_row(bucket, new, again, chunks))
 
         return outcome
 
-    def _send_row(self, bucket: OpenBucket, new: NewRow, again: Again | None, chunks: int) -> None:
+    def _send_row(self, bucket: OpenBucket, new: _New, again: Again | None, chunks: int) -> None:
         """Send the row of a large message."""
         # Alone in its batch: its size is not one of a row with the message inside.
         if bucket.batch.rows:
             self._send(bucket)
         with bucket.mutex:
             bucket.in_air -= 1
-        bucket.add(new, again, chunks)
+        if isinstance(new, Block):
+            bucket.add_block(new, chunks)
+        else:
+            bucket.add(new, again, chunks)
         self._send(bucket, large=True)
 
     def _commit(self) -> None:
@@ -240,7 +281,8 @@ class RowWriter:
     def pending_bytes(self) -> int:
         """About how many bytes wait here to be stored."""
         batches = (bucket.batch for bucket in list(self._buckets.values()))
-        return self._flight.nbytes + sum(batch.nbytes for batch in batches)
+        waiting = self._builders.nbytes + sum(batch.nbytes for batch in batches)
+        return self._flight.nbytes + waiting
 
     # ---------------------------------------------------------------- outcomes
 
@@ -260,7 +302,7 @@ class RowWriter:
     ) -> None:
         """Count rows as lost, or note that they go on in another table where theirs is gone."""
         lost = len(rows)
-        if is_table_gone(exc):
+        if isinstance(exc, TopicNotFound) or is_table_gone(exc):
             # Nothing of them is left there, so nothing is doubled.
             self.gone.add(table.name)
             homeless = [(table, again) for again in rows if again is not None]
@@ -317,6 +359,8 @@ class RowWriter:
             try:
                 now = time.monotonic()
                 self._move_on()
+                if self._block_sec is not None:
+                    self._builders.seal(now - self._block_sec)
                 with self._lock:
                     self._commit()
                     self._send_old(now)
@@ -333,7 +377,9 @@ class RowWriter:
 
     def _send_old(self, now: float) -> None:
         for bucket in list(self._buckets.values()):
-            if bucket.batch.rows and now - bucket.batch.since > self._linger_sec:
+            # Blocks have waited to be filled already.
+            linger_sec = 0.0 if bucket.table.packed else self._linger_sec
+            if bucket.batch.rows and now - bucket.batch.since > linger_sec:
                 if now - bucket.marked > REOPEN_SEC:
                     self._reopen(bucket, late=True)  # this process stood still
                 self._send(bucket)
@@ -369,6 +415,7 @@ class RowWriter:
         """Return when every row that was taken is acknowledged or counted as lost."""
         moves = -1
         while moves != (moves := self._move_on()):
+            self._builders.seal()
             with self._lock:
                 self._flight.wait()  # for chunks, whose rows are sent next
                 self._commit()

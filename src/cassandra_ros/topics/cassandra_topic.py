@@ -24,10 +24,10 @@ from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessa
 from cassandra_ros.keys import Position
 from cassandra_ros.metadata import MetaView
 from cassandra_ros.query.pushdown import Pushdown
+from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.finding import Filter, Finder, Where
 from cassandra_ros.topics.indexes import Progress, create_index, has_index, remove_index
 from cassandra_ros.topics.keyspace import Keyspace, Wish
-from cassandra_ros.topics.message_writer import Adder
 from cassandra_ros.topics.reading import Columns
 from cassandra_ros.topics.runs import RunName
 from cassandra_ros.topics.selection import AnyKey, Stretch, Time, Whose

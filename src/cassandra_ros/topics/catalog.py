@@ -27,13 +27,13 @@ from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.graph import topic_type
 from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.finding import Filter, Where
 from cassandra_ros.topics.indexes import check_unnamed
 from cassandra_ros.topics.keyspace import Keyspace, Wish, check_packed
-from cassandra_ros.topics.message_writer import Adder, Clock
 from cassandra_ros.topics.runs import RunName
-from cassandra_ros.topics.selection import EVERYBODY, Stretch, Whose, spellings
+from cassandra_ros.topics.selection import EVERYBODY, Clock, Stretch, Whose, spellings
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 

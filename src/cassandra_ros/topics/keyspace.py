@@ -33,7 +33,12 @@ from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata, shadow_column
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.directory import Directory, limit_for_ttl
+from cassandra_ros.store.directory import (
+    MIN_SPAN_NS,
+    UNKNOWN_SPAN_NS,
+    Directory,
+    limit_for_ttl,
+)
 from cassandra_ros.store.index.changes import IndexChanges
 from cassandra_ros.store.registry import Registry
 from cassandra_ros.store.schema import Planned, Schema
@@ -46,10 +51,6 @@ from cassandra_ros.topics.topic_table import TopicTable, TopicTables, definition
 from cassandra_ros.topics.totals import holds_any
 
 _log = logging.getLogger(__name__)
-
-MIN_SPAN_NS = 10_000_000
-UNKNOWN_SPAN_NS = 10 * SECOND_NS
-"""Of the time that a block covers: the least, and what it is where the rate is unknown."""
 
 
 class Keyspace:

@@ -1,19 +1,16 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages into the store: a writer of serialised ones, and addData's of single objects."""
+"""Messages into the store: the writer of serialised ones."""
 
 from __future__ import annotations
 
-import itertools
 import logging
-import sys
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from types import ModuleType
-from typing import Callable, Mapping, Optional
+from typing import Mapping, Optional
 
 from cassandra_ros.arguments import (
     check_integer,
@@ -26,7 +23,6 @@ from cassandra_ros.arguments import (
 )
 from cassandra_ros.errors import (
     CassandraRosError,
-    ClockNotSet,
     CorruptMessage,
     DefinitionError,
     InvalidKey,
@@ -36,25 +32,17 @@ from cassandra_ros.errors import (
     TopicNotFound,
 )
 from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
-from cassandra_ros.keys import (
-    COUNTER_BITS,
-    MAX_NS,
-    MAX_WRITER,
-    Position,
-    RowName,
-    new_writer_id,
-)
-from cassandra_ros.messages.classes import installed_definition, serialize
-from cassandra_ros.messages.connection import Connection, api_connection
-from cassandra_ros.messages.definition import Definition, definition_of, parse_definition
-from cassandra_ros.messages.stamps import Stamp, to_ns
+from cassandra_ros.keys import COUNTER_BITS, MAX_NS, MAX_WRITER, new_writer_id
+from cassandra_ros.messages.classes import installed_definition
+from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.definition import Definition, parse_definition
 from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.store.blocks.builder import BlockBuilder
+from cassandra_ros.store.blocks.limits import FULL, Limits
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.row_table import NewRow
 from cassandra_ros.store.writer import LossCallback, RowWriter, WriteStats
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.selection import Time
-from cassandra_ros.topics.stored_row import Key
 from cassandra_ros.topics.topic_table import TopicTable
 
 _log = logging.getLogger(__name__)
@@ -66,8 +54,6 @@ TABLE_PAUSE_SEC = 0.5
 """A table that is gone is made anew; a store that is away meanwhile is asked so often."""
 MAX_HANDLES = 1024
 """Connections whose handles are kept: anonymous publishers come without end."""
-
-Clock = Callable[[], Time]
 
 
 @dataclass(frozen=True)
@@ -82,6 +68,8 @@ class Handle:
     """Name of the format that was asked for, if any was."""
     warning: Optional[str] = None
     """Why the topic is kept in another way than asked for."""
+    blocks: Optional[BlockBuilder] = field(default=None, compare=False, repr=False)
+    """Takes the messages where a row is a block of them."""
 
     @property
     def topic(self) -> str:
@@ -98,7 +86,8 @@ class MessageWriter:
     """Writes messages of any topic under one writer id. Thread-safe.
 
     The arguments are those of RosCassandra.messageWriter, but with a ttl of None the rows expire
-    as the topic was made. The run is stored at once, and with counts at close.
+    as the topic was made, and limits are those of a block. The run is stored at once, and with
+    counts at close.
     """
 
     def __init__(
@@ -107,6 +96,8 @@ class MessageWriter:
         writer_id: int,
         *,
         linger_sec: float = 0.2,
+        block_sec: Optional[float] = None,
+        limits: Limits = FULL,
         give_up_after_sec: float = 60.0,
         format: Optional[str] = None,
         node: str = "",
@@ -119,18 +110,14 @@ class MessageWriter:
         keyspace.side_tables.make()
         self.writer_id, self._run = writer_id, run
         self._keyspace = keyspace
-        self._format = format
-        self._node = node
-        self._ttl = ttl
-        self._on_loss = on_loss
+        self._format, self._node, self._ttl, self._on_loss = format, node, ttl, on_loss
         self._handles: dict[tuple[Connection, Optional[str], str], Handle] = {}
         self._topics: dict[str, str] = {}
         self._refused: dict[str, WriteStats] = {}
         self.elsewhere: dict[str, WriteStats] = {}
         """What other processes have stored for this run, by topic; counted with ours."""
-        self._mutex = threading.Lock()
+        self._mutex, self._closed = threading.Lock(), False
         self._high = writer_id << COUNTER_BITS
-        self._closed = False
         if run is not None:
             keyspace.registry.put_run(run, started=True)
         self._rows = RowWriter(
@@ -139,6 +126,8 @@ class MessageWriter:
             keyspace.directory,
             writer_id,
             linger_sec=linger_sec,
+            block_sec=block_sec,
+            limits=limits,
             give_up_after_sec=give_up_after_sec,
             on_loss=on_loss,
             on_beat=None if run is None else self._beat,
@@ -154,6 +143,7 @@ class MessageWriter:
         connection: Connection,
         bucket_ns: Optional[int] = None,
         *,
+        span_ns: Optional[int] = None,
         format: Optional[str] = None,
         node: Optional[str] = None,
         like: Optional[TopicMetadata] = None,
@@ -167,6 +157,7 @@ class MessageWriter:
             connection: Topic and header.
             bucket_ns: Length of the time buckets where the table is made here, ns; None =
                 1 min for types with arrays, else 10 min.
+            span_ns: Most time that a block covers, ns, as bucket_ns; None = 10 s.
             format, node: Other ones than the writer's.
             like: Where the table is made here, what the topic's former one said.
 
@@ -194,6 +185,7 @@ class MessageWriter:
             md5sum=connection.md5sum,
             format=wanted if definition is not None else FALLBACK_FORMAT,
             bucket_ns=bucket_ns or 0,
+            span_ns=span_ns or 0,
             definition=definition.text if definition else connection.definition_text,
         )
         table = self._keyspace.make_table(metadata, definition)
@@ -212,8 +204,14 @@ class MessageWriter:
         )
 
     def _keep(self, key: tuple[Connection, Optional[str], str], handle: Handle) -> Handle:
+        table = handle.table
+        if table.packed:
+            blocks = self._rows.builder(table, handle.node, handle.conn)
+            handle = replace(handle, blocks=blocks)
+            blocks.key_time = table.key_time if table.metadata.own_time else None
+            blocks.again = partial(self._write_anew, handle)
         with self._mutex:
-            self._topics[handle.table.name] = handle.topic
+            self._topics[table.name] = handle.topic
             while len(self._handles) >= MAX_HANDLES:
                 self._handles.pop(next(iter(self._handles)))
             self._handles[key] = handle
@@ -228,7 +226,14 @@ class MessageWriter:
             if found is None or found.table.name in self._rows.gone:
                 self._keyspace.schema.tables(fresh=True)
                 like, (connection, asked, node) = handle.table.metadata, key
-                found = self.connect(connection, like.bucket_ns, format=asked, node=node, like=like)
+                found = self.connect(
+                    connection,
+                    like.bucket_ns,
+                    span_ns=like.span_ns,
+                    format=asked,
+                    node=node,
+                    like=like,
+                )
             handle = found
         return handle
 
@@ -243,7 +248,7 @@ class MessageWriter:
             name: Where the topic keeps messages under names: this one's; '' = the topic's.
 
         Returns:
-            Its row; None where it was refused and on_loss told.
+            Its row; None where it joins a block, or was refused and on_loss told.
 
         Raises:
             InvalidKey: Time or counter is out of range.
@@ -254,8 +259,10 @@ class MessageWriter:
                 f"a message of topic {handle.topic} has time {t_ns} ns and counter {counter}; "
                 f"times are 0 to {MAX_NS} ns, counters below 2**{COUNTER_BITS}"
             )
-        seq = self._high | counter
+        seq, blocks = self._high | counter, handle.blocks
         try:
+            if blocks is not None and blocks.take(t_ns, seq, wire):
+                return None
             for left in reversed(range(MAX_REMOVALS)):
                 try:
                     return self._put(self._current(handle), t_ns, seq, wire, name)
@@ -284,11 +291,18 @@ class MessageWriter:
                     raise
                 time.sleep(TABLE_PAUSE_SEC)
 
-    def _put(self, handle: Handle, t_ns: int, seq: int, wire: bytes, name: str) -> NewRow:
+    def _put(self, handle: Handle, t_ns: int, seq: int, wire: bytes, name: str) -> Optional[NewRow]:
+        if handle.blocks is not None:
+            if not handle.blocks.take(t_ns, seq, wire):
+                raise TopicNotFound(f"topic {handle.topic} was removed by another client")
+            return None
         row = handle.table.make_row(t_ns, seq, handle.conn, wire, name)
         again = partial(self.write, handle, t_ns, seq & MAX_COUNTER, wire, name)
         self._rows.add(handle.table, handle.node, row, again)
         return row
+
+    def _write_anew(self, handle: Handle, t_ns: int, seq: int, wire: bytes) -> None:
+        self.write(handle, t_ns, seq & MAX_COUNTER, wire)
 
     @property
     def pending_bytes(self) -> int:
@@ -360,6 +374,7 @@ def make_writer(
     node: str,
     ttl: int,
     linger_sec: float,
+    block_sec: Optional[float],
     give_up_after_sec: float,
     run: Optional[Run],
     on_loss: Optional[LossCallback],
@@ -379,6 +394,7 @@ def make_writer(
         node=check_node(node),
         ttl=check_ttl(ttl),
         linger_sec=check_seconds("linger_sec", linger_sec),
+        block_sec=None if block_sec is None else check_seconds("block_sec", block_sec),
         give_up_after_sec=check_seconds("give_up_after_sec", give_up_after_sec),
         run=run,
         on_loss=on_loss,
@@ -410,79 +426,3 @@ def _definition(connection: Connection) -> Definition:
             if installed.md5sum == md5sum:
                 return installed
     return parse_definition(connection.type, text, md5sum)
-
-
-class Adder:
-    """Stores single messages under one writer id. Thread-safe."""
-
-    def __init__(self, keyspace: Keyspace, clock: Optional[Clock]) -> None:
-        self._keyspace = keyspace
-        self._clock = clock
-        self._counter = itertools.count()
-        self._writer: Optional[MessageWriter] = None
-        self._mutex = threading.Lock()
-
-    def add(
-        self, table: TopicTable, msg: object, t: Optional[Time], node: str, name: str = ""
-    ) -> Key:
-        """Store a message of the table's type, t None = now; return its key when acknowledged."""
-        t = now_ns(self._clock) if t is None else to_ns(t)
-        wire = serialize(msg)
-        connection = api_connection(table.metadata.topic, definition_of(type(msg)), _caller_id())
-        # One at a time: a failure is raised to whoever flushes, and must be that message's.
-        with self._mutex:
-            writer = self._writer
-            if writer is None:
-                writer = MessageWriter(self._keyspace, new_writer_id(), linger_sec=0.0, ttl=None)
-                self._writer, self._counter = writer, itertools.count()
-            handle = writer.connect(connection, format=table.metadata.format, node=node)
-            counter = next(self._counter)
-            row = writer.write(handle, t, counter, wire, name)
-            writer.flush()
-            now = writer.current(handle)
-        if row is None:
-            raise AssertionError("a writer without on_loss raises what it refuses")
-        stored = now.table
-        if now is not handle:  # another client removed the topic while this was on its way
-            row = stored.make_row(t, row.seq, now.conn, wire, name)
-        if stored.named:
-            seq = writer.writer_id << COUNTER_BITS | counter  # the row's is 0 of equal messages
-            return RowName.of(Position(t, node, seq, stored.name, row.name))
-        return Stamp.from_ns(row.t, node=node, seq=row.seq, table=stored.name)
-
-    def close(self) -> None:
-        """Close the writer; the next add opens another."""
-        with self._mutex:
-            writer, self._writer = self._writer, None
-            if writer is not None:
-                writer.close()
-
-
-def _rospy() -> Optional[ModuleType]:
-    """Return rospy where a node runs in this process."""
-    # Not imported: a program without a node must not need rospy.
-    rospy = sys.modules.get("rospy")
-    return rospy if rospy is not None and rospy.core.is_initialized() else None
-
-
-def _caller_id() -> str:
-    rospy = _rospy()
-    return "" if rospy is None else str(rospy.get_name())
-
-
-def now_ns(clock: Optional[Clock]) -> int:
-    """Tell the time, ns: the given clock's, else rospy's where a node runs here, else wall time.
-
-    Raises:
-        ClockNotSet: The node uses simulated time and no /clock message has come.
-    """
-    if clock is not None:
-        return to_ns(clock())
-    rospy = _rospy()
-    now = time.time_ns() if rospy is None else int(rospy.rostime.get_rostime().to_nsec())
-    if not now:
-        raise ClockNotSet(
-            "simulated time is in use (/use_sim_time) and no /clock message has come yet: start "
-            "the simulator or player, or give a key"
-        )
-    return now

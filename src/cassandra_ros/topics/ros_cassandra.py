@@ -21,10 +21,10 @@ from cassandra_ros.store.writer import LossCallback
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
 from cassandra_ros.topics.keyspace import Keyspace, wished_topic, with_key
-from cassandra_ros.topics.message_writer import Clock, MessageWriter, make_writer
+from cassandra_ros.topics.message_writer import MessageWriter, make_writer
 from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.runs import RunName
-from cassandra_ros.topics.selection import Stretch, Time
+from cassandra_ros.topics.selection import Clock, Stretch, Time
 from cassandra_ros.topics.statements import Statements
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.totals import TopicInfo, describe
@@ -233,6 +233,7 @@ class RosCassandra:
         nodeID: str = "",
         ttl: int = 0,
         linger_sec: float = 0.2,
+        block_sec: Optional[float] = 0.5,
         give_up_after_sec: float = 60.0,
         run: Optional[Run] = None,
         on_loss: Optional[LossCallback] = None,
@@ -241,14 +242,13 @@ class RosCassandra:
 
         Args:
             writer_id: 1 to 2**31 - 1; repeats of the same import give the same; None = any.
-            format: As addTopic takes it, for all topics.
-            nodeID: The entity that produces the messages.
+            format, nodeID: As addTopic takes them, for all topics.
             ttl: Seconds until a message expires; 0 = never.
             linger_sec: How long a message may wait to be sent together with others.
+            block_sec: How long one may wait in a block (format packed); None = until it is full.
             give_up_after_sec: How long the writing of a message is tried.
             run: Description of the recording or import, kept in the store.
-            on_loss: Called with (topic, messages, error) for what was given up; without it
-                the writer raises.
+            on_loss: Called with (topic, messages, error) for what is lost; None: the writer raises.
 
         Raises:
             InvalidName, InvalidKey, InvalidOption, UnknownFormat: An argument cannot be one.
@@ -260,6 +260,7 @@ class RosCassandra:
             node=nodeID,
             ttl=ttl,
             linger_sec=linger_sec,
+            block_sec=block_sec,
             give_up_after_sec=give_up_after_sec,
             run=run,
             on_loss=on_loss,

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Any, FrozenSet, NamedTuple, Optional, Protocol, Sequence, Union
+from typing import Any, Callable, FrozenSet, NamedTuple, Optional, Protocol, Sequence, Union
 
 from cassandra_ros.keys import writer_of
 from cassandra_ros.messages.stamps import Stamp, to_ns
@@ -26,6 +26,7 @@ class Place(Protocol):
 
 Time = Union[Stamp, int, float, str]
 """genpy.Time or Stamp, int (ns), float (s) or ISO 8601 text."""
+Clock = Callable[[], Time]
 AnyKey = Any
 """A Time, or what else is the topic's key: a name, or the value of a field."""
 

@@ -153,11 +153,15 @@ class TopicTable(RowTable):
             return NewRow(0, 0, conn, wire, columns, odd, raw, digest)
         if self.key_part is None or self.value_part is not None:
             return NewRow(received, seq, conn, wire, columns, odd, raw)
-        t = self.key_part.time(wire)
-        columns = (*columns, encode_long(received))
+        if not self.packed:  # blocks hold it themselves
+            columns = (*columns, encode_long(received))
+        return NewRow(self.key_time(received, wire), seq, conn, wire, columns, odd, raw)
+
+    def key_time(self, received: int, wire: bytes) -> int:
+        """Return the key time of a message, ns, where a field of it tells."""
+        t = None if self.key_part is None else self.key_part.time(wire)
         # What has no time lies where it was received; nsecs may pass the end of time.
-        t = received if t is None else min(t, MAX_NS)
-        return NewRow(t, seq, conn, wire, columns, odd, raw)
+        return received if t is None else min(t, MAX_NS)
 
 
 class TopicTables:

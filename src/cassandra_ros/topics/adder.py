@@ -1,0 +1,100 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""addData's way into the store: single message objects, each acknowledged before it returns."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+import threading
+import time
+from types import ModuleType
+from typing import Optional
+
+from cassandra_ros.errors import ClockNotSet
+from cassandra_ros.keys import COUNTER_BITS, Position, RowName, new_writer_id
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.messages.stamps import Stamp, to_ns
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.message_writer import MessageWriter
+from cassandra_ros.topics.selection import Clock, Time
+from cassandra_ros.topics.stored_row import Key
+from cassandra_ros.topics.topic_table import TopicTable
+
+
+class Adder:
+    """Stores single messages under one writer id. Thread-safe."""
+
+    def __init__(self, keyspace: Keyspace, clock: Optional[Clock]) -> None:
+        self._keyspace = keyspace
+        self._clock = clock
+        self._counter = itertools.count()
+        self._writer: Optional[MessageWriter] = None
+        self._mutex = threading.Lock()
+
+    def add(
+        self, table: TopicTable, msg: object, t: Optional[Time], node: str, name: str = ""
+    ) -> Key:
+        """Store a message of the table's type, t None = now; return its key when acknowledged."""
+        t = now_ns(self._clock) if t is None else to_ns(t)
+        wire = serialize(msg)
+        connection = api_connection(table.metadata.topic, definition_of(type(msg)), _caller_id())
+        # One at a time: a failure is raised to whoever flushes, and must be that message's.
+        with self._mutex:
+            writer = self._writer
+            if writer is None:
+                writer = MessageWriter(self._keyspace, new_writer_id(), linger_sec=0.0, ttl=None)
+                self._writer, self._counter = writer, itertools.count()
+            handle = writer.connect(connection, format=table.metadata.format, node=node)
+            counter = next(self._counter)
+            row = writer.write(handle, t, counter, wire, name)
+            writer.flush()
+            now = writer.current(handle)
+        stored = now.table
+        # It lies in a block, or another client removed the topic while this was on its way.
+        if row is None or now is not handle:
+            seq = writer.writer_id << COUNTER_BITS | counter
+            row = stored.make_row(t, seq, now.conn, wire, name)
+        if stored.named:
+            seq = writer.writer_id << COUNTER_BITS | counter  # the row's is 0 of equal messages
+            return RowName.of(Position(t, node, seq, stored.name, row.name))
+        return Stamp.from_ns(row.t, node=node, seq=row.seq, table=stored.name)
+
+    def close(self) -> None:
+        """Close the writer; the next add opens another."""
+        with self._mutex:
+            writer, self._writer = self._writer, None
+            if writer is not None:
+                writer.close()
+
+
+def _rospy() -> Optional[ModuleType]:
+    """Return rospy where a node runs in this process."""
+    # Not imported: a program without a node must not need rospy.
+    rospy = sys.modules.get("rospy")
+    return rospy if rospy is not None and rospy.core.is_initialized() else None
+
+
+def _caller_id() -> str:
+    rospy = _rospy()
+    return "" if rospy is None else str(rospy.get_name())
+
+
+def now_ns(clock: Optional[Clock]) -> int:
+    """Tell the time, ns: the given clock's, else rospy's where a node runs here, else wall time.
+
+    Raises:
+        ClockNotSet: The node uses simulated time and no /clock message has come.
+    """
+    if clock is not None:
+        return to_ns(clock())
+    rospy = _rospy()
+    now = time.time_ns() if rospy is None else int(rospy.rostime.get_rostime().to_nsec())
+    if not now:
+        raise ClockNotSet(
+            "simulated time is in use (/use_sim_time) and no /clock message has come yet: start "
+            "the simulator or player, or give a key"
+        )
+    return now
