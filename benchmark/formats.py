@@ -20,10 +20,11 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass
+from functools import partial
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
-from typing import Callable, Iterator
+from typing import Any, Callable, Iterator
 
 import rosbag
 from genpy import Time
@@ -37,6 +38,7 @@ from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
 from cassandra_ros.formats.table import FORMATS, format_class
 from cassandra_ros.local_server import LocalCluster, free_port
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.store.blocks.codec import pack_block, unpack_block
 
 ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = ROOT / "examples/data"
@@ -52,6 +54,7 @@ ASKED = {
     "string": "the same; text in `cqlsh`",
     "yaml": "the same; text in `cqlsh`",
     "json": "the same; text in `cqlsh`",
+    "packed": "`KEY` and `NODE` on the server, fields by zones of blocks, then on the client",
     "ros": "the same; every field in `cqlsh`: arrays as blobs, arrays of messages as lists",
 }
 
@@ -178,28 +181,38 @@ def microseconds(work: Callable[[], object], messages: int) -> float:
     return (time.thread_time() - start) * 1e6 / messages
 
 
+def coder(
+    sample: Sample, name: str, wires: list[bytes]
+) -> tuple[Callable[[], Any], Callable[[Any], list[bytes]]]:
+    """Return what encodes the messages in a format, and what decodes the result."""
+    if name == "packed":  # a block of them, as a row of its table
+        count, size = len(wires), sum(map(len, wires))
+        times = [sample.messages[0][0] + i * STEP_NS for i in range(count)]
+        pack = partial(pack_block, times, list(range(count)), wires, None)
+        return pack, lambda data: unpack_block(data, count, size).wires()
+    codec = sample.format(name)
+    return (
+        lambda: [codec.encode_wire(wire) for wire in wires],
+        lambda rows: [codec.decode_wire(row.columns, row.raw) for row in rows],
+    )
+
+
 def measureTimes(sample: Sample, rounds: int) -> dict[str, tuple[float, float]]:
     """Return (encode, decode) of each format in µs, medians of rounds in which they take turns."""
     size = max(1, min(200, int(SAMPLE_BYTES / sample.wireBytes)))
     wires = [wire for _, wire in islice(sample.messages, size)]
-    codecs = {name: sample.format(name) for name in FORMATS}
-    encoded = {}
-    for name, codec in codecs.items():
-        encoded[name] = [codec.encode_wire(wire) for wire in wires]
-        assert [codec.decode_wire(e.columns, e.raw) for e in encoded[name]] == wires
+    codecs = {name: coder(sample, name, wires) for name in FORMATS}
+    for encode, decode in codecs.values():
+        assert decode(encode()) == wires
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in FORMATS}
     for _ in range(rounds):
-        for name, codec in codecs.items():
-            rows = encoded[name]
-            times[name].append(
-                (
-                    microseconds(lambda c=codec: [c.encode_wire(w) for w in wires], len(wires)),
-                    microseconds(
-                        lambda c=codec, rows=rows: [c.decode_wire(e.columns, e.raw) for e in rows],
-                        len(wires),
-                    ),
-                )
+        for name, (encode, decode) in codecs.items():
+            encoded = encode()
+            pair = (
+                microseconds(encode, len(wires)),
+                microseconds(lambda decode=decode, encoded=encoded: decode(encoded), len(wires)),
             )
+            times[name].append(pair)
     return {
         name: (statistics.median(e for e, _ in pairs), statistics.median(d for _, d in pairs))
         for name, pairs in times.items()

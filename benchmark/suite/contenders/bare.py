@@ -44,7 +44,7 @@ def bare_cluster(server: Server) -> Cluster:
     cluster = Cluster(
         [server.host],
         port=server.port,
-        protocol_version=5,
+        protocol_version=4,  # without checksums that Python would compute
         compression=False,
         execution_profiles={EXEC_PROFILE_DEFAULT: profile},
         sockopts=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
