@@ -10,17 +10,16 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import AbstractSet, Iterable, Mapping, Sequence
 
-from cassandra_ros.arguments import check_integer, check_new_topic, check_node
+from cassandra_ros.arguments import check_integer, check_new_topic
 from cassandra_ros.bag import identity
 from cassandra_ros.bag.identity import BagContent
 from cassandra_ros.bag.jobs import MAX_JOBS, run_parts, spans_of_jobs
-from cassandra_ros.bag.part import Part, connect
+from cassandra_ros.bag.part import Part, bag_writer, connect
 from cassandra_ros.bag.reader import BagReader, Progress, chosen_connections
 from cassandra_ros.bag.verify import holds_nothing_else
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_WRITER, SECOND_NS
-from cassandra_ros.store.blocks.limits import limits_for
 from cassandra_ros.store.directory import Lengths, bucket_for, span_for
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.writer import WriteStats
@@ -114,11 +113,7 @@ def import_bag(
         run = _run(reader, nodeID, writer_id, format, content)
         formats = _formats(ros_cas, reader, numbers, run)
         lengths = table_lengths(reader, content.sizes)
-        # Blocks are never sealed by time, nor do they depend on the topics that are chosen.
-        limits = limits_for(len(reader.connections))
-        with MessageWriter(
-            ros_cas.parts, writer_id, format=format, node=check_node(nodeID), run=run, limits=limits
-        ) as writer:
+        with bag_writer(ros_cas, reader, writer_id, nodeID, format=format, run=run) as writer:
             handles = {
                 n: connect(writer, connection, lengths[n], formats[n])
                 for n, connection in reader.connections.items()

@@ -16,11 +16,13 @@ from dataclasses import asdict, dataclass
 from types import FrameType
 from typing import Dict, Iterator, List, Optional, Tuple
 
+from cassandra_ros.arguments import check_node
 from cassandra_ros.bag.reader import BagReader, RawMessage
 from cassandra_ros.errors import BagError, CassandraRosError
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.store.blocks.limits import limits_for
 from cassandra_ros.store.directory import Lengths
+from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 
@@ -104,6 +106,21 @@ def part_messages(reader: BagReader, spans: Dict[int, Span]) -> Iterator[RawMess
                 yield message
 
 
+def bag_writer(
+    ros_cas: RosCassandra,
+    reader: BagReader,
+    writer_id: int,
+    node: str,
+    *,
+    format: Optional[str] = None,
+    run: Optional[Run] = None,
+) -> MessageWriter:
+    """Make the writer for a bag or for a part of it."""
+    # Blocks are not sealed by time, nor do they depend on the topics that are chosen.
+    limits, node = limits_for(len(reader.connections)), check_node(node)
+    return MessageWriter(ros_cas.parts, writer_id, format=format, node=node, run=run, limits=limits)
+
+
 def connect(
     writer: MessageWriter, connection: Connection, lengths: Lengths, format_name: str
 ) -> Handle:
@@ -151,9 +168,7 @@ def _write(part: Part, teller: _Teller) -> None:
     """Store the messages of a part; those that the teller has counted are acknowledged then."""
     with RosCassandra(**part.store) as ros_cas, BagReader(part.path) as reader:  # type: ignore[arg-type]
         # The import's run, its heartbeat and its tables are those of the process that started us.
-        limits = limits_for(len(reader.connections))
-        number, parts = part.writer_id, ros_cas.parts
-        with MessageWriter(parts, number, node=part.node, limits=limits) as writer:
+        with bag_writer(ros_cas, reader, part.writer_id, part.node) as writer:
             handles = {
                 n: connect(writer, reader.connections[n], part.lengths[n], part.formats[n])
                 for n in part.spans
