@@ -51,6 +51,14 @@ class Explanation:
     rows_read: int
     """Rows that came from the server."""
     rows_returned: int
+    blocks: int = 0
+    """Blocks of packed messages that were read and unpacked."""
+    unpacked: int = 0
+    """Messages in them."""
+    sifted: int = 0
+    """Those of them that numpy left out before they became rows."""
+    unread: int = 0
+    """Messages in blocks that were not read, in the buckets that were, as the directory counts."""
     counted: bool = False
     """The directory of buckets knew the answer; no row was read."""
 
@@ -62,12 +70,17 @@ class Explanation:
             "whole": self.whole,
             "known to hold nothing": self.skipped,
         }
+        blocks = [
+            f"blocks:        {self.blocks} of {self.unpacked} messages unpacked, of which "
+            f"{self.sifted} were sifted out; not read: those of {self.unread} messages"
+        ]
         ways = [f"{count} {how}" for how, count in counts.items() if count]
         return "\n".join(
             [
                 self.statement.strip(),
                 f"topic:         {self.topic}",
                 f"buckets:       {read} of {self.buckets}" + (f": {', '.join(ways)}" * bool(ways)),
+                *(blocks if self.blocks or self.unread else ()),
                 f"server:        {'; '.join(self.server) or 'checks nothing'}",
                 f"client alone:  {'; '.join(self.client) or 'nothing'}",
                 f"rows read:     {self.rows_read}" + ", the directory counts" * self.counted,
@@ -96,6 +109,10 @@ def explain(result: QueryResult, source: Source[Row]) -> Explanation:
         client=tuple(_alone(result.select.condition, set(ways))),
         rows_read=result.read,
         rows_returned=returned,
+        blocks=pushed.blocks,
+        unpacked=pushed.unpacked,
+        sifted=pushed.unpacked - pushed.kept,
+        unread=max(0, pushed.held - pushed.unpacked),
         counted=result.counted,
     )
 

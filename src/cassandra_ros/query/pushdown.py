@@ -116,6 +116,7 @@ class Pushdown:
             alone, whole, and not at all.
         blocks, unpacked, kept: How many blocks were read, how many messages they held, and how
             many of those became rows.
+        held: How many messages the directory counts in packed buckets that were read.
         used: The comparisons that the server checked, each with the way: 'index', 'filter' or
             'zones'.
     """
@@ -131,12 +132,14 @@ class Pushdown:
         self._dense: set[str] = set()
         self._crowded: set[str] = set()
         self.indexed = self.filtered = self.whole = self.skipped = 0
-        self.blocks = self.unpacked = self.kept = 0
+        self.blocks = self.unpacked = self.kept = self.held = 0
         self.used: Used = {}
 
     def choose(self, table: Table, bucket: Sequence[_Bucket]) -> Optional[Sequence[Query]]:
         """Return the queries whose rows include those that match; None = all rows."""
         chosen = self._chosen(table, bucket)
+        if table.packed:
+            self.held += sum(row.rows for row in bucket)
         if chosen is None:
             self.whole += 1
         elif any(indexed for _, indexed in chosen):

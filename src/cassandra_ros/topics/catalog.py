@@ -30,7 +30,7 @@ from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.finding import Filter, Where
-from cassandra_ros.topics.indexes import check_unnamed
+from cassandra_ros.topics.indexes import check_unnamed, no_index_in_blocks
 from cassandra_ros.topics.keyspace import Keyspace, Wish, check_packed
 from cassandra_ros.topics.runs import RunName
 from cassandra_ros.topics.selection import EVERYBODY, Clock, Stretch, Whose, spellings
@@ -67,6 +67,8 @@ class Catalog:
         stored = self.keyspace.tables.of_topic(topic)
         if format_class(format_name).PACKED:
             check_packed(stored[0].metadata if stored else wish.metadata)
+            if wanted.indexes and all(table.packed for table in stored):
+                raise no_index_in_blocks(topic)
         definition = self._definition_for(topic, msg_type, known=bool(stored))
         for table in stored:
             wish.check(table.metadata, definition)

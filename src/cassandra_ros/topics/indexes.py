@@ -83,6 +83,8 @@ def check_indexable(topic: str, tables: list[TopicTable], field: str) -> None:
                 f"field {field} is the key_part of topic {topic} and has an index for whole "
                 "arrays; one for their elements cannot be made besides"
             )
+    if all(table.packed for table in tables):
+        raise no_index_in_blocks(topic)
     if not any(_type_of(table.metadata, field) for table in tables):
         for table in tables:
             if table.definition is not None:
@@ -91,6 +93,14 @@ def check_indexable(topic: str, tables: list[TopicTable], field: str) -> None:
             f"topic {topic} has no usable definition to find a field {field!r} in: an index "
             "cannot be made"
         )
+
+
+def no_index_in_blocks(topic: str) -> InvalidOption:
+    """Return the error to raise where all messages of a topic lie in blocks."""
+    return InvalidOption(
+        f"topic {topic} takes no index: its messages are packed in blocks, of which the least and "
+        "the greatest value of each field are kept; conditions use these by themselves"
+    )
 
 
 def check_unnamed(topic: str, key_format: str) -> None:
@@ -103,6 +113,8 @@ def check_unnamed(topic: str, key_format: str) -> None:
 
 
 def _type_of(metadata: TopicMetadata, field: str) -> Optional[str]:
+    if metadata.packed:
+        return None
     definition = definition_in(metadata)
     with suppress(InvalidName):
         return IndexField(definition, field, "").cql_type if definition else None
