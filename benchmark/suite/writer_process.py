@@ -7,7 +7,7 @@ from __future__ import annotations
 import sys
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.store.directory import bucket_for
+from cassandra_ros.store.directory import bucket_for, span_for
 from suite.messages import imu
 
 TOPIC = "/many"
@@ -18,8 +18,9 @@ def main() -> None:
     host, port, keyspace, format, count = sys.argv[1:]
     batch = imu(int(count)).first(int(count), TOPIC)
     with RosCassandra(host, int(port), keyspace=keyspace) as store:
-        with store.messageWriter(format=format) as writer:
-            handle = writer.connect(batch.connection, bucket_for(*batch.rate))
+        with store.messageWriter(format=format, block_sec=None) as writer:
+            bucket_ns, span_ns = bucket_for(*batch.rate), span_for(*batch.rate)
+            handle = writer.connect(batch.connection, bucket_ns, span_ns=span_ns)
             print("ready", flush=True)
             sys.stdin.readline()
             for number, (t_ns, wire) in enumerate(zip(batch.times, batch.wires)):

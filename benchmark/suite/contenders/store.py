@@ -9,7 +9,7 @@ from typing import Any, Iterator, Optional, Tuple
 
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.formats.table import FORMATS
-from cassandra_ros.store.directory import bucket_for
+from cassandra_ros.store.directory import bucket_for, span_for
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from suite.contenders.contender import Contender
 from suite.contenders.rosbags import Rosbag
@@ -38,9 +38,11 @@ class Store(Contender):
         return self.server.store.getTopic(self.batch.topic)
 
     def open(self) -> None:
-        bucket_ns = bucket_for(*self.batch.rate)
-        self._writer = self.server.store.messageWriter(format=self.format)
-        self._handle = self._writer.connect(self.batch.connection, bucket_ns)
+        # As an import: the lengths follow from the rates, and blocks are filled.
+        self._writer = self.server.store.messageWriter(format=self.format, block_sec=None)
+        lengths = bucket_for(*self.batch.rate), span_for(*self.batch.rate)
+        connection, (bucket_ns, span_ns) = self.batch.connection, lengths
+        self._handle = self._writer.connect(connection, bucket_ns, span_ns=span_ns)
         assert self._handle.format == self.format, self._handle.warning
 
     def extend(self, first: int, last: int) -> None:
