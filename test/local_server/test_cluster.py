@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import json
 import os
 import shutil
@@ -13,13 +14,15 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
+from collections import Counter
 
 import pytest
 from cassandra import ConsistencyLevel
 from cassandra.cluster import EXEC_PROFILE_DEFAULT, Cluster, ExecutionProfile
 from cassandra.policies import WhiteListRoundRobinPolicy
-from cassandra.query import SimpleStatement
+from cassandra.query import BatchStatement, BatchType, SimpleStatement
 from std_msgs.msg import String
 from topics.by_index import await_built
 
@@ -37,8 +40,9 @@ def make(folder, **options):
     return cluster
 
 
-def ask(cluster, statement):
-    """Answer of a statement, as a list of rows."""
+@contextlib.contextmanager
+def session(cluster):
+    """A session of the driver, on the first node."""
     host = cluster.settings.host
     profile = ExecutionProfile(WhiteListRoundRobinPolicy([host]), request_timeout=30)
     driver = Cluster(
@@ -52,9 +56,15 @@ def ask(cluster, statement):
         token_metadata_enabled=False,
     )
     try:
-        return list(driver.connect().execute(statement))
+        yield driver.connect()
     finally:
         driver.shutdown()
+
+
+def ask(cluster, statement):
+    """Answer of a statement, as a list of rows."""
+    with session(cluster) as opened:
+        return list(opened.execute(statement))
 
 
 def await_answers(cluster):
@@ -156,6 +166,51 @@ def test_what_was_acknowledged_survives_kill_9(folder):
     assert cluster.start(die_with_us=True)
     assert [text for text in cluster.said if "stale" in text and f"pid {os.getpid()}" in text]
     assert ask(cluster, "SELECT s FROM k.t WHERE i = 2")[0].s == "written last"
+
+
+def write_until_killed(cluster, session, after):
+    """Keep 16 batches of 100 rows on their way, kill the server when so many are acknowledged.
+
+    Returns the numbers of the acknowledged batches, and how many were not when it was killed.
+    """
+    insert = session.prepare("INSERT INTO k.many (part, i, data) VALUES (?, ?, ?)")
+    acknowledged, places, failed = [], threading.Semaphore(16), threading.Event()
+    killer = threading.Thread(target=kill, args=(cluster,))
+
+    def done(_rows, number):
+        acknowledged.append(number)
+        places.release()
+
+    def lost(_exc):
+        failed.set()
+        places.release()
+
+    for number in itertools.count():
+        places.acquire()
+        if failed.is_set():
+            killer.join()
+            for _ in range(15):
+                places.acquire()  # all have their answer now
+            return acknowledged, number - len(acknowledged)
+        if len(acknowledged) >= after and killer.ident is None:
+            killer.start()
+        batch = BatchStatement(BatchType.UNLOGGED)
+        for i in range(100):
+            batch.add(insert, (number, i, os.urandom(300)))
+        session.execute_async(batch).add_callbacks(done, lost, callback_args=(number,))
+    raise AssertionError("the loop above returns")
+
+
+def test_batches_in_flight_survive_kill_9_as_far_as_they_were_acknowledged(folder):
+    cluster = make(folder)
+    ask(cluster, "CREATE TABLE k.many (part int, i int, data blob, PRIMARY KEY (part, i))")
+    with session(cluster) as writer:
+        acknowledged, others = write_until_killed(cluster, writer, after=150)
+    assert others  # it was killed amid them
+    assert cluster.start(die_with_us=True)
+    found = Counter(row.part for row in ask(cluster, "SELECT part FROM k.many"))
+    assert {number: found[number] for number in acknowledged} == dict.fromkeys(acknowledged, 100)
+    assert set(found.values()) == {100}  # those, too, whose answer was on its way
 
 
 def test_a_taken_port_is_refused_with_its_owner(folder):
