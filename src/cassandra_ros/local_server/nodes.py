@@ -38,7 +38,10 @@ _JVM_FLAGS = (
     "-Dio.netty.allocator.maxOrder=11 -Dcassandra-foreground=yes "
     # What a table holds of the heap, with or without rows, are its metrics; for few cores one
     # copy of their counters is enough: 0.26 MiB a table instead of 0.35.
-    "-Dcassandra.dehr_stripe_count=1"
+    "-Dcassandra.dehr_stripe_count=1 "
+    # In the first minutes the compiler takes as much of the processor as the rows. With less put
+    # into one method it takes a third less, and what it makes is as fast.
+    "-XX:FreqInlineSize=150 -XX:InlineSmallCode=1200"
 )
 _FIRST_HEAP_MB = 512
 # Up to here the parallel collector is used, which costs the least time; the shorter pauses of G1

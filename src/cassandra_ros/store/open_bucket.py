@@ -27,8 +27,9 @@ from cassandra_ros.store.row_table import (
     encode_texts,
 )
 
-BATCH_ROWS = 200
-BATCH_BYTES = 64 * 1024
+# Each batch costs the server about 0.5 ms beside its rows: 200 rows and 64 KiB cost an eighth more.
+BATCH_ROWS = 500
+BATCH_BYTES = 256 * 1024
 _ROW_OVERHEAD = 60
 
 Again = Callable[[], object]
