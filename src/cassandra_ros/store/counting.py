@@ -5,10 +5,13 @@
 from __future__ import annotations
 
 import logging
-from typing import Iterator
+from typing import FrozenSet, Iterator, Optional
 
 from cassandra_ros.errors import ConnectionFailed, StoreUnavailable
-from cassandra_ros.keys import split_seq
+from cassandra_ros.keys import split_seq, writer_of
+from cassandra_ros.store.blocks.counts import count_part as count_blocks
+from cassandra_ros.store.blocks.counts import measure
+from cassandra_ros.store.blocks.stream import Part, stream
 from cassandra_ros.store.directory import STALE_SEC, BucketRow, BucketTotals, Directory
 from cassandra_ros.store.row_table import COUNTED, MAX_SEQ, MIN_SEQ, RowTable, decode_long
 
@@ -20,7 +23,15 @@ COUNT_PAGE_ROWS = 5000
 def scan_keys(
     table: RowTable, node: str, bucket: int, low: int, high: int
 ) -> Iterator[tuple[int, int, int, bool, bool]]:
-    """Read (t, seq, size, chunked, odd) of the rows of a bucket with t in [low, high]."""
+    """Read (t, seq, size, chunked, odd) of the rows of a bucket with t in [low, high].
+
+    Of a table of blocks those are the messages; all blocks that hold one are read.
+    """
+    if table.packed:
+        ends = (low, MIN_SEQ), (high, MAX_SEQ)
+        for message in stream(Part(table, node, bucket, ends, bare=True)):
+            yield message.t, message.seq, message.size, message.nchunks > 0, message.odd
+        return
     asked = table.stretch(
         COUNTED,
         table.place(node, bucket),
@@ -34,9 +45,28 @@ def scan_keys(
             yield t, seq, size, row[3] is not None, row[4] is not None
 
 
+def count_part(
+    table: RowTable,
+    node: str,
+    bucket: int,
+    ends: tuple[int, int],
+    writers: Optional[FrozenSet[int]] = None,
+) -> int:
+    """Count the messages of a bucket with a time in [low, high], of writers (None = of all)."""
+    if table.packed:
+        return count_blocks(table, node, bucket, *ends, writers)
+    found = scan_keys(table, node, bucket, *ends)
+    return sum(writers is None or writer_of(seq) in writers for _, seq, *_ in found)
+
+
 def recount(table: RowTable, node: str, bucket: int) -> dict[int, BucketTotals]:
     """Count the rows of one bucket as they are now, by writer id."""
     found: dict[int, BucketTotals] = {}
+    if table.packed:
+        for block, left in measure(table, node, bucket):
+            totals = found.setdefault(block.writer, BucketTotals())
+            totals.add(left.count, left.bytes, left.largest, (left.t_min, left.t_max), block.odd)
+        return found
     for t, seq, size, chunked, odd in scan_keys(table, node, bucket, -(2**63), MAX_SEQ):
         found.setdefault(split_seq(seq)[0], BucketTotals()).count(t, size, chunked, odd)
     return found

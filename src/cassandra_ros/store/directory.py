@@ -168,6 +168,14 @@ class BucketTotals:
         if not chunked:
             self.largest = max(self.largest, size)
 
+    def add(self, rows: int, nbytes: int, largest: int, ends: Tuple[int, int], odd: bool) -> None:
+        """Add a block of messages: how many, their bytes, and the first and the last time."""
+        self.rows += rows
+        self.bytes += nbytes
+        self.largest = max(self.largest, largest)
+        self.t_min, self.t_max = min(self.t_min, ends[0]), max(self.t_max, ends[1])
+        self.odd += odd
+
     def columns(self) -> dict[str, int]:
         """Return the columns of cr_bucket that hold them."""
         return {"n": self.rows, **{name: v for name, v in vars(self).items() if name != "rows"}}

@@ -16,6 +16,7 @@ from cassandra.query import BoundStatement
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
+from cassandra_ros.store.blocks.lookup import Finder, answer_one, ask_one
 from cassandra_ros.store.directory import Directory, slot_of
 from cassandra_ros.store.paging import Asked, RawRow, sent_ahead
 from cassandra_ros.store.row_table import (
@@ -47,8 +48,20 @@ class Wanted(NamedTuple):
 
 def fetch_rows(wanted: Iterable[Wanted], ahead: int = AHEAD) -> Iterator[TableRow]:
     """Yield the rows in the order asked for; one that was deleted meanwhile is left out."""
-    for key, asked in sent_ahead(((key, _ask(key)) for key in wanted), ahead):
-        yield from _answer(key, asked)
+    finders: dict[str, Finder] = {}
+
+    def sent(key: Wanted) -> tuple[Wanted, Asked | None]:
+        # Of a block the next ones may come, too: it is not asked for before that is known.
+        return key, None if key.table.packed else _ask(key)
+
+    for key, asked in sent_ahead(map(sent, wanted), ahead):
+        if asked is not None:
+            yield from _answer(key, asked)
+            continue
+        finder = finders.setdefault(key.table.name, Finder(key.table))
+        row = finder.find(key.position)
+        if row is not None:
+            yield row
 
 
 def first_at(
@@ -76,7 +89,7 @@ def first_at(
 def _best(places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
     keys = [Wanted(table, Position(t, node, 0, table.name)) for table, node in places]
     asked = [(key, _ask(key, any_seq=True)) for key in keys]
-    rows = [row for each in asked for row in _answer(*each)]
+    rows = [row for each in asked for row in _answer(*each, any_seq=True)]
     return min(rows, key=lambda row: row[:4], default=None)
 
 
@@ -98,6 +111,8 @@ def beside(
     Returns:
         One row for each way: of several with the same time the first.
     """
+    if any(table.packed for table in tables):
+        return None  # which block holds it is told by several
     listings = [
         (table, begin_slot(directory, table.name, slot_of(table.bucket_of(t)))) for table in tables
     ]
@@ -137,14 +152,21 @@ def _best_side(asked: Sequence[tuple[RowTable, str, Asked]], reverse: bool) -> T
 
 def _ask(key: Wanted, *, any_seq: bool = False) -> Asked:
     table, (t, node, seq, _, name) = key
+    if table.packed:
+        return ask_one(table, key.position, any_seq=any_seq)
     order = table.stored_order(t, seq)
     ends = ((t, FIRST[1]), (t, LAST[1])) if any_seq else (order, order)
     place, page_rows = table.place_of(node, t, name), 1 if any_seq else None
     return table.stretch(table.listing(), place, ends, page_rows=page_rows)
 
 
-def _answer(key: Wanted, asked: Asked) -> Iterator[TableRow]:
+def _answer(key: Wanted, asked: Asked, *, any_seq: bool = False) -> Iterator[TableRow]:
     table, position = key
+    if table.packed:
+        row = answer_one(table, position, asked, any_seq=any_seq)
+        if row is not None:
+            yield row
+        return
     for values in asked.page()[:1]:
         if not table.is_rest(values):
             yield table.row_from_values(position.node, values, position.name)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import heapq
 import logging
 from collections import deque
+from functools import partial
 from typing import (
     Callable,
     FrozenSet,
@@ -22,13 +23,11 @@ from typing import (
     Tuple,
 )
 
-import numpy as np
 from cassandra.query import PreparedStatement
-from numpy.typing import NDArray
 
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.keys import Position
-from cassandra_ros.store.blocks.codec import Unpacked
+from cassandra_ros.store.blocks.stream import Part, Sift, stream
 from cassandra_ros.store.directory import BucketRow, Directory
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_refused
 from cassandra_ros.store.paging import GROWTH, Asked, RawRow
@@ -66,10 +65,6 @@ _Order = Tuple[object, ...]
 
 Query = Tuple[Terms, bool]
 """What the server is to check, and whether it finds the rows by an index."""
-
-
-Sift = Callable[[Unpacked], Optional[NDArray[np.bool_]]]
-"""From a block to a mask of the messages that may be wanted; None = all may be."""
 
 
 class Chooser(Protocol):
@@ -135,6 +130,8 @@ class Piece(NamedTuple):
     """What its writers say in the directory; empty: this is no bucket, but from here on there may
     be some that were not looked for yet."""
     page_rows: int = 0
+    page_bytes: int = PAGE_BYTES
+    """Of messages, what it holds at once at the most, about."""
     first_rows: int = 0
     """Rows of its first page, which the next ones outgrow; 0 = page_rows."""
 
@@ -150,11 +147,43 @@ _ALL: Query = ((), False)
 def _open(piece: Piece, scan: Scan) -> tuple[Iterator[TableRow], bool]:
     """Ask for the first rows of a bucket; return all in order, and whether some are left out."""
     chosen = None if scan.chooser is None else scan.chooser.choose(piece.table, piece.rows)
+    if piece.table.packed:
+        return _blocks(piece, scan, chosen), chosen is not None
     if chosen is None:
         return _Stream(piece, scan, _ALL).rows(), False
     # All queries of a bucket share what one may hold.
     share = piece._replace(page_rows=max(1, piece.page_rows // max(1, len(chosen))))
     return _found(piece, scan, [_Stream(share, scan, query) for query in chosen]), True
+
+
+def _blocks(piece: Piece, scan: Scan, chosen: Optional[Sequence[Query]]) -> Iterator[TableRow]:
+    """Ask for the first blocks of a bucket; return their messages."""
+    table, chooser = piece.table, scan.chooser
+    columns = None if scan.columns is None else scan.columns(table)
+    part = Part(
+        table,
+        piece.node,
+        piece.bucket,
+        _ends(piece, scan),
+        scan.reverse,
+        scan.writers,
+        bare=columns is not None and not columns,
+        filters=None if chosen is None else [terms for terms, _ in chosen],
+        wanted=piece.first_rows,
+        page_bytes=piece.page_bytes,
+    )
+    if chooser is None:
+        return stream(part)
+    part.sift, part.opened = chooser.sift(table), partial(chooser.opened, table)
+    return _counted(piece, chooser, stream(part)) if chosen is not None else stream(part)
+
+
+def _counted(piece: Piece, chooser: Chooser, rows: Iterator[TableRow]) -> Iterator[TableRow]:
+    count = 0
+    for row in rows:
+        count += 1
+        yield row
+    chooser.learn(piece.table, piece.rows, count)
 
 
 def _found(piece: Piece, scan: Scan, streams: Sequence[_Stream]) -> Iterator[TableRow]:
@@ -455,7 +484,10 @@ class _Prefetched:
         if not piece.rows:
             self._asked.append((piece, iter(()), False))
             return
-        page_rows = _page_rows(piece.rows, self._page_bytes)
         rows = min(self._rows, max(MERGED_ROWS, 2 * self._rows // self._streams))
-        piece = piece._replace(page_rows=page_rows, first_rows=rows if self._scan.few else 0)
+        piece = piece._replace(
+            page_rows=_page_rows(piece.rows, self._page_bytes),
+            page_bytes=self._page_bytes,
+            first_rows=rows if self._scan.few else 0,
+        )
         self._asked.append((piece, *_open(piece, self._scan)))

@@ -103,6 +103,8 @@ class TableRow(NamedTuple):
     """Key of a row that is found by name."""
     received: int = -1
     """When the message was received, ns; -1 = that is its key time."""
+    block: tuple[int, int, int, int] | None = None
+    """Of a message in a block: ``_t`` and ``_seq`` of that, how many it has, and its place."""
 
     @property
     def position(self) -> Position:
@@ -215,6 +217,22 @@ class RowTable:
         rest = f'AND ("_t", "_seq") IN ?{_NEWEST if reverse else ""}'
         return self._select(self.listing(columns), rest)
 
+    def select_listed(self, names: str) -> PreparedStatement:
+        """SELECT of columns, as CQL, of rows of one partition by a list of (t, seq)."""
+        return self._select(names, 'AND ("_t", "_seq") IN ?')
+
+    def select_over(self, names: str) -> PreparedStatement:
+        """SELECT of columns, as CQL, of the blocks that may hold a message.
+
+        Parameters are the place, bounds of ``_t`` and of ``_seq``, and the key time that their
+        last message does not lie before.
+        """
+        return self._select(
+            names,
+            'AND "_t" >= ? AND "_t" <= ? AND "_seq" >= ? AND "_seq" <= ? AND "_last" >= ? '
+            "ALLOW FILTERING",
+        )
+
     def select_names(self) -> PreparedStatement:
         """SELECT of the keys of all rows of a table that is read by name; in no order."""
         names = ", ".join(['"_node", "_key"', COUNTED, *map(quote_name, self._received)])
@@ -248,6 +266,14 @@ class RowTable:
     def delete_one(self, *, chunks: bool = False) -> str:
         """DELETE of one row, or of the pieces of its message."""
         return f"DELETE FROM {self._chunks if chunks else self.qualified} {self._where} {_ROW}"
+
+    def mark_gone(self) -> str:
+        """UPDATE that adds to the positions of a block whose messages were deleted."""
+        return f'UPDATE {self.qualified} SET "_gone" = "_gone" + ? {self._where} {_ROW}'
+
+    def unmark_gone(self) -> str:
+        """DELETE of those positions alone."""
+        return f'DELETE "_gone" FROM {self.qualified} {self._where} {_ROW}'
 
     def _prepare(self, cql: str) -> PreparedStatement:
         return self._cassandra.prepare(cql)

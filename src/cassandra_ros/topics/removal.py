@@ -7,6 +7,8 @@ from __future__ import annotations
 from itertools import islice
 from typing import Collection, Dict, Iterable, List, Optional, Sequence, Set, Tuple, Union
 
+from cassandra_ros.store.blocks.counts import headers
+from cassandra_ros.store.blocks.cutting import BlockKey, Cutter
 from cassandra_ros.store.counting import scan_keys
 from cassandra_ros.store.directory import Directory
 from cassandra_ros.topics.keyspace import Keyspace
@@ -36,11 +38,28 @@ def delete_stretch(
         for row in rows:
             writers.setdefault((row.node, row.bucket), set()).add(row.writer)
         for (node, bucket), listed in sorted(writers.items()):
-            if whose.writers is None or listed <= whose.writers:
+            if table.packed:
+                deleted += _delete_blocks(space, (table, node, bucket), low, high, whose)
+            elif whose.writers is None or listed <= whose.writers:
                 deleted += _delete_bucket(space, (table, node, bucket), low, high, until)
             elif listed & whose.writers:
                 # Others wrote there, too: one by one, and theirs stay.
                 deleted += _delete_between(space, (table, node, bucket), low, high, whose)
+    return deleted
+
+
+def _delete_blocks(
+    space: Keyspace, partition: _Partition, low: int, high: int, whose: Whose
+) -> int:
+    """Delete out of blocks: what another writer adds meanwhile stays."""
+    table, node, where = partition
+    rows = headers(table, node, int(where), low, high, whose.writers)
+    deleted = 0
+    while some := list(islice(rows, ROWS_AT_ONCE)):
+        _mark_deleted(space.directory, table, node, int(where))
+        cutter = Cutter(space.cassandra, table, node, int(where))
+        deleted += cutter.stretch(some, low, high)
+        _delete_chunks(space, partition, [(*key, True) for key in cutter.large])
     return deleted
 
 
@@ -59,18 +78,19 @@ def _delete_between(
 
 def delete_rows(space: Keyspace, rows: Iterable[StoredRow]) -> int:
     """Delete messages while they are found; return how many. Only some keys are held."""
-    places = map(_place_of, rows)
     deleted = 0
-    while True:
-        some = list(islice(places, ROWS_AT_ONCE))
-        if not some:
-            return deleted
-        groups: Dict[_Partition, List[_Key]] = {}
-        for partition, key in some:
-            groups.setdefault(partition, []).append(key)
-        for partition, keys in groups.items():
-            _delete_some(space, partition, keys)
+    rows = iter(rows)
+    while some := list(islice(rows, ROWS_AT_ONCE)):
+        groups: Dict[_Partition, List[StoredRow]] = {}
+        for row in some:
+            groups.setdefault(_partition_of(row), []).append(row)
+        for partition, group in groups.items():
+            if partition[0].packed:
+                _cut_some(space, partition, group)
+            else:
+                _delete_some(space, partition, list(map(_key_of, group)))
         deleted += len(some)
+    return deleted
 
 
 def _delete_some(space: Keyspace, partition: _Partition, keys: List[_Key]) -> None:
@@ -82,6 +102,19 @@ def _delete_some(space: Keyspace, partition: _Partition, keys: List[_Key]) -> No
     params = [(node, where, t, seq) for t, seq, _ in keys]
     space.cassandra.execute_many(table.delete_one(), params, what=_deleting(table))
     _delete_chunks(space, partition, keys)
+
+
+def _cut_some(space: Keyspace, partition: _Partition, rows: List[StoredRow]) -> None:
+    """Delete messages of one bucket out of their blocks."""
+    table, node, where = partition
+    cuts: Dict[BlockKey, Set[int]] = {}
+    for row in rows:
+        if row.block is not None:
+            t, seq, messages, place = row.block
+            cuts.setdefault(BlockKey(t, seq, messages), set()).add(place)
+    _mark_deleted(space.directory, table, node, int(where))
+    Cutter(space.cassandra, table, node, int(where)).cut(cuts)
+    _delete_chunks(space, partition, [_key_of(row) for row in rows])
 
 
 def _delete_bucket(
@@ -126,7 +159,10 @@ def _deleting(table: TopicTable) -> str:
     return f"deleting from topic {table.metadata.topic}"
 
 
-def _place_of(row: StoredRow) -> Tuple[_Partition, _Key]:
+def _partition_of(row: StoredRow) -> _Partition:
     table = row.table
-    where = row.name if table.named else table.bucket_of(row.t)
-    return (table, row.node, where), (*table.stored_order(row.t, row.seq), row.chunked)
+    return table, row.node, row.name if table.named else table.bucket_of(row.t)
+
+
+def _key_of(row: StoredRow) -> _Key:
+    return (*row.table.stored_order(row.t, row.seq), row.chunked)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Any, Optional, Union
+from typing import Any, Optional, Tuple, Union
 
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFound
 from cassandra_ros.keys import Position, RowName, writer_of
@@ -40,7 +40,7 @@ class StoredRow:
 
     def __init__(self, row: TableRow, table: TopicTable) -> None:
         self.t, self.node, self.seq, _, self.conn, self.size, chunks = row[:7]
-        _, self.odd, _, self.columns, self.name, received = row[7:]
+        _, self.odd, _, self.columns, self.name, received = row[7:13]
         self.received = self.t if received < 0 else received
         self.chunked = chunks > 0
         self.table = table
@@ -62,6 +62,11 @@ class StoredRow:
     def position(self) -> Position:
         """Its place in the order of all reads."""
         return self._row.position
+
+    @property
+    def block(self) -> Optional[Tuple[int, int, int, int]]:
+        """Where it lies in a block, see TableRow; None where it has a row of its own."""
+        return self._row.block
 
     @property
     def arrival(self) -> tuple[int, str, int, str]:

@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Optional, Sequence
 
-from cassandra_ros.store.counting import scan_keys, settle
+from cassandra_ros.store.counting import count_part, settle
 from cassandra_ros.store.directory import BucketRow, BucketTotals, Directory
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.store.registry import Loss
@@ -61,9 +61,7 @@ def _count(directory: Directory, table: TopicTable, low: int, high: int, whose: 
     inner = [r for r in rows if low <= r.bucket * length and (r.bucket + 1) * length - 1 <= high]
     edges = {(r.node, r.bucket) for r in rows} - {(r.node, r.bucket) for r in inner}
     return sum(row.rows for row in settle(directory, table, inner)) + sum(
-        whose.wrote(seq)
-        for node, bucket in edges
-        for _, seq, _, _, _ in scan_keys(table, node, bucket, low, high)
+        count_part(table, node, bucket, (low, high), whose.writers) for node, bucket in edges
     )
 
 

@@ -30,6 +30,8 @@ LEVEL = 1
 """Of zstd: higher ones take more time than the store."""
 MIN_PLANES = 16
 """Fewer messages of a size stand as they are: text is not torn apart for nothing."""
+FEW_SHARE = 8
+"""Where less than one in so many messages is wanted, each is cut out by itself."""
 _RECEIVED = 1
 _HEAD = 2
 
@@ -98,17 +100,26 @@ class Unpacked:
         """Return one message, serialised."""
         group, place = self._places
         number, n = int(group[position]), int(place[position])
+        found = self._cut.get(number)
+        if found is None:  # to turn the others, too, would be most of the work
+            return self.groups[number].planes[:, n].tobytes()
         size = self.groups[number].size
-        return self._bytes_of(number)[n * size : (n + 1) * size]
+        return found[n * size : (n + 1) * size]
 
-    def wires(self) -> List[bytes]:
-        """Return all messages, serialised."""
+    def wires(self, positions: Optional[Longs] = None) -> List[bytes]:
+        """Return messages, serialised: those at some positions, None = all."""
+        if positions is not None and FEW_SHARE * len(positions) < len(self):
+            return [self.wire(position) for position in positions.tolist()]
         found: List[bytes] = [b""] * len(self)
         for number, (size, members, _) in enumerate(self.groups):
             every = self._bytes_of(number)
-            for n, position in enumerate(members.tolist()):
-                found[position] = every[n * size : (n + 1) * size]
-        return found
+            cut = [every[n : n + size] for n in range(0, len(every), size)] if size else []
+            if len(members) == len(self):
+                found = cut or found
+            else:
+                for position, wire in zip(members.tolist(), cut):
+                    found[position] = wire
+        return found if positions is None else [found[n] for n in positions.tolist()]
 
 
 def pack_block(
