@@ -36,6 +36,8 @@ MAX_SIZES = 128
 """Sizes of messages whose layouts are kept ..."""
 MAX_LAYOUTS = 4
 """... and layouts of each."""
+MAX_STRIDED = 64
+"""Places of a field that are read one by one."""
 MAX_KEPT = 4096
 """Bytes of lengths and elements in a layout that is kept."""
 DTYPES = {
@@ -284,10 +286,10 @@ def as_planes(wires: Sequence[bytes]) -> Bytes:
 
 def by_size(wires: Sequence[bytes]) -> Iterable[Tuple[Places, Bytes]]:
     """Divide messages by their size: which they are, and their planes."""
-    sizes = np.fromiter(map(len, wires), np.int64, len(wires))
-    if len(wires) and (sizes == sizes[0]).all():
+    if len(set(map(len, wires))) == 1:
         yield np.arange(len(wires)), as_planes(wires)
         return
+    sizes = np.fromiter(map(len, wires), np.int64, len(wires))
     order = np.argsort(sizes, kind="stable")
     for members in np.split(order, np.flatnonzero(np.diff(sizes[order])) + 1):
         if len(members):
@@ -296,16 +298,20 @@ def by_size(wires: Sequence[bytes]) -> Iterable[Tuple[Places, Bytes]]:
 
 def read_numbers(planes: Bytes, ats: Places, base: str) -> Numbers:
     """Return what lies at some places of all messages: (places, messages); see Stack.numbers."""
-    unit = PRIMITIVE_SIZES[base]
-    if len(ats) == 1:
-        rows = planes[None, ats[0] : ats[0] + unit]
+    unit, messages = PRIMITIVE_SIZES[base], planes.shape[1]
+    if len(ats) <= MAX_STRIDED and planes.T.flags.c_contiguous:
+        # The messages stand one behind the other: each number is looked at where it lies.
+        found = np.empty((len(ats), messages), f"<u{unit}")
+        for row, at in zip(found, ats.tolist()):
+            row[:] = np.ndarray((messages,), row.dtype, planes.T, at, (len(planes),))
     else:
         rows = planes[ats[:, None] + np.arange(unit)]
-    turned = np.ascontiguousarray(rows.transpose(0, 2, 1))
+        found = np.ascontiguousarray(rows.transpose(0, 2, 1)).view(f"<u{unit}")[..., 0]
+        found = np.ascontiguousarray(found)
     if base in _PARTS:
-        halves = turned.view(_PARTS[base]).astype(np.int64)
+        halves = found.view(_PARTS[base]).reshape(*found.shape, 2).astype(np.int64)
         return halves[..., 0] * SECOND_NS + halves[..., 1]
-    values: Numbers = turned.view(DTYPES[base])[..., 0]
+    values: Numbers = found.view(DTYPES[base])
     return (values != 0).view(np.uint8) if base == "bool" else values
 
 
