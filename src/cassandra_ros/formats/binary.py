@@ -4,21 +4,29 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Sequence
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
+
+_pack_size = struct.Struct(">i").pack
 
 
 class CassandraTopic_binary(CassandraTopic_):
     """The serialised message as a blob."""
 
     NAME = "binary"
+    TOGETHER = True
     COLUMNS = {"_data": "blob"}
 
     def encode_wire(self, wire: bytes) -> EncodedMessage:
         """Take the bytes as they are."""
         return EncodedMessage((wire,), False, None)
+
+    def encode_together(self, wires: Sequence[bytes]) -> Sequence[bytes | None]:
+        """Put its size before each."""
+        return [_pack_size(len(wire)) + wire for wire in wires]
 
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
         """Give the bytes back."""

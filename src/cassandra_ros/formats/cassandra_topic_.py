@@ -38,6 +38,8 @@ class CassandraTopic_(ABC):
     """Whether each field has a column of its own, which conditions can be checked on."""
     PACKED = False
     """Whether a row of the table is a block of many messages; see ``formats/packed.py``."""
+    TOGETHER = False
+    """Whether many messages are turned into rows quicker than one by one."""
     COLUMNS: Mapping[str, str]
     """CQL type of each column by name, where all types of messages have the same."""
 
@@ -64,6 +66,14 @@ class CassandraTopic_(ABC):
     @abstractmethod
     def encode_wire(self, wire: bytes) -> EncodedMessage:
         """Turn wire bytes into column values; never fails, whatever the bytes are."""
+
+    def encode_together(self, wires: Sequence[bytes]) -> Sequence[bytes | None]:
+        """Return of each message its columns as they stand in a request, each behind its size.
+
+        None is given for a message that encode_wire is to turn: it is not exact in its columns,
+        or not like the others.
+        """
+        return [None] * len(wires)
 
     @abstractmethod
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:

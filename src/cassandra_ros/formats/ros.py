@@ -8,6 +8,7 @@ from typing import Sequence
 
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.wire.permutation import permuter
 from cassandra_ros.messages.wire.plan import wire_plan
 
 INLINE_BYTES = 512 * 1024
@@ -25,6 +26,7 @@ class CassandraTopic_ros(CassandraTopic_):
 
     NAME = "ros"
     BY_FIELD = True
+    TOGETHER = True
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         super().__init__(msg_type, md5sum, definition)
@@ -39,6 +41,12 @@ class CassandraTopic_ros(CassandraTopic_):
         plan = self.plan
         columns, odd = (plan.walk if len(wire) <= INLINE_BYTES else plan.walk_scalars)(wire)
         return EncodedMessage(columns, odd, wire if odd or not plan.complete else None)
+
+    def encode_together(self, wires: Sequence[bytes]) -> Sequence[bytes | None]:
+        """Turn those of one layout at once."""
+        if not self.plan.complete:
+            return [None] * len(wires)
+        return permuter(self.plan.definition).rows(wires)
 
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
         """Build the bytes of the columns, unless the row has them."""

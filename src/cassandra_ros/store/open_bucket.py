@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 import zlib
@@ -14,6 +15,7 @@ from cassandra.query import BatchStatement, BatchType, BoundStatement
 
 from cassandra_ros.store.blocks.builder import Block
 from cassandra_ros.store.directory import BucketTotals
+from cassandra_ros.store.protocol import EncodedRows, Prepared
 from cassandra_ros.store.row_table import (
     INLINE_COLUMN_BYTES,
     ODD,
@@ -31,6 +33,8 @@ from cassandra_ros.store.row_table import (
 BATCH_ROWS = 500
 BATCH_BYTES = 256 * 1024
 _ROW_OVERHEAD = 60
+_OWN = struct.Struct(">iqiqiqii")
+"""_t, _seq, _conn and _size, each behind its size."""
 
 Again = Callable[[], object]
 """Writes a message anew, into the table that its topic has then."""
@@ -40,7 +44,8 @@ Again = Callable[[], object]
 class Batch:
     """Rows of one partition on their way: one mutation, whatever their number."""
 
-    rows: list[tuple[bool, bytes, Sequence[bytes | None]]] = field(default_factory=list)
+    rows: list[Prepared | NewRow] = field(default_factory=list)
+    """Statements, or rows that are encoded when the batch is sent."""
     sizes: list[int] = field(default_factory=list)
     times: list[int] = field(default_factory=list)
     again: list[Again | None] = field(default_factory=list)
@@ -99,8 +104,11 @@ class OpenBucket:
         else:
             self._plain, full = table.insert(names, full=False), table.insert(names)
         self._plain_id, self._full_id = self._plain.query_id, full.query_id
-        # Found from the values by the first row, then the same for all of the bucket.
-        self._routing_key: bytes | None = None
+        bound = BoundStatement(self._plain)
+        bound.values = list(self._place)
+        self._routing_key = bound.routing_key
+        values = len(self._plain.column_metadata)
+        self._prefix = _statement_head(self._plain_id, values, self._place)
 
     def key(self, t: int, seq: int) -> tuple[bytes, ...]:
         """Encode the primary key of a row in this bucket."""
@@ -108,7 +116,23 @@ class OpenBucket:
 
     def add(self, row: NewRow, again: Again | None, chunks: int = 0) -> None:
         """Add a row to the batch, with its message inside or in so many chunks."""
-        columns, odd, wire, batch = row.columns, row.odd, row.wire, self.batch
+        batch = self.batch
+        if not batch.rows:
+            batch.since = time.monotonic()
+        if row.columns is None and self._shadows is None and not chunks:
+            batch.rows.append(row)
+            batch.nbytes += len(row.wire) + _ROW_OVERHEAD
+        else:
+            batch.rows.append(self._statement(row, chunks))
+        batch.sizes.append(len(row.wire))
+        batch.times.append(row.t)
+        batch.again.append(again)
+
+    def _statement(self, row: NewRow, chunks: int = 0) -> Prepared:
+        """Return the statement that stores a row, which is counted in the batch."""
+        if row.columns is None:
+            row = self.table.encode(row)
+        columns, odd, wire = row.columns or (), row.odd, row.wire
         if chunks:
             columns = [None if len(c or b"") > INLINE_COLUMN_BYTES else c for c in columns]
             odd = odd or None in columns
@@ -116,25 +140,19 @@ class OpenBucket:
             values, lost = self._shadows.values(wire)
             columns = (*columns, *(UNSET if value is None else value for value in values))
             odd = odd or lost
-        if not batch.rows:
-            batch.since = time.monotonic()
         head = encode_own(row.t, row.seq, row.conn, len(wire))
         if not (chunks or odd or row.raw is not None):
-            batch.rows.append((True, self._plain_id, (*self._place, *head, *columns)))
-            batch.nbytes += len(wire) + _ROW_OVERHEAD
-        else:
-            flag = ODD if odd else None
-            own: Sequence[bytes | None] = (None, None, flag, row.raw)
-            if chunks:
-                own = (encode_int(chunks), encode_long(zlib.crc32(wire)), flag, None)
-            rest = (UNSET if value is None else value for value in (*own, *columns))
-            full = (*self._place, *head, *rest)
-            batch.rows.append((True, self._full_id, full))
-            batch.nbytes += _ROW_OVERHEAD + sum(len(v) for v in full if v is not UNSET)
-            batch.odd_rows += odd
-        batch.sizes.append(len(wire))
-        batch.times.append(row.t)
-        batch.again.append(again)
+            self.batch.nbytes += len(wire) + _ROW_OVERHEAD
+            return True, self._plain_id, (*self._place, *head, *columns)
+        flag = ODD if odd else None
+        own: Sequence[bytes | None] = (None, None, flag, row.raw)
+        if chunks:
+            own = (encode_int(chunks), encode_long(zlib.crc32(wire)), flag, None)
+        rest = (UNSET if value is None else value for value in (*own, *columns))
+        full = (*self._place, *head, *rest)
+        self.batch.nbytes += _ROW_OVERHEAD + sum(len(v) for v in full if v is not UNSET)
+        self.batch.odd_rows += odd
+        return True, self._full_id, full
 
     def add_block(self, block: Block, chunks: int = 0) -> None:
         """Add a block to the batch, its one message in so many chunks."""
@@ -167,20 +185,31 @@ class OpenBucket:
 
     def take(self) -> tuple[Batch, BatchStatement]:
         """Take the filled batch; return it with the statement that stores it."""
+        rows = self._encoded()
         batch, self.batch = self.batch, Batch()
         statement = BatchStatement(BatchType.UNLOGGED)
         statement.is_idempotent = True
         # What BatchStatement.add does row by row, at once (cassandra.md: 10 to 6 µs a row).
-        statement._statements_and_parameters = batch.rows
-        if self._routing_key is None:
-            bound = BoundStatement(self._plain)
-            bound.values = list(batch.rows[0][2])
-            self._routing_key = bound.routing_key
+        statement._statements_and_parameters = rows
         statement.routing_key = self._routing_key
         statement.keyspace = self._plain.keyspace
         with self.mutex:
             self.in_air += 1
         return batch, statement
+
+    def _encoded(self) -> EncodedRows:
+        """Encode the rows of the batch that are not yet; most of them at once."""
+        later = [row for row in self.batch.rows if isinstance(row, NewRow)]
+        others = [row for row in self.batch.rows if not isinstance(row, NewRow)]
+        parts: list[bytes] = []
+        for row, columns in zip(later, self.table.encode_together([row.wire for row in later])):
+            if columns is None:
+                others.append(self._statement(row))
+            else:
+                own = _OWN.pack(8, row.t, 8, row.seq, 8, row.conn, 4, len(row.wire))
+                parts += (self._prefix, own, columns)
+        self.batch.rows = []  # what is sent needs them no more
+        return EncodedRows(b"".join(parts), len(parts) // 3, others)
 
     def stored(self, batch: Batch, large: bool) -> None:
         """Count a batch that was acknowledged."""
@@ -202,3 +231,9 @@ class OpenBucket:
             self.in_air -= 1
             self.must_recount = True
             self.changed = True
+
+
+def _statement_head(query_id: bytes, values: int, first: Sequence[bytes]) -> bytes:
+    """Encode the begin of a prepared statement in a batch: its id and its first values."""
+    sized = b"".join(encode_int(len(value)) + value for value in first)
+    return struct.pack(f">BH{len(query_id)}sH", 1, len(query_id), query_id, values) + sized

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import io
 import struct
-from typing import Any, Tuple
+from typing import Any, Sequence, Tuple
 
 from cassandra.cluster import DefaultConnection
 from cassandra.cqltypes import BytesType
@@ -28,9 +28,50 @@ hundreds of calls."""
 _Column = Tuple[Any, ...]
 """Keyspace, table, name and type of a column, as the driver tells them."""
 
+Prepared = Tuple[bool, bytes, Sequence[Any]]
+"""True, the id of a prepared statement, its values."""
+
 _HEAD = struct.Struct(">BBhBi")
+_BATCH = struct.Struct(">BH")
+"""Type of a batch and number of its statements, before these."""
 _PLAIN = (ExecuteMessage, BatchMessage)
 _Decoding = ProtocolHandler.message_types_by_opcode[ResultMessage.opcode]
+
+
+class EncodedRows:
+    """Statements of a batch, most of them encoded already.
+
+    Args:
+        encoded: The bytes of some.
+        count: How many these are.
+        others: Prepared ones, as the driver's own batches hold them.
+    """
+
+    def __init__(self, encoded: bytes, count: int, others: Sequence[Prepared]) -> None:
+        self._encoded, self._count, self._others = encoded, count, others
+
+    def __len__(self) -> int:
+        return self._count + len(self._others)
+
+    def write(self, buffer: io.BytesIO, msg: Any, protocol_version: int) -> None:
+        """Write the body of the batch whose statements these are."""
+        rest = BatchMessage(
+            msg.batch_type,
+            self._others,
+            msg.consistency_level,
+            msg.serial_consistency_level,
+            msg.timestamp,
+            msg.keyspace,
+        )
+        start = buffer.tell()
+        buffer.write(bytes(_BATCH.size))
+        buffer.write(self._encoded)
+        behind = io.BytesIO()
+        rest.send_body(behind, protocol_version)
+        with behind.getbuffer() as view:
+            buffer.write(view[_BATCH.size :])
+        with buffer.getbuffer() as view:
+            _BATCH.pack_into(view, start, msg.batch_type.value, len(self))
 
 
 class LargeBuffers(DefaultConnection):
@@ -87,7 +128,11 @@ class RawProtocolHandler(ProtocolHandler):
             )
         buffer = io.BytesIO()
         buffer.write(bytes(_HEAD.size))
-        msg.send_body(buffer, protocol_version)
+        rows = getattr(msg, "queries", None)
+        if isinstance(rows, EncodedRows):
+            rows.write(buffer, msg, protocol_version)
+        else:
+            msg.send_body(buffer, protocol_version)
         with buffer.getbuffer() as view:
             size = len(view) - _HEAD.size
             _HEAD.pack_into(view, 0, protocol_version, 0, stream_id, msg.opcode, size)

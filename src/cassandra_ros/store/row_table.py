@@ -62,11 +62,11 @@ class NewRow(NamedTuple):
     """Writer id << 32 | counter, fixed before the first attempt; 0 as above."""
     conn: int
     wire: bytes
-    columns: Sequence[Optional[bytes]]
+    columns: Optional[Sequence[Optional[bytes]]]
     """Encoded values of the format's columns, and of those that say when it was received; None =
-    unset."""
-    odd: bool
-    raw: Optional[bytes]
+    unset. None for all: they are made of the message when its batch is sent."""
+    odd: bool = False
+    raw: Optional[bytes] = None
     name: str = ""
 
 
@@ -184,6 +184,14 @@ class RowTable:
     def zones(self, wires: Sequence[bytes]) -> Zones:
         """Find the bounds of the values in serialised messages; any bytes will do."""
         return (), (), False
+
+    def encode(self, row: NewRow) -> NewRow:
+        """Return a row with its columns made of its message."""
+        raise NotImplementedError
+
+    def encode_together(self, wires: Sequence[bytes]) -> Sequence[bytes | None]:
+        """Return the columns of messages, each behind its size; None = encode is to be asked."""
+        return [None] * len(wires)
 
     # ---------------------------------------------------------------- statements
 

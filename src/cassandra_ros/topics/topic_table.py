@@ -30,6 +30,8 @@ _log = logging.getLogger(__name__)
 
 MAX_CLASSES = 1024
 """Connections of a table whose message class is kept: anonymous publishers come without end."""
+MAX_LATER_BYTES = 64 * 1024
+"""Larger messages are turned into rows one by one: there is nothing to gain."""
 _Value = Callable[[bytes], Tuple[Optional[bytes], bool]]
 """From a serialised message to its value in an index, None = unset, and whether it is odd."""
 
@@ -74,6 +76,7 @@ class TopicTable(RowTable):
         self.runs = runs
         self.message_class: Callable[[int], Any] = lru_cache(MAX_CLASSES)(self._message_class)
         """Return the class for a connection, by its number: installed, generated or RawMessage."""
+        self._later = metadata.key_format == "time" and self.format.TOGETHER
         self._indexes: tuple[Mapping[str, str], dict[str, IndexField]] = ({}, {})
 
     @property
@@ -142,6 +145,8 @@ class TopicTable(RowTable):
         Where messages are kept under names, name is this one's; '' = the topic's.
         """
         metadata = self.metadata
+        if self._later and len(wire) <= MAX_LATER_BYTES:
+            return NewRow(received, seq, conn, wire, None)
         columns, odd, raw = self.format.encode_wire(wire)
         if metadata.key_format == "time":
             return NewRow(received, seq, conn, wire, columns, odd, raw)
@@ -162,6 +167,15 @@ class TopicTable(RowTable):
         t = None if self.key_part is None else self.key_part.time(wire)
         # What has no time lies where it was received; nsecs may pass the end of time.
         return received if t is None else min(t, MAX_NS)
+
+    def encode(self, row: NewRow) -> NewRow:
+        """Return a row with its columns made of its message."""
+        columns, odd, raw = self.format.encode_wire(row.wire)
+        return row._replace(columns=columns, odd=odd, raw=raw)
+
+    def encode_together(self, wires: Sequence[bytes]) -> Sequence[Optional[bytes]]:
+        """Return the columns of messages, each behind its size; None = encode is to be asked."""
+        return self.format.encode_together(wires)
 
 
 class TopicTables:

@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The columns of many messages at once are, byte for byte, those of each that is walked."""
+
+from __future__ import annotations
+
+import random
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from messages.random_wire import DefinitionMaker, WireMaker
+from messages.test_stacked import manyWires
+
+from cassandra_ros.messages.classes import installed_definition
+from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.wire.permutation import MIN_ROWS, permuter
+from cassandra_ros.messages.wire.plan import wire_plan
+
+SEEDS = st.integers(0, 2**32)
+
+
+def walked(plan, wire):
+    """The columns of a message, each behind its size; None where one is not exact."""
+    columns, odd = plan.walk(wire)
+    return None if odd else b"".join(struct.pack(">i", len(c)) + c for c in columns)
+
+
+def check(definition, wires):
+    """Return how many were permuted."""
+    plan, count = wire_plan(definition), 0
+    rows = permuter(definition).rows(wires)
+    assert len(rows) == len(wires)
+    for wire, row in zip(wires, rows):
+        assert row is None or row == walked(plan, wire)
+        count += row is not None
+    return count
+
+
+@settings(deadline=None, max_examples=200)
+@given(seed=SEEDS)
+def test_rows_are_those_of_each_message(seed):
+    definition = parse_definition(*DefinitionMaker(seed).make())
+    check(definition, manyWires(definition, seed))
+    wire = WireMaker(definition, seed, odd=False).make()
+    rng = random.Random(seed)
+    changed = []
+    for _ in range(30):
+        each = bytearray(wire)
+        for _ in range(rng.randint(0, 3)):
+            if each:
+                each[rng.randrange(len(each))] = rng.choice((0, 1, 2, 0x7F, 0x80, 0xFF))
+        changed.append(bytes(each))
+    check(definition, changed)
+
+
+@pytest.mark.parametrize(
+    "type_",
+    [
+        "sensor_msgs/Imu",
+        "tf2_msgs/TFMessage",
+        "geometry_msgs/TransformStamped",
+        "nav_msgs/Odometry",
+        "sensor_msgs/JointState",
+        "sensor_msgs/LaserScan",
+        "std_msgs/String",
+        "rosgraph_msgs/Log",
+    ],
+)
+def test_messages_of_one_layout_are_permuted(type_):
+    definition = installed_definition(type_)
+    plan, rng = wire_plan(definition), random.Random(1)
+    for _ in range(20):
+        wire = WireMaker(definition, rng.randrange(2**32), odd=False).make()
+        if len(wire) <= 2048 and walked(plan, wire) is not None and wire.isascii():
+            assert check(definition, [wire] * MIN_ROWS) == MIN_ROWS
+        assert check(definition, [wire] * (MIN_ROWS - 1)) == 0
+
+
+def test_what_no_column_holds_is_left_to_be_walked():
+    definition = installed_definition("std_msgs/Header")
+
+    def header(secs=1, nsecs=0, frame=b"abc"):
+        return struct.pack("<IIII", 7, secs, nsecs, len(frame)) + frame
+
+    good = [header(n, 10**9 - 1 - n) for n in range(MIN_ROWS)]
+    odd = [header(1, 10**9), header(2**32 - 1, 2**32 - 1), header(frame=b"\xff\xfe\xfd")]
+    rows = permuter(definition).rows([*good, *odd, header(2**32 - 1), header() + b"x", b""])
+    assert [row is None for row in rows] == [False] * len(good) + [True] * 3 + [False, True, True]
+
+
+def test_types_with_columns_of_any_size_are_walked():
+    definition = installed_definition("std_msgs/UInt64")
+    assert permuter(definition).rows([bytes(8)] * 20) == [None] * 20
