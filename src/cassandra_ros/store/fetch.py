@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import heapq
 import zlib
-from typing import Iterable, Iterator, NamedTuple, Sequence
+from typing import Iterable, Iterator, NamedTuple, Sequence, Union
 
 from cassandra.query import BoundStatement
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.store.blocks.lookup import Finder, answer_one, ask_one
+from cassandra_ros.store.blocks.stream import Part, stream
 from cassandra_ros.store.directory import Directory, slot_of
 from cassandra_ros.store.paging import Asked, RawRow, sent_ahead
 from cassandra_ros.store.row_table import (
@@ -37,6 +38,10 @@ _PAGE_CHUNKS = 8
 VERSION_PAGE_ROWS = 16
 FEW_ROWS = 1000
 """So many keys are asked for in one query over the whole table and put in order here."""
+
+
+_Side = Union[Asked, Iterator[TableRow]]
+"""The rows on one side of a time, or the messages of blocks."""
 
 
 class Wanted(NamedTuple):
@@ -111,12 +116,10 @@ def beside(
     Returns:
         One row for each way: of several with the same time the first.
     """
-    if any(table.packed for table in tables):
-        return None  # which block holds it is told by several
     listings = [
         (table, begin_slot(directory, table.name, slot_of(table.bucket_of(t)))) for table in tables
     ]
-    streams: list[list[tuple[RowTable, str, Asked]]] = [[] for _ in ways]
+    streams: list[list[tuple[RowTable, str, _Side]]] = [[] for _ in ways]
     for table, (seen, _) in listings:
         for node in (node for node in seen if nodes is None or node in nodes):
             for reverse, asked in zip(ways, streams):
@@ -131,16 +134,21 @@ def beside(
     return near if len(near) == len(ways) else None
 
 
-def _ask_side(table: RowTable, node: str, t: int, reverse: bool) -> Asked:
+def _ask_side(table: RowTable, node: str, t: int, reverse: bool) -> _Side:
     ends = (FIRST, (t, LAST[1])) if reverse else ((t, FIRST[1]), LAST)
+    if table.packed:
+        return stream(Part(table, node, table.bucket_of(t), ends, reverse, wanted=1))
     place, page_rows = table.place(node, table.bucket_of(t)), 1 + reverse
     return table.stretch(table.listing(), place, ends, page_rows=page_rows, reverse=reverse)
 
 
-def _best_side(asked: Sequence[tuple[RowTable, str, Asked]], reverse: bool) -> TableRow | None:
+def _best_side(asked: Sequence[tuple[RowTable, str, _Side]], reverse: bool) -> TableRow | None:
     """Return the row that is nearest of all; None where there is none, or it cannot be said."""
     rows: list[TableRow] = []
     for table, node, each in asked:
+        if not isinstance(each, Asked):
+            rows += _first_of(each)
+            continue
         values = each.page()
         found = [table.row_from_values(node, v) for v in values if not table.is_rest(v)]
         # The last of several with the same time comes first.
@@ -148,6 +156,16 @@ def _best_side(asked: Sequence[tuple[RowTable, str, Asked]], reverse: bool) -> T
             return None
         rows += found[:1]
     return min(rows, key=lambda r: (-r.t if reverse else r.t, *r[1:4]), default=None)
+
+
+def _first_of(messages: Iterator[TableRow]) -> list[TableRow]:
+    """Return the first of the messages that share the time of the one that comes first."""
+    found: list[TableRow] = []
+    for row in messages:
+        if found and row.t != found[0].t:
+            break
+        found.append(row)
+    return found and [min(found)]
 
 
 def _ask(key: Wanted, *, any_seq: bool = False) -> Asked:

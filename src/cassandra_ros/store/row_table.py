@@ -84,6 +84,16 @@ class Sent(NamedTuple):
     future: ResponseFuture
 
 
+class BlockKey(NamedTuple):
+    """A row that holds several messages."""
+
+    t: int
+    """Key time of its first message, ns."""
+    seq: int
+    messages: int
+    """How many there were at first."""
+
+
 class TableRow(NamedTuple):
     """A row as it lies in its table, columns undecoded."""
 
@@ -103,8 +113,10 @@ class TableRow(NamedTuple):
     """Key of a row that is found by name."""
     received: int = -1
     """When the message was received, ns; -1 = that is its key time."""
-    block: tuple[int, int, int, int] | None = None
-    """Of a message in a block: ``_t`` and ``_seq`` of that, how many it has, and its place."""
+    block: BlockKey | None = None
+    """The block in which it lies; None where it has a row of its own."""
+    place: int = 0
+    """Its position in the block."""
 
     @property
     def position(self) -> Position:

@@ -8,9 +8,10 @@ from itertools import islice
 from typing import Collection, Dict, Iterable, List, Optional, Sequence, Set, Tuple, Union
 
 from cassandra_ros.store.blocks.counts import headers
-from cassandra_ros.store.blocks.cutting import BlockKey, Cutter
+from cassandra_ros.store.blocks.cutting import Cutter
 from cassandra_ros.store.counting import scan_keys
 from cassandra_ros.store.directory import Directory
+from cassandra_ros.store.row_table import BlockKey
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.selection import Whose
 from cassandra_ros.topics.stored_row import StoredRow
@@ -109,9 +110,9 @@ def _cut_some(space: Keyspace, partition: _Partition, rows: List[StoredRow]) -> 
     table, node, where = partition
     cuts: Dict[BlockKey, Set[int]] = {}
     for row in rows:
-        if row.block is not None:
-            t, seq, messages, place = row.block
-            cuts.setdefault(BlockKey(t, seq, messages), set()).add(place)
+        block, place = row.block
+        if block is not None:
+            cuts.setdefault(block, set()).add(place)
     _mark_deleted(space.directory, table, node, int(where))
     Cutter(space.cassandra, table, node, int(where)).cut(cuts)
     _delete_chunks(space, partition, [_key_of(row) for row in rows])

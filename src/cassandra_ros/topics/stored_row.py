@@ -13,7 +13,7 @@ from cassandra_ros.messages.classes import deserialize
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.store.fetch import Wanted, ask_chunks, fetch_rows, read_chunks
-from cassandra_ros.store.row_table import Sent, TableRow
+from cassandra_ros.store.row_table import BlockKey, Sent, TableRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 Key = Union[Stamp, RowName]
@@ -64,9 +64,9 @@ class StoredRow:
         return self._row.position
 
     @property
-    def block(self) -> Optional[Tuple[int, int, int, int]]:
-        """Where it lies in a block, see TableRow; None where it has a row of its own."""
-        return self._row.block
+    def block(self) -> Tuple[Optional[BlockKey], int]:
+        """The block in which it lies, None where it has a row of its own, and its place there."""
+        return self._row[13:15]
 
     @property
     def arrival(self) -> tuple[int, str, int, str]:

@@ -18,6 +18,7 @@ from cassandra_ros.store.blocks.codec import Longs, Unpacked, unpack_block
 from cassandra_ros.store.paging import Asked, RawRow
 from cassandra_ros.store.row_table import (
     ODD,
+    BlockKey,
     Order,
     RowTable,
     TableRow,
@@ -58,6 +59,11 @@ class BlockRow(NamedTuple):
     def key(self) -> Order:
         """Where it lies in its partition."""
         return self.t, self.seq
+
+    @property
+    def block_key(self) -> BlockKey:
+        """Where its messages say that they lie."""
+        return BlockKey(self.t, self.seq, self.messages)
 
     @property
     def writer(self) -> int:
@@ -217,7 +223,8 @@ class Block:
             columns,
             repeat(""),
             received,
-            zip(repeat(row.t), repeat(row.seq), repeat(row.messages), places.tolist()),
+            repeat(row.block_key),
+            places.tolist(),
         )
         return list(map(_new_row, values))  # made one by one they cost more than their bytes
 
@@ -246,4 +253,4 @@ def _damaged(table: RowTable, node: str, row: BlockRow, why: str) -> str:
 def stand_in(table: RowTable, node: str, row: BlockRow) -> TableRow:
     """Return a row in place of a block that cannot be read: to read its message raises why."""
     own = row.t, node, row.seq, table.name, row.conn, row.size
-    return TableRow(*own, 0, 0, False, None, (), block=(row.t, row.seq, row.messages, 0))
+    return TableRow(*own, 0, 0, False, None, (), block=row.block_key)

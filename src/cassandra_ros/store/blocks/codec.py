@@ -93,7 +93,9 @@ class Unpacked:
         """Return the messages of a group, one behind the other."""
         found = self._cut.get(number)
         if found is None:
-            found = self._cut[number] = self.groups[number].planes.T.tobytes()
+            # Turned first: tobytes would go through it byte by byte.
+            turned = np.ascontiguousarray(self.groups[number].planes.T)
+            found = self._cut[number] = turned.tobytes()
         return found
 
     def wire(self, position: int) -> bytes:

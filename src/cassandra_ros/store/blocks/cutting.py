@@ -8,20 +8,12 @@ is deleted as a row. Where it was not there any more the mark stands alone, and 
 
 from __future__ import annotations
 
-from typing import Collection, Dict, List, Mapping, NamedTuple, Sequence, Set, Tuple
+from typing import Collection, Dict, List, Mapping, Sequence, Set, Tuple
 
 from cassandra_ros.store.blocks.block_row import HEADER, BlockRow, ask_blocks, read_block
 from cassandra_ros.store.blocks.counts import opened, positions
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.row_table import Order, RowTable, decode_long
-
-
-class BlockKey(NamedTuple):
-    """A block, and how many messages it has."""
-
-    t: int
-    seq: int
-    messages: int
+from cassandra_ros.store.row_table import BlockKey, Order, RowTable, decode_long
 
 
 class Cutter:
@@ -49,7 +41,7 @@ class Cutter:
         for block in opened(self._table, *self._where, iter(others)):
             found = positions(block, low, high)
             if len(found):
-                key = BlockKey(*block.row.key, block.row.messages)
+                key = block.row.block_key
                 cuts[key] = set(found.tolist())
                 count += len(found)
         self.cut(cuts)

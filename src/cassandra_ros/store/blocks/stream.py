@@ -19,7 +19,6 @@ from typing import (
     Iterable,
     Iterator,
     List,
-    NamedTuple,
     Optional,
     Sequence,
     Tuple,
@@ -60,8 +59,10 @@ MAX_BLOCKS = 512
 """Of one page."""
 MAX_AT_ONCE = 100
 """Blocks that are fetched with one statement, by their keys."""
-FIRST_HEADERS = 64
-"""Of the first page of headers; the next ones are larger."""
+FIRST_HEADERS = 8
+"""Of the first page of headers, where few messages are wanted; the next ones are larger."""
+FIRST_BLOCKS = 2
+"""So many are asked for beside it: mostly those that are needed."""
 MAX_HEADERS = 5000
 GROWTH = 4
 """How much more is read than the time before, where little was wanted at first."""
@@ -280,9 +281,14 @@ class _Headers:
             self._asked = self._filtered(part.filters)
         else:
             self._asked = [part.ask(HEADER, self._count)]
+        # In the same moment: one round trip less.
+        early = part.wanted and part.filters is None
+        self.early = part.ask(WHOLE, FIRST_BLOCKS) if early else None
+        """The first blocks themselves."""
         self.more = bool(self._asked)
         self.last: Optional[Order] = None
         """Where the last one lies that was read."""
+        self._behind: Optional[RawRow] = None
 
     def _filtered(self, filters: Sequence[Terms]) -> List[Asked]:
         try:
@@ -301,13 +307,14 @@ class _Headers:
         """Read more of them."""
         if self._filters is not None:
             return self._every()
-        asked = self._asked[0]
+        if not self._asked:
+            self._count = min(MAX_HEADERS, GROWTH * self._count)
+            self._asked = [self._part.ask(HEADER, self._count, self._behind)]
+        asked = self._asked.pop()
         page: List[RawRow] = next((p for p in asked.pages(ahead=False) if p), [])
         self.more = bool(page) and asked.more
         if self.more:
-            self.last = _key(page[-1])
-            self._count = min(MAX_HEADERS, GROWTH * self._count)
-            self._asked = [self._part.ask(HEADER, self._count, page[-1])]
+            self._behind, self.last = page[-1], _key(page[-1])
         return self._part.blocks(page)
 
     def _every(self) -> List[BlockRow]:
@@ -321,11 +328,28 @@ class _Headers:
         return [found[key] for key in sorted(found, reverse=self._part.reverse)]
 
 
-class _Batch(NamedTuple):
-    """Blocks on their way, in the order in which they are needed."""
+class _Batch:
+    """Blocks on their way, in the order in which they are needed.
 
-    headers: List[BlockRow]
-    asked: Asked
+    Args:
+        early: Asked for already, and may hold some of them.
+    """
+
+    def __init__(self, part: Part, headers: List[BlockRow], early: Optional[Asked] = None) -> None:
+        self._part = part
+        self.headers = headers
+        self._here: List[BlockRow] = []
+        if early is not None:
+            wanted = {header.key for header in headers}
+            self._here = [row for row in part.blocks(early.page()) if row.key in wanted]
+        here = {row.key for row in self._here}
+        missing = [header for header in headers if header.key not in here]
+        self._asked = part.fetch(missing) if missing else None
+
+    def rows(self) -> Iterator[List[TableRow]]:
+        """Yield the rows of each block."""
+        came = [] if self._asked is None else self._part.blocks(self._asked.page())
+        return map(self._part.rows, self._here + came)
 
 
 class _Needed:
@@ -352,7 +376,8 @@ class _Needed:
         if self._part.wanted:
             self._wanted *= GROWTH
             self._bytes = min(self._part.page_bytes, GROWTH * self._bytes)
-        return _Batch(taken, self._part.fetch(taken)) if taken else None
+        early, self._headers.early = self._headers.early, None
+        return _Batch(self._part, taken, early) if taken else None
 
     def read(self) -> None:
         """Read more headers."""
@@ -421,8 +446,8 @@ class _Needed:
 def _upwards(part: Part, needed: _Needed) -> Iterator[TableRow]:
     held, coming = _Held(), needed.batch()
     while coming is not None:
-        for block in part.blocks(coming.asked.page()):
-            held.add(part.rows(block))
+        for rows in coming.rows():
+            held.add(rows)
         # Who wants few is given those before more is asked for.
         coming = None if part.wanted else needed.batch()
         bound = needed.bound_up(coming)
@@ -434,8 +459,8 @@ def _upwards(part: Part, needed: _Needed) -> Iterator[TableRow]:
 def _downwards(part: Part, needed: _Needed) -> Iterator[TableRow]:
     held, coming = _Held(), needed.batch()
     while coming is not None:
-        for block in part.blocks(coming.asked.page()):
-            held.add(part.rows(block))
+        for rows in coming.rows():
+            held.add(rows)
         coming = None if part.wanted else needed.batch()
         found = held.beyond(needed.bound_down(coming))
         while held and not found and needed.look(coming):
