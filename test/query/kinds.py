@@ -334,7 +334,7 @@ class Stored:
             topic = store.getTopic(self.topic(format))
             if number == 0:
                 self._remove(topic, *self._removed[0])
-                for field in self.kind.indexes:
+                for field in self.kind.indexes if format != "packed" else ():
                     topic.createIndex(field)
         for low, high in self._removed:
             self._remove(topic, low, high)
@@ -344,7 +344,7 @@ class Stored:
         types = message.types
         header = {"type": types.name, "md5sum": types.md5sum, "message_definition": types.text}
         connection = live_connection(self.topic(format), header)
-        return writer.connect(connection, BUCKET, node=message.node)
+        return writer.connect(connection, BUCKET, node=message.node, span_ns=BUCKET)
 
     @staticmethod
     def _remove(topic, low, high):

@@ -22,11 +22,13 @@ from query.random_statements import ORDERED, Asker, numbersBeside
 
 from cassandra_ros.messages.connection import live_connection
 
-FORMATS = ("ros", "binary", "json")
+FORMATS = ("ros", "binary", "json", "packed")
 PLANS = ("client", "filter", "index")
 PLAIN = [(format, plan) for plan in PLANS for format in ("binary", "json")]
 """In the formats without columns for fields a filter has nothing to check but KEY and NODE: there
 one way or another is taken."""
+PACKED = [("packed", plan) for plan in ("client", "filter", "auto")]
+"""In blocks a filter has their zones, and auto as much as any."""
 STATEMENTS = examples(170)
 """Of each kind; each has a condition."""
 
@@ -38,6 +40,12 @@ def ask(store, statement, params, plan, used):
     used["indexed"] += bool(result.pushdown.indexed)
     used["filtered"] += bool(result.pushdown.filtered)
     return rows
+
+
+def waysOf(seed):
+    """List the formats and plans in which one statement is asked."""
+    some = [ways[seed % len(ways)] for ways in (PLAIN, PACKED)]
+    return [*(("ros", plan) for plan in PLANS), *some]
 
 
 IN_EVERY_RUN = ("every", "mixed", "odometry", "scan", "string", "tf")
@@ -79,7 +87,7 @@ def test_every_plan_finds_what_python_finds(stored, record_property):
         expected = statement.answer(stored.messages)
         seen["conditions"] += 1
         seen["found"] += bool(expected) and expected[0][0] not in (0, None)
-        for format, plan in [*(("ros", plan) for plan in PLANS), PLAIN[seed % len(PLAIN)]]:
+        for format, plan in waysOf(seed):
             writer = Writer(seed)
             text = writer.statement(statement, stored.topic(format))
             found = ask(stored.store, text, writer.params, plan, seen)
