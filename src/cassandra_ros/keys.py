@@ -7,7 +7,7 @@ from __future__ import annotations
 import base64
 import json
 import secrets
-from typing import NamedTuple
+from typing import Iterable, NamedTuple
 
 from cassandra_ros.errors import InvalidKey
 
@@ -18,6 +18,8 @@ SECOND_NS = 1_000_000_000
 MAX_NS = 2**32 * SECOND_NS - 1
 """The largest key: ROS 1 counts seconds in 32 bits (February 2106)."""
 
+_LAST = chr(0x10FFFF)
+"""Behind the names of all tables."""
 _KINDS = [int, str, int, str]
 MAX_WRITER = 2**31 - 1
 COUNTER_BITS = 32
@@ -35,6 +37,15 @@ class Position(NamedTuple):
     table: str
     name: str = ""
     """Key of a row that is found by name, else ''."""
+
+    def among(self, tables: Iterable[str], reverse: bool = False) -> Position:
+        """Return the place as it is among the rows of some tables.
+
+        Where its own is none of them, another one has replaced that, and holds the row under a
+        name that may come before or behind: the place is then behind all rows of its time, node
+        and seq, in the direction of reading.
+        """
+        return self if self.table in tables else self._replace(table="" if reverse else _LAST)
 
 
 class RowName(str):

@@ -12,6 +12,7 @@ from cassandra_ros.errors import UnsupportedSchema
 from cassandra_ros.keys import NAMED_FORMATS
 
 SCHEMA_VERSION = 1
+_OURS, _FILLING = "cassandra_ros", "cassandra_ros_filling"
 SHADOW = "_ix"
 """What the names of shadow columns begin with: SAI takes no dotted names."""
 
@@ -55,6 +56,10 @@ class TopicMetadata:
     """How each column holds its field, as the format describes it."""
     user: Mapping[str, Any] = field(default_factory=dict)
     """The user's own keys (setMeta)."""
+    replaces: tuple[str, ...] = ()
+    """Names of the tables whose messages this one took over, also of those that they replaced."""
+    filling: bool = False
+    """Nobody reads it yet: it is being filled with the messages of those that it replaces."""
     version: int = SCHEMA_VERSION
 
     @property
@@ -100,7 +105,8 @@ class TopicMetadata:
 
     def to_comment(self) -> str:
         """Write the metadata as the JSON text of a table comment."""
-        return json.dumps({"cassandra_ros": vars(self)}, sort_keys=True)
+        # Also an earlier release, which does not know what filling is, must not read such a table.
+        return json.dumps({_FILLING if self.filling else _OURS: vars(self)}, sort_keys=True)
 
     def with_user(self, keys: Mapping[str, Any], comment: str | None) -> TopicMetadata:
         """Return a copy with keys of the user's own set, None = removed, and the comment."""
@@ -124,10 +130,11 @@ def from_comment(comment: str, table: str) -> TopicMetadata | None:
     Raises:
         UnsupportedSchema: A newer release wrote it.
     """
-    if '"cassandra_ros"' not in comment:
+    if not any(f'"{key}"' in comment for key in (_OURS, _FILLING)):
         return None
     try:
-        values = json.loads(comment)["cassandra_ros"]
+        found = json.loads(comment)
+        values = found[_OURS if _OURS in found else _FILLING]
         version = int(values["version"])
     except (ValueError, KeyError, TypeError, RecursionError):
         return None  # a foreign table whose comment happens to name us
@@ -139,6 +146,7 @@ def from_comment(comment: str, table: str) -> TopicMetadata | None:
     known = {f.name for f in fields(TopicMetadata)}
     kept = {name: value for name, value in values.items() if name in known}
     kept["columns"] = tuple(kept.get("columns", ()))
+    kept["replaces"] = tuple(kept.get("replaces", ()))
     try:
         return TopicMetadata(**kept)
     except TypeError:

@@ -25,6 +25,7 @@ from cassandra_ros.messages.connection import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store import writer as writer_module
 from cassandra_ros.store.directory import Directory
+from cassandra_ros.store.succession import Listing
 from cassandra_ros.topics import indexes
 
 SEC = 10**9
@@ -194,10 +195,10 @@ def test_an_import_that_is_repeated_fills_only_what_it_filled_before(rosCas):
     table, schema = topic.tables[0], rosCas.parts.schema
     listed = table.metadata
     topic.removeIndex("data")
-    schema._tables = {**schema._tables, table.name: listed}
+    schema._listing = Listing({**schema._listing.every, table.name: listed})
     with schema.lock() as lock:
         schema.set_comment(table.name, listed, lock)
-    schema._tables = {table.name: listed.with_(indexes={})}
+    schema._listing = Listing({table.name: listed.with_(indexes={})})
     schema._read_at = time.monotonic() + 60
     store(rosCas, "/t", texts(10), **again)
     schema.tables(fresh=True)

@@ -177,7 +177,20 @@ def bounded_rows(
     except InvalidKey:
         return iter(())  # no message can have such a name
     inside = (row for row in every if bounds.low <= row.t <= bounds.high)
-    return islice((row for row in inside if is_behind(row.position, after, reverse)), limit)
+    behind = (
+        row
+        for row in inside
+        if is_behind(row.position, after, reverse) and not _is_at(row, after, source)
+    )
+    return islice(behind, limit)
+
+
+def _is_at(row: Row, place: Optional[Position], source: Source[RowT_co]) -> bool:
+    """Say whether a place is that of a row, also where another table has replaced its own."""
+    at = row.position
+    if place is None or at[:3] != place[:3]:
+        return False
+    return at == place or place.table not in {table.name for table in source.tables}
 
 
 class Condition:
@@ -364,7 +377,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             return
         for row in self._stored(place):
             found = self._projections.of(row.table).rows(row)
-            for number in range(place.skip if row.position == place.position else 0, len(found)):
+            skip = place.skip if _is_at(row, place.position, self._source) else 0
+            for number in range(skip, len(found)):
                 given += 1
                 # All rows of the message: go on behind it, without looking at it again.
                 skip = 0 if number + 1 == len(found) else number + 1
@@ -383,7 +397,11 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         return (
             row
             for row in self._read(narrowed, None, reverse)
-            if is_behind(row.position, at, reverse) or (place.skip and row.position == at)
+            if (
+                place.skip
+                if _is_at(row, at, self._source)
+                else is_behind(row.position, at, reverse)
+            )
         )
 
     def _read(

@@ -253,9 +253,13 @@ class RowTable:
             "ALLOW FILTERING",
         )
 
-    def select_names(self) -> PreparedStatement:
-        """SELECT of the keys of all rows of a table that is read by name; in no order."""
-        names = ", ".join(['"_node", "_key"', COUNTED, *map(quote_name, self._received)])
+    def select_names(self, *more: str) -> PreparedStatement:
+        """SELECT of the keys of all rows of a table that is read by name; in no order.
+
+        Args:
+            more: What else to read, as CQL.
+        """
+        names = ", ".join(['"_node", "_key"', COUNTED, *map(quote_name, self._received), *more])
         return self._prepare(f"SELECT {names} FROM {self.qualified}")
 
     def select_shadow(self, shadow: str, *, bucket: bool) -> PreparedStatement:

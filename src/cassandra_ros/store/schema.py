@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Callable, Mapping, Sequence, Tuple
+from typing import Callable, Iterable, Mapping, Sequence, Tuple
 
 from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
 from cassandra_ros.metadata import SHADOW, TopicMetadata, from_comment
@@ -21,6 +21,7 @@ from cassandra_ros.store.names import (
     table_name,
 )
 from cassandra_ros.store.side_tables import SchemaLock, SideTables
+from cassandra_ros.store.succession import Listing
 
 _log = logging.getLogger(__name__)
 
@@ -63,7 +64,7 @@ class Schema:
         self._cassandra = cassandra
         self.keyspace = side_tables.keyspace
         self._side_tables = side_tables
-        self._tables: dict[str, TopicMetadata] | None = None
+        self._listing: Listing | None = None
         self._read_at = 0.0
         self.seen: set[tuple[str, str]] = set()
         """(topic, format) of every table that was ever listed here."""
@@ -79,14 +80,18 @@ class Schema:
         return qualified(self.keyspace, table)
 
     def tables(self, *, fresh: bool = False) -> Mapping[str, TopicMetadata]:
-        """List the topic tables: name → metadata, from comments up to 2 s old, or fresh ones."""
+        """List the tables that are read: name → metadata, from comments up to 2 s old, or fresh."""
+        return self.listing(fresh=fresh).visible
+
+    def listing(self, *, fresh: bool = False) -> Listing:
+        """List all topic tables, and which take the place of others, as ``tables`` does."""
         self._cassandra.require_open()
         with self._mutex:
             now = time.monotonic()
-            if self._tables is None or fresh or now - self._read_at > CACHE_SEC:
-                self._tables = self._read()
+            if self._listing is None or fresh or now - self._read_at > CACHE_SEC:
+                self._listing = Listing(self._read())
                 self._read_at = now
-            return self._tables
+            return self._listing
 
     def latest(self, table: str, known: TopicMetadata) -> TopicMetadata:
         """Return the metadata of a table, those known where they cannot be read now."""
@@ -96,6 +101,20 @@ class Schema:
             # No reason to lose a message: the directory is told which indexes its row is given.
             _log.warning("topic %s keeps the indexes it had: %s", known.topic, exc)
             return known
+
+    def takes_rows(self, table: str) -> bool:
+        """Say whether new messages may go into a table; also where that cannot be read now."""
+        try:
+            return self.listing().takes_rows(table)
+        except CassandraRosError as exc:
+            _log.debug("table %s is written to as before: %s", table, exc)
+            return True
+
+    def format_after(self, table: str, format_name: str) -> str:
+        """Return in which format the messages of a table go on: another, where it is replaced."""
+        listing = self.listing()
+        heir = listing.leaving.get(table) or listing.heirs.get(table)
+        return format_name if heir is None else listing.every[heir].format
 
     def _comments(self, table: str = "") -> list[CqlRow]:
         """Read (name, comment) of one table, where it is there, or of all."""
@@ -107,22 +126,32 @@ class Schema:
             metadata = from_comment(comment or "", f"{self.keyspace}.{name}")
             if metadata is not None:
                 found[name] = metadata
-                self.seen.add((metadata.topic, metadata.format))
+                if not metadata.filling:
+                    self.seen.add((metadata.topic, metadata.format))
         return found
 
     def find(self, topic: str, md5sum: str, format_name: str) -> str | None:
-        """Return the table of a topic for one md5 and format, as far as it is cached."""
-        for name, metadata in self.tables().items():
-            if (metadata.topic, metadata.md5sum, metadata.format) == (topic, md5sum, format_name):
-                return name
+        """Return the table for new messages of one md5 and format, as far as it is cached."""
+        listing = self.listing()
+        for name, m in listing.visible.items():
+            if (m.topic, m.md5sum, m.format) == (topic, md5sum, format_name):
+                if name not in listing.leaving:
+                    return name
         return None
 
     def tables_of(self, topic: str) -> dict[str, TopicMetadata]:
-        """Read the tables of a topic anew, under the lock; TopicNotFound where it is gone."""
-        tables = self.tables(fresh=True).items()
-        mine = {name: metadata for name, metadata in tables if metadata.topic == topic}
+        """Read the tables of a topic anew, under the lock.
+
+        Raises:
+            TopicNotFound: It is gone.
+            SchemaConflict: It is being converted.
+        """
+        listing = self.listing(fresh=True)
+        mine = {name: m for name, m in listing.visible.items() if m.topic == topic}
         if not mine:
             raise TopicNotFound(f"topic {topic} is not stored in {self.keyspace} any more")
+        for name in mine:
+            listing.check_staying(name)
         return mine
 
     def ensure_table(self, key: tuple[str, str, str], plan: Planner) -> str:
@@ -142,10 +171,15 @@ class Schema:
             if name is not None:
                 return name
             others = [m for _, m in sorted(self.tables().items()) if m.topic == key[0]]
-            metadata, columns, shadows = plan(others)
-            columns = {**_own_columns(metadata), **columns, **shadows}
-            name, wanted = self._create(metadata, columns, lock)
-            self._check(name, wanted, columns)
+            name = self.create(plan(others), lock)
+        return name
+
+    def create(self, planned: Planned, lock: SchemaLock) -> str:
+        """Make a table as planned, under the lock, and check it; return its name."""
+        metadata, columns, shadows = planned
+        columns = {**_own_columns(metadata), **columns, **shadows}
+        name, wanted = self._create(metadata, columns, lock)
+        self._check(name, wanted, columns)
         return name
 
     def _create(
@@ -202,7 +236,7 @@ class Schema:
     def _check(self, name: str, wanted: TopicMetadata, columns: Mapping[str, str]) -> None:
         made = self._read(name)
         with self._mutex:
-            self._tables = {**(self._tables or {}), **made}
+            self._listing = Listing({**(self._listing.every if self._listing else {}), **made})
         if self.columns(name) != dict(columns) or made.get(name) != wanted:
             raise SchemaConflict(
                 f"table {self.keyspace}.{name} of topic {wanted.topic} is not what was asked "
@@ -248,10 +282,13 @@ class Schema:
     ) -> None:
         """Change what the comments of a topic's tables say; check sees all first, and may raise."""
         with self.lock() as lock:
-            mine = self.tables_of(topic)
+            every = self.listing(fresh=True).every
+            if not any(metadata.topic == topic for metadata in self.tables().values()):
+                raise TopicNotFound(f"topic {topic} is not stored in {self.keyspace} any more")
             check(self.tables())
-            for name, metadata in mine.items():
-                self.set_comment(name, change(metadata), lock)
+            for name, metadata in every.items():
+                if metadata.topic == topic:
+                    self.set_comment(name, change(metadata), lock)
         self.tables(fresh=True)
 
     def set_comment(self, table: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
@@ -263,26 +300,39 @@ class Schema:
         )
 
     def drop_topic(self, topic: str, *, renew: bool = False) -> list[str]:
-        """Drop all tables of a topic, or renew them: make empty ones first; return their names."""
+        """Drop all tables of a topic, or renew them: make empty ones first; return their names.
+
+        With them are those of the tables that they replaced.
+        """
         with self.lock() as lock:
-            tables = {name: m for name, m in self._read().items() if m.topic == topic}
+            listing = self.listing(fresh=True)
+            tables = {name: m for name, m in listing.every.items() if m.topic == topic}
             if renew:
                 # Made anew under other names: a writer that has not heard of it must not go on.
-                one_each = {(m.md5sum, m.format): (name, m) for name, m in tables.items()}
+                read = [name for name in tables if name in listing.visible]
+                one_each = {
+                    (m.md5sum, m.format): (name, m.with_(replaces=()))
+                    for name, m in tables.items()
+                    if name in read
+                }
                 for name, metadata in one_each.values():
                     columns, kept = self.columns(name), metadata.indexes.values()
                     for left in [c for c in columns if c.startswith(SHADOW) and c not in kept]:
                         del columns[left]
                     self._create(metadata, columns, lock)
-            for table in tables:
-                for name in (table, chunk_table_name(table)):
-                    lock.change(
-                        f"DROP TABLE IF EXISTS {self.qualified(name)}",
-                        what=f"dropping table {name}",
-                    )
-                self._cassandra.forget(table)
+            self.drop(tables, lock)
         self.tables(fresh=True)
-        return list(tables)
+        return [*tables, *{old for m in tables.values() for old in m.replaces}.difference(tables)]
+
+    def drop(self, tables: Iterable[str], lock: SchemaLock) -> None:
+        """Drop some tables, under the lock."""
+        for table in tables:
+            for name in (table, chunk_table_name(table)):
+                lock.change(
+                    f"DROP TABLE IF EXISTS {self.qualified(name)}",
+                    what=f"dropping table {name}",
+                )
+            self._cassandra.forget(table)
 
 
 def _storage(ttl: int, margin: int = 0, *, merged: bool = True) -> str:

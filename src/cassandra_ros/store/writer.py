@@ -167,6 +167,7 @@ class RowWriter:
                 raise
 
     def _name_bucket(self, table: RowTable, node: str, name: str) -> OpenBucket:
+        self._check_taking(table)
         # The directory only tells which nodes there are: the table itself lists its names.
         self._directory.note(table, node, 0)
         self.stats.setdefault(table.name, WriteStats())
@@ -183,7 +184,14 @@ class RowWriter:
         bucket.touched = now
         return bucket
 
+    def _check_taking(self, table: RowTable) -> None:
+        """Raise TopicNotFound where another table is about to replace this one, or did."""
+        if not self._schema.takes_rows(table.name):
+            topic = table.metadata.topic
+            raise TopicNotFound(f"topic {topic} is converted: messages go into another table")
+
     def _open(self, table: RowTable, node: str, number: int) -> OpenBucket:
+        self._check_taking(table)
         # The indexes of now: a bucket that is opened before one is made is filled without it.
         table.metadata = self._schema.latest(table.name, table.metadata)
         shadows = table.shadows()
@@ -197,6 +205,8 @@ class RowWriter:
 
     def _reopen(self, bucket: OpenBucket, late: bool = False) -> None:
         # Others took the writer for dead: they may have deleted, and closed the bucket since.
+        if late:
+            self._check_taking(bucket.table)
         bucket.must_recount = bucket.must_recount or late
         self._put(bucket, None)
 
@@ -380,9 +390,18 @@ class RowWriter:
             # Blocks have waited to be filled already.
             linger_sec = 0.0 if bucket.table.packed else self._linger_sec
             if bucket.batch.rows and now - bucket.batch.since > linger_sec:
-                if now - bucket.marked > REOPEN_SEC:
-                    self._reopen(bucket, late=True)  # this process stood still
-                self._send(bucket)
+                self._send_late(bucket, now)
+
+    def _send_late(self, bucket: OpenBucket, now: float) -> None:
+        """Send a batch that may have waited long, for this process may have stood still."""
+        if now - bucket.marked > REOPEN_SEC:
+            try:
+                self._reopen(bucket, late=True)
+            except TopicNotFound as exc:
+                batch, bucket.batch = bucket.batch, Batch()
+                self._failed(bucket.table, batch.rewriters(), batch.times, exc)
+                return
+        self._send(bucket)
 
     def _heartbeats(self, now: float) -> None:
         with self._lock:
@@ -419,9 +438,10 @@ class RowWriter:
             with self._lock:
                 self._flight.wait()  # for chunks, whose rows are sent next
                 self._commit()
+                now = time.monotonic()
                 for bucket in self._buckets.values():
                     if bucket.batch.rows:
-                        self._send(bucket)
+                        self._send_late(bucket, now)
                 self._flight.wait()
         self._raise_error()
 

@@ -47,7 +47,9 @@ class Adder:
             if writer is None:
                 writer = MessageWriter(self._keyspace, new_writer_id(), linger_sec=0.0, ttl=None)
                 self._writer, self._counter = writer, itertools.count()
-            handle = writer.connect(connection, format=table.metadata.format, node=node)
+            # A table that another is about to replace takes no new messages.
+            kept = self._keyspace.schema.format_after(table.name, table.metadata.format)
+            handle = writer.connect(connection, format=kept, node=node)
             counter = next(self._counter)
             row = writer.write(handle, t, counter, wire, name)
             writer.flush()

@@ -29,6 +29,8 @@ from cassandra_ros.messages.graph import topic_type
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.convert import Converted, convert_topic
+from cassandra_ros.topics.copying import Progress
 from cassandra_ros.topics.finding import Filter, Where
 from cassandra_ros.topics.indexes import check_unnamed, no_index_in_blocks
 from cassandra_ros.topics.keyspace import Keyspace, Wish, check_packed
@@ -147,6 +149,12 @@ class Catalog:
         if not renew:
             with self._mutex:
                 self._pending.pop(name, None)
+
+    def convert(self, topic: str, format_name: str, progress: Progress = None) -> Converted:
+        """Keep a topic in another format; see convert_topic."""
+        name = self.get(topic).name
+        self.adder.close()  # what it holds open looks like a recording
+        return convert_topic(self.keyspace, name, format_name, progress)
 
     def rename(self, topic: str, new_name: str) -> None:
         """Give a topic another name."""

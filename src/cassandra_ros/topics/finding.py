@@ -145,7 +145,7 @@ class Finder:
 
     def _table_of(self, key: AnyKey) -> Optional[TopicTable]:
         """Return the table in which a key of ours lies; None where it is gone."""
-        table = self.keyspace.tables.by_name(key.table)
+        table = self.keyspace.tables.holding(key.table)
         return table if table is not None and table.metadata.topic == self.topic else None
 
     def _exact(self, key: AnyKey) -> Optional[StoredRow]:

@@ -41,9 +41,10 @@ from cassandra_ros.store.directory import (
 )
 from cassandra_ros.store.index.changes import IndexChanges
 from cassandra_ros.store.registry import Registry
-from cassandra_ros.store.schema import Planned, Schema
+from cassandra_ros.store.schema import Planned, Planner, Schema
 from cassandra_ros.store.side_tables import SideTables
 from cassandra_ros.topics.connections import ConnectionCache
+from cassandra_ros.topics.following import Following
 from cassandra_ros.topics.reading import RowReader
 from cassandra_ros.topics.runs import Runs
 from cassandra_ros.topics.selection import Whose
@@ -70,7 +71,7 @@ class Keyspace:
         self.connections = ConnectionCache(self.registry)
         self.runs = Runs(name, self.registry, self._has_written)
         self.tables = TopicTables(cassandra, self.schema, self.connections, self.runs)
-        self.rows = RowReader(cassandra, self.directory)
+        self.rows = Following(RowReader(cassandra, self.directory))
 
     def _has_written(self, writer: int) -> bool:
         whose, every = Whose(None, frozenset([writer])), self.schema.tables(fresh=True)
@@ -104,6 +105,18 @@ class Keyspace:
         Raises:
             InvalidKey: The type has no such field as key_part, and the topic is new.
         """
+        key = (metadata.topic, metadata.md5sum, metadata.format)
+        name = self.schema.ensure_table(key, self.planner(metadata, definition))
+        found = self.tables.by_name(name)
+        if found is None:
+            raise WriteFailed(
+                f"the table of topic {metadata.topic} was dropped as soon as it was made: another "
+                "client removes this topic; try again"
+            )
+        return found
+
+    def planner(self, metadata: TopicMetadata, definition: Optional[Definition]) -> Planner:
+        """Return what plans the table for make_table, given what the topic's other tables say."""
         fmt = format_class(metadata.format)(metadata.msg_type, metadata.md5sum, definition)
 
         def plan(others: Sequence[TopicMetadata]) -> Planned:
@@ -119,18 +132,13 @@ class Keyspace:
                 bucket_ns=bucket_ns,
                 span_ns=_span(wanted.span_ns, bucket_ns) if fmt.PACKED else 0,
                 columns=tuple(fmt.describe()),
+                replaces=(),
+                filling=False,
                 date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
             )
             return wanted, fmt.table_columns(), shadows
 
-        key = (metadata.topic, metadata.md5sum, metadata.format)
-        found = self.tables.by_name(self.schema.ensure_table(key, plan))
-        if found is None:
-            raise WriteFailed(
-                f"the table of topic {metadata.topic} was dropped as soon as it was made: another "
-                "client removes this topic; try again"
-            )
-        return found
+        return plan
 
     def wished_table(self, wish: Wish, definition: Definition) -> TopicTable:
         """Find or make the table for messages of this definition, in the format asked for."""

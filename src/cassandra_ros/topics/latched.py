@@ -142,7 +142,9 @@ class LatchedFinder:
 
     def is_latched(self, row: StoredRow) -> bool:
         """Say whether a message came over a latched connection."""
-        return row.conn in self._latched.get(row.table.name, ())
+        if row.table.name in {table.name for table in self._tables}:
+            return row.conn in self._latched.get(row.table.name, ())
+        return is_latched(row.connection)  # its table has replaced one of them
 
     def before(self, t: int, to: int = LAST_NS) -> List[StoredRow]:
         """Find the last latched message before t of each publisher; see latched_before."""

@@ -90,6 +90,9 @@ class MessageWriter:
     counts at close.
     """
 
+    given = False
+    """The caller makes the handles; a table of theirs that is gone is an error."""
+
     def __init__(
         self,
         keyspace: Keyspace,
@@ -168,7 +171,7 @@ class MessageWriter:
         key = (connection, format or self._format, node)
         with self._mutex:
             known = self._handles.get(key)
-        if known is not None:
+        if known is not None and known.table.name not in self._rows.gone:
             stored = self._keyspace.tables.by_name(known.table.name)
             if stored is not None and stored.metadata.topic == connection.topic:
                 return known
@@ -204,6 +207,15 @@ class MessageWriter:
         )
 
     def _keep(self, key: tuple[Connection, Optional[str], str], handle: Handle) -> Handle:
+        handle = self.ready(handle)
+        with self._mutex:
+            while len(self._handles) >= MAX_HANDLES:
+                self._handles.pop(next(iter(self._handles)))
+            self._handles[key] = handle
+            return handle
+
+    def ready(self, handle: Handle) -> Handle:
+        """Return the handle with what its table needs to take messages."""
         table = handle.table
         if table.packed:
             blocks = self._rows.builder(table, handle.node, handle.conn)
@@ -212,20 +224,21 @@ class MessageWriter:
             blocks.again = partial(self._write_anew, handle)
         with self._mutex:
             self._topics[table.name] = handle.topic
-            while len(self._handles) >= MAX_HANDLES:
-                self._handles.pop(next(iter(self._handles)))
-            self._handles[key] = handle
-            return handle
+        return handle
 
     def current(self, handle: Handle) -> Handle:
         """Return the handle, or another one where its table was dropped: the topic goes on anew."""
         while handle.table.name in self._rows.gone:
+            if self.given:
+                raise TopicNotFound(f"topic {handle.topic} was removed by another client")
             key = (handle.connection, handle.asked, handle.node)
             with self._mutex:
                 found = self._handles.get(key)
             if found is None or found.table.name in self._rows.gone:
                 self._keyspace.schema.tables(fresh=True)
                 like, (connection, asked, node) = handle.table.metadata, key
+                kept = self._keyspace.schema.format_after(handle.table.name, like.format)
+                like = like.with_(format=kept)
                 found = self.connect(
                     connection,
                     like.bucket_ns,

@@ -12,6 +12,7 @@ from cassandra_ros.store.blocks.cutting import Cutter
 from cassandra_ros.store.counting import scan_keys
 from cassandra_ros.store.directory import Directory
 from cassandra_ros.store.row_table import BlockKey
+from cassandra_ros.topics.following import current
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.selection import Whose
 from cassandra_ros.topics.stored_row import StoredRow
@@ -32,7 +33,7 @@ def delete_stretch(
     deleted = 0
     # Before it is read who wrote where: who opens a bucket later keeps what he writes.
     until = None if whose.writers is None else space.cassandra.server_time_us()
-    for table in tables:
+    for table in current(tables):
         ends = table.bucket_of(low), table.bucket_of(high)
         rows = space.directory.buckets(table.name, *ends, whose.nodes, table.metadata.ttl)
         writers: Dict[Tuple[str, int], Set[int]] = {}
@@ -57,6 +58,7 @@ def _delete_blocks(
     rows = headers(table, node, int(where), low, high, whose.writers)
     deleted = 0
     while some := list(islice(rows, ROWS_AT_ONCE)):
+        space.schema.listing().check_staying(table.name)
         _mark_deleted(space.directory, table, node, int(where))
         cutter = Cutter(space.cassandra, table, node, int(where))
         deleted += cutter.stretch(some, low, high)
@@ -96,6 +98,7 @@ def delete_rows(space: Keyspace, rows: Iterable[StoredRow]) -> int:
 
 def _delete_some(space: Keyspace, partition: _Partition, keys: List[_Key]) -> None:
     table, node, where = partition
+    space.schema.listing().check_staying(table.name)
     if isinstance(where, int):
         # Anew for each group: a reader may count the bucket in between, and believe that.
         _mark_deleted(space.directory, table, node, where)
@@ -113,6 +116,7 @@ def _cut_some(space: Keyspace, partition: _Partition, rows: List[StoredRow]) -> 
         block, place = row.block
         if block is not None:
             cuts.setdefault(block, set()).add(place)
+    space.schema.listing().check_staying(table.name)
     _mark_deleted(space.directory, table, node, int(where))
     Cutter(space.cassandra, table, node, int(where)).cut(cuts)
     _delete_chunks(space, partition, [_key_of(row) for row in rows])
@@ -123,6 +127,7 @@ def _delete_bucket(
 ) -> int:
     table, node, where = partition
     bucket = int(where)
+    space.schema.listing().check_staying(table.name)
     found = scan_keys(table, node, bucket, low, high)
     keys = [(t, seq, large) for t, seq, _, large, _ in found]
     if keys:

@@ -20,6 +20,8 @@ from cassandra_ros.store.run_context import RunContext
 from cassandra_ros.store.writer import LossCallback
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
+from cassandra_ros.topics.convert import Converted
+from cassandra_ros.topics.copying import Progress
 from cassandra_ros.topics.keyspace import Keyspace, wished_topic, with_key
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
 from cassandra_ros.topics.run_list import list_runs
@@ -181,8 +183,7 @@ class RosCassandra:
         """Return a topic by its name, with or without the leading slash.
 
         Raises:
-            TopicNotFound: There is none; the text gives the nearest names.
-            InvalidName: It is no text.
+            TopicNotFound, InvalidName: There is none (the text gives the nearest), it is no text.
         """
         return self._open.get(topic)
 
@@ -218,12 +219,14 @@ class RosCassandra:
         it knows; the next one, or the next recording, makes the topic anew.
 
         Raises:
-            TopicNotFound: There is none.
-            TopicExists: A topic has the new name already, or it is the topic's own, with or without
-                the leading slash.
-            InvalidName: The new name is not one.
+            TopicNotFound, InvalidName: There is none, or the new name is not one.
+            TopicExists: A topic has the new name already, with or without the leading slash.
         """
         self._open.rename(topic, check_new_topic(new_name))
+
+    def convertTopic(self, topic: str, format: str, progress: Progress = None) -> Converted:
+        """Keep a stored topic in another format, while others read it; see convert_topic."""
+        return self._open.convert(topic, format, progress)
 
     def messageWriter(
         self,
@@ -249,9 +252,6 @@ class RosCassandra:
             give_up_after_sec: How long the writing of a message is tried.
             run: Description of the recording or import, kept in the store.
             on_loss: Called with (topic, messages, error) for what is lost; None: the writer raises.
-
-        Raises:
-            InvalidName, InvalidKey, InvalidOption, UnknownFormat: An argument cannot be one.
         """
         return make_writer(
             self.parts,
@@ -408,8 +408,8 @@ class RosCassandra:
     ) -> Rows:
         """Run a statement and return all its rows: a list of tuples with ``.columns``.
 
-        SELECT gives what was asked for; DELETE one row with the number of messages that it
-        removed; TRUNCATE, CREATE INDEX and DROP INDEX give no row.
+        DELETE gives one row, the number of messages that it removed; TRUNCATE, CREATE INDEX and
+        DROP INDEX give no row.
 
         Args:
             statement: CQL with topic names, dotted fields and KEY (paper 3.2).
@@ -467,11 +467,11 @@ class RosCassandra:
     ) -> Any:
         """Return the transform between two frames at any past time, as tf2 computes it.
 
-        The time is that of the stamps in the headers. Where tf2 knows the last ten seconds, all
-        that was recorded counts here. A slash in front of a frame's name is ignored. A frame that
-        is on tf_static is fixed: what was recorded of it last holds at every time. No more is read
-        as soon as both frames are connected and the time lies between two transforms of each frame
-        on the way (one received over 2 s out of order may be missed); before an error, everything.
+        The time is that of the stamps in the headers; all that was recorded counts. A slash in
+        front of a frame's name is ignored. A frame that is on tf_static is fixed: what was recorded
+        of it last holds at every time. No more is read as soon as both frames are connected and the
+        time lies between two transforms of each frame on the way (one received over 2 s out of
+        order may be missed); before an error, everything.
 
         Args:
             target: Frame to which the transform takes points.

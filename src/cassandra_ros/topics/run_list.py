@@ -15,6 +15,7 @@ from cassandra_ros.store.counting import settle
 from cassandra_ros.store.directory import STALE_SEC, Directory
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.store.registry import Run, Sign
+from cassandra_ros.topics.following import followed
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.selection import Whose
 from cassandra_ros.topics.topic_table import TopicTable
@@ -37,7 +38,9 @@ def list_runs(space: Keyspace, tables: Sequence[TopicTable]) -> List[Run]:
     """
     runs, signs = space.registry.runs(), space.registry.signs()
     left = frozenset(run.writer for run in runs if not _has_ended(run))
-    held = _held(space.directory, tables, left) if left else {}
+    held: Dict[int, _Held] = {}
+    if left:
+        held = followed(tables, lambda now: _held(space.directory, now, left))
     lost: Dict[int, Counts[str]] = {}
     for loss in space.registry.losses() if left else ():
         lost.setdefault(loss.writer, Counter())[loss.topic] += loss.count

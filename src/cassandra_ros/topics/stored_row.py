@@ -7,7 +7,12 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import Any, Optional, Tuple, Union
 
-from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFound
+from cassandra_ros.errors import (
+    CassandraRosError,
+    CorruptMessage,
+    MessageNotFound,
+    TopicNotFound,
+)
 from cassandra_ros.keys import Position, RowName, writer_of
 from cassandra_ros.messages.classes import deserialize
 from cassandra_ros.messages.connection import Connection
@@ -84,7 +89,10 @@ class StoredRow:
     def wire(self) -> bytes:
         """The serialised message, byte for byte as it was sent."""
         if self._wire is None:
-            self._wire = read_wire(self.table, self._row, self._sent)
+            try:
+                self._wire = read_wire(self.table, self._row, self._sent)
+            except TopicNotFound:
+                self._wire = self._moved_wire()
             self._sent = None
         return self._wire
 
@@ -97,6 +105,18 @@ class StoredRow:
     def was_read(self) -> bool:
         """Whether its bytes have been read."""
         return self._wire is not None
+
+    def _moved_wire(self) -> bytes:
+        """Read the message in the table that replaced its own; in an except clause."""
+        heir = self.table.heir(True)
+        if heir is None:
+            raise
+        row = fetch_row(heir, self.position)
+        if row is None:
+            raise MessageNotFound(
+                f"the message of topic {self.topic} at {self.t} was removed while it was read"
+            )
+        return read_wire(heir, row)
 
     def keep_wire(self) -> bytes:
         """Return the serialised message, and let go of the columns that it was made of."""

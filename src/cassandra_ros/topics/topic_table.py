@@ -78,6 +78,15 @@ class TopicTable(RowTable):
         """Return the class for a connection, by its number: installed, generated or RawMessage."""
         self._later = metadata.key_format == "time" and self.format.TOGETHER
         self._indexes: tuple[Mapping[str, str], dict[str, IndexField]] = ({}, {})
+        self.heirs: Optional[Callable[[str, bool], Optional[TopicTable]]] = None
+
+    def heir(self, fresh: bool) -> Optional[TopicTable]:
+        """Return the table that has its messages now, where one replaced it up to 2 s ago.
+
+        Args:
+            fresh: Up to now.
+        """
+        return None if self.heirs is None else self.heirs(self.name, fresh)
 
     @property
     def index_fields(self) -> dict[str, IndexField]:
@@ -197,6 +206,7 @@ class TopicTables:
             if table is None:
                 where = self._cassandra, self._schema.keyspace
                 table = self._made[name] = TopicTable(*where, name, metadata, *self._known)
+                table.heirs = self._heir
             table.metadata = metadata
             return table
 
@@ -204,6 +214,18 @@ class TopicTables:
         """Return a table by its name, or None where there is none of this name now."""
         metadata = self._schema.tables().get(name)
         return None if metadata is None else self.get(name, metadata)
+
+    def _heir(self, name: str, fresh: bool) -> Optional[TopicTable]:
+        listing = self._schema.listing(fresh=fresh)
+        heir = listing.heirs.get(name)
+        return None if heir is None else self.get(heir, listing.visible[heir])
+
+    def holding(self, name: str) -> Optional[TopicTable]:
+        """Return the table that holds what lay in one of this name; None where that is gone."""
+        listing = self._schema.listing()
+        if name not in listing.every and name not in listing.heirs:
+            self._schema.tables(fresh=True)  # another client, which gave the name, knows more
+        return self.by_name(name) or self._heir(name, False)
 
     def of_topic(self, topic: str) -> list[TopicTable]:
         """List the tables of a topic: one for each md5 and format."""

@@ -12,6 +12,7 @@ from cassandra_ros.store.counting import count_part, settle
 from cassandra_ros.store.directory import BucketRow, BucketTotals, Directory
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.store.registry import Loss
+from cassandra_ros.topics.following import current, followed
 from cassandra_ros.topics.selection import EVERYBODY, Whose
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -49,7 +50,11 @@ def count_rows(
     directory: Directory, tables: Sequence[TopicTable], low: int, high: int, whose: Whose
 ) -> int:
     """Count rows with t in [low, high]: whole closed buckets by the directory."""
-    return sum(_count(directory, table, low, high, whose) for table in tables)
+
+    def count(now: Sequence[TopicTable]) -> int:
+        return sum(_count(directory, table, low, high, whose) for table in now)
+
+    return followed(tables, count)
 
 
 def _count(directory: Directory, table: TopicTable, low: int, high: int, whose: Whose) -> int:
@@ -67,16 +72,20 @@ def _count(directory: Directory, table: TopicTable, low: int, high: int, whose: 
 
 def holds_any(directory: Directory, tables: Sequence[TopicTable], whose: Whose) -> bool:
     """Say whether some tables may hold messages of somebody; without reading those."""
-    timed = (t for t in tables if not t.named)
-    names = (key for t in tables if t.named for key in list_names(t, whose.nodes))
-    return any(buckets_of(directory, t, whose) for t in timed) or any(
-        whose.wrote(key.position.seq) for key in names
-    )
+
+    def holds(now: Sequence[TopicTable]) -> bool:
+        timed = (t for t in now if not t.named)
+        names = (key for t in now if t.named for key in list_names(t, whose.nodes))
+        return any(buckets_of(directory, t, whose) for t in timed) or any(
+            whose.wrote(key.position.seq) for key in names
+        )
+
+    return followed(tables, holds)
 
 
 def count_buckets(directory: Directory, tables: Sequence[TopicTable]) -> int:
     """Count the partitions of tables: stretches of time of a node; 0 for named messages."""
-    every = ((table.name, row) for table in tables for row in buckets_of(directory, table))
+    every = ((t.name, row) for t in current(tables) for row in buckets_of(directory, t))
     return len({(name, row.node, row.bucket) for name, row in every})
 
 
@@ -90,6 +99,12 @@ def describe(
 
     Of a run and a node there are only the tables in which they have messages.
     """
+    return followed(tables, lambda now: _described(directory, now, whose, losses))
+
+
+def _described(
+    directory: Directory, tables: Sequence[TopicTable], whose: Whose, losses: Sequence[Loss]
+) -> list[TopicInfo]:
     found: list[TopicInfo] = []
     lost: Counter[tuple[str, str]] = Counter()
     for loss in losses:

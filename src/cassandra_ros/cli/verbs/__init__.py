@@ -4,7 +4,18 @@
 
 from __future__ import annotations
 
-from cassandra_ros.cli.verbs import export, import_, index, info, list_, params, query, runs, verify
+from cassandra_ros.cli.verbs import (
+    convert,
+    export,
+    import_,
+    index,
+    info,
+    list_,
+    params,
+    query,
+    runs,
+    verify,
+)
 
 VERBS = {
     "list": list_,
@@ -16,4 +27,5 @@ VERBS = {
     "verify": verify,
     "query": query,
     "index": index,
+    "convert": convert,
 }

@@ -1,0 +1,55 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Keep stored topics in another format, while others read them.
+
+  cassandra_bag convert /scan --format packed
+  cassandra_bag convert /tf /odom --format ros
+
+Who reads a topic meanwhile sees all of its messages, each once; keys and cursors stay good. A copy
+is made and compared message by message before it takes the place of the old tables, so for that
+time the topic needs both on the disk. A topic that is being recorded is refused. When it is
+interrupted or killed, the topic is as it was; the same command again removes what was left and
+begins anew. What expires keeps about the time that it has left.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.cli.text import MessageBar, shown
+from cassandra_ros.cli.verbs.import_ import SafeInterrupt
+from cassandra_ros.formats.table import FORMATS
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add topics, format and the store."""
+    add = parser.add_argument
+    add("topics", nargs="+", metavar="TOPIC", help="stored topics")
+    add("--format", required=True, choices=list(FORMATS), help="the format to keep them in")
+    add("-q", "--quiet", action="store_true", help="print errors and warnings only")
+    add_store_options(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Convert one topic after the other; the first that fails ends it."""
+    with open_store(options) as ros_cas:
+        topics = [ros_cas.getTopic(name).name for name in options.topics]
+        for topic in dict.fromkeys(topics):
+            begun = time.monotonic()
+            with MessageBar(f"converting {shown(topic)}") as bar, SafeInterrupt() as stop:
+
+                def progress(done: int, total: int, bar: MessageBar = bar) -> None:
+                    bar.reach(done, total)
+                    stop.check()  # noqa: B023 - it is called within this turn only
+
+                report = ros_cas.convertTopic(topic, options.format, progress)
+            if options.quiet:
+                continue
+            if report.tables:
+                what = f"{report.messages} messages converted to format {report.format}"
+                print(f"topic {shown(topic)}: {what} ({time.monotonic() - begun:.1f} s)")
+            else:
+                print(f"topic {shown(topic)}: is kept in format {report.format} already")
+    return 0

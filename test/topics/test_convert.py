@@ -1,0 +1,264 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A topic is converted into another format: the same messages, seen all the time, each once."""
+
+from __future__ import annotations
+
+import random
+import threading
+
+import pytest
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from cassandra_ros.errors import InvalidOption, SchemaConflict, TopicNotFound, UnknownFormat
+from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.keys import decode_cursor, encode_cursor
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.store import replacement
+from cassandra_ros.topics import convert
+
+SEC = 10**9
+T0 = 1_500_000_000 * SEC
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """Clients of these tests read the comments anew at once."""
+    monkeypatch.setattr(replacement, "SETTLE_SEC", 0.05)
+    monkeypatch.setattr("cassandra_ros.store.schema.CACHE_SEC", 0.03)
+
+
+def joint_state(number):
+    rand = random.Random(number)
+    msg = JointState()
+    msg.header.seq, msg.header.frame_id = number, "a" * (number % 7)
+    msg.name = [f"joint{n}" for n in range(number % 4)]
+    msg.position = [rand.random() for _ in msg.name]
+    return msg
+
+
+def fill(rosCas, format, count=300, topic="/t", writers=((7, ""), (3, "r1"))):
+    """Store messages of two writers of two nodes, with equal stamps, over several buckets."""
+    rand = random.Random(1)
+    for writer_id, node in writers:
+        with rosCas.messageWriter(writer_id=writer_id, nodeID=node, format=format) as writer:
+            names = [f"/{node}{n}" for n in range(2)]
+            handles = [
+                writer.connect(
+                    api_connection(topic, definition_of(JointState), name), bucket_ns=SEC
+                )
+                for name in names
+            ]
+            for number in range(count):
+                t = T0 + rand.randrange(8) * SEC // 2
+                writer.write(rand.choice(handles), t, number, serialize(joint_state(number)))
+
+
+def seen(rows):
+    return [
+        (r.t, r.node, r.seq, r.name, r.received, r.conn, r.connection, r.run, r.wire) for r in rows
+    ]
+
+
+def formats(rosCas, topic="/t"):
+    return [table.metadata.format for table in rosCas.getTopic(topic).tables]
+
+
+def facts(rosCas):
+    """What is told of what is stored, but the table in which."""
+    wanted = ("topic", "type", "md5sum", "node", "count", "bytes", "first_ns", "last_ns", "buckets")
+    return [tuple(getattr(each, name) for name in wanted) for each in rosCas.info()]
+
+
+def check_conversion(rosCas, source, target):
+    topic = rosCas.getTopic("/t")
+    assert formats(rosCas) == [source]
+    before, told = seen(topic.rows()), facts(rosCas)
+    report = rosCas.convertTopic("t", target)
+    assert formats(rosCas) == [target]
+    assert report.messages == (0 if source == target else len(before))
+    assert seen(topic.rows()) == before
+    assert seen(topic.rows(reverse=True)) == before[::-1]
+    assert topic.countTopicData() == len(before) > 0
+    assert facts(rosCas) == told
+    assert len(rosCas.parts.schema.listing(fresh=True).every) == 1
+
+
+def test_a_topic_goes_through_all_formats(rosCas):
+    every = [*FORMATS, *list(FORMATS)[:1]]
+    fill(rosCas, every[0], 60)
+    before = seen(rosCas.getTopic("/t").rows())
+    for source, target in zip(every, every[1:]):
+        check_conversion(rosCas, source, target)
+    assert seen(rosCas.getTopic("/t").rows()) == before
+    check_conversion(rosCas, every[0], every[0])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("target", FORMATS)
+@pytest.mark.parametrize("source", FORMATS)
+def test_each_format_becomes_each_other(rosCas, source, target):
+    fill(rosCas, source, 60)
+    check_conversion(rosCas, source, target)
+
+
+def test_keys_and_cursors_of_the_old_table_stay_good(rosCas):
+    fill(rosCas, "ros")
+    topic = rosCas.getTopic("/t")
+    rows = list(topic.rows())
+    keys = [(row.key, row.wire) for row in rows]
+    cursors = [(encode_cursor(row.position), n) for n, row in enumerate(rows)]
+    statement = "SELECT KEY, header.seq, name FROM /t"
+    result = rosCas.iterCQL(statement, limit=100)
+    first, cursor = list(result), result.cursor
+    rows[0]._wire = None
+    for target in ("binary", "json", "ros"):  # a chain of replacements
+        rosCas.convertTopic("/t", target)
+        places = [row.position[:3] for row in rows]
+        for key, wire in keys[::7]:
+            assert serialize(topic.getData(key)) == wire
+        for text, n in cursors[::9]:
+            after = decode_cursor(text)
+            assert [r.position[:3] for r in topic.rows(after=after)] == places[n + 1 :]
+            back = [r.position[:3] for r in topic.rows(after=after, reverse=True)]
+            assert back == places[:n][::-1]
+        rest = list(rosCas.statements.select(statement, after=cursor))
+        assert first + rest == list(rosCas.iterCQL(statement))
+    # A row that was read before, whose bytes lie in a table that is gone.
+    assert rows[0].wire == keys[0][1]
+
+
+def test_an_iterator_goes_on_where_its_table_was_dropped(rosCas):
+    fill(rosCas, "ros", 3000)
+    topic = rosCas.getTopic("/t")
+    wanted = seen(topic.rows())
+    ways = {
+        "up": topic.rows(),
+        "down": topic.rows(reverse=True),
+        "where": (row for row in topic._finder(where="header.seq >= 0").many(None, None)),
+        "received": rosCas.readMessages(["/t"], received=True),
+        "all": rosCas.readMessages(),
+    }
+    got = {name: [next(rows) for _ in range(1000)] for name, rows in ways.items()}
+    lazy = topic.rows()
+    rosCas.convertTopic("/t", "binary")
+    for name, rows in ways.items():
+        found = seen(got[name]) + seen(rows)
+        assert found == (wanted[::-1] if name == "down" else wanted), name
+    assert seen(lazy) == wanted
+
+
+@pytest.mark.parametrize("key_format", ["hash", "manual"])
+def test_messages_under_names(rosCas, key_format):
+    topic = rosCas.addTopic("/t", "ros", key_format=key_format)
+    keys = []
+    for n in range(40):
+        name = f"k{n % 9}" if key_format == "manual" else None
+        keys.append(topic.addData(String(data=f"m{n % 30}"), key=name))
+    before = seen(topic.rows())
+    rosCas.convertTopic("/t", "yaml")
+    assert formats(rosCas) == ["yaml"]
+    assert seen(topic.rows()) == before
+    if key_format == "manual":
+        assert [topic.getData(key).data for key in keys] == [f"m{n % 30}" for n in range(40)]
+    with pytest.raises(InvalidOption, match="cannot be kept in format packed"):
+        rosCas.convertTopic("/t", "packed")
+    assert len(rosCas.parts.schema.listing(fresh=True).every) == 1
+
+
+@pytest.mark.parametrize("part", ["header.stamp", "header.seq"])
+def test_keys_in_the_message_and_indexes(rosCas, part):
+    topic = rosCas.addTopic(
+        "/t", "ros", msg_type="sensor_msgs/JointState", key_format="msg_part", key_part=part
+    )
+    topic.createIndex("header.frame_id")
+    for n in range(30):
+        msg = joint_state(n)
+        msg.header.stamp.secs = 100 + n // 2
+        topic.addData(msg)
+    before = seen(topic.rows())
+    rosCas.convertTopic("/t", "json")
+    assert seen(topic.rows()) == before
+    assert topic.hasIndex("header.frame_id")
+    found = rosCas.explainCQL("SELECT KEY FROM /t WHERE header.frame_id = 'aa'")
+    assert "index" in str(found)
+    assert len(list(topic.items(where="header.frame_id = 'aa'"))) == len(range(2, 30, 7))
+    if part == "header.seq":
+        assert topic.getData(7).header.seq == 7
+
+
+def test_what_expires_keeps_about_the_time_that_it_has_left(rosCas, cql):
+    topic = rosCas.addTopic("/t", "ros", msg_type="std_msgs/String", ttl=2000)
+    old = topic.tables[0]
+    for n in range(20):
+        topic.addData(String(data=str(n)), key=T0 + n * SEC)
+    rosCas.parts.schema.tables(fresh=True)
+    set_ttl = f'UPDATE {old.qualified} USING TTL %s SET "_conn" = %s WHERE "_node" = %s AND '
+    for row in list(topic.rows()):
+        place = ("", old.bucket_of(row.t), row.t, row.seq)
+        cql.execute(
+            set_ttl + '"_bucket" = %s AND "_t" = %s AND "_seq" = %s', (700, row.conn, *place)
+        )
+    before = seen(topic.rows())
+    rosCas.convertTopic("/t", "binary")
+    assert seen(topic.rows()) == before
+    new = topic.tables[0]
+    left = [ttl for (ttl,) in cql.execute(f'SELECT TTL("_data") FROM {new.qualified}')]
+    assert len(left) == 20
+    assert all(600 < each <= 700 for each in left)
+    assert new.metadata.ttl == 2000
+    topic.addData(String(data="new"), key=T0 - SEC)
+    assert topic.countTopicData() == 21
+
+
+def test_several_definitions_and_formats_become_one_table_each(rosCas):
+    for format, writer in (("ros", 5), ("yaml", 6), ("json", 8)):
+        fill(rosCas, format, 40, writers=((writer, "a"),))
+    with rosCas.messageWriter(format="binary") as writer:
+        handle = writer.connect(api_connection("/t", definition_of(String), "/x"))
+        writer.write(handle, T0 + 5, 0, serialize(String("other")))
+    before = seen(rosCas.getTopic("/t").rows())
+    report = rosCas.convertTopic("/t", "ros")
+    assert report.tables == 4
+    assert report.messages == len(before) == 121
+    assert formats(rosCas) == ["ros", "ros"]
+    assert seen(rosCas.getTopic("/t").rows()) == before
+    assert rosCas.convertTopic("/t", "ros").messages == 0
+
+
+def test_what_goes_wrong_is_said_before_anything_is_made(rosCas):
+    with pytest.raises(TopicNotFound):
+        rosCas.convertTopic("/none", "ros")
+    fill(rosCas, "ros", 10)
+    with pytest.raises(UnknownFormat):
+        rosCas.convertTopic("/t", "xml")
+    assert len(rosCas.parts.schema.listing(fresh=True).every) == 1
+
+
+def test_a_topic_that_is_being_recorded_is_refused(rosCas, connect, monkeypatch):
+    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 0.3)
+    monkeypatch.setattr(convert, "LOOK_SEC", 0.1)
+    fill(rosCas, "ros", 10)
+    with rosCas.messageWriter() as writer:
+        handle = writer.connect(api_connection("/t", definition_of(JointState), "/x"))
+        stop = threading.Event()
+
+        def write():
+            number = 0
+            while not stop.wait(0.01):
+                writer.write(handle, T0 + number, number, serialize(joint_state(number)))
+                number += 1
+
+        thread = threading.Thread(target=write)
+        thread.start()
+        try:
+            with pytest.raises(SchemaConflict, match="is being recorded .* end the recording"):
+                rosCas.convertTopic("/t", "binary")
+        finally:
+            stop.set()
+            thread.join()
+    assert formats(rosCas) == ["ros"]
+    assert rosCas.convertTopic("/t", "binary").messages == rosCas.getTopic("/t").countTopicData()
