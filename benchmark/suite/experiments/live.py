@@ -33,7 +33,7 @@ PUBLISHER = ROOT / "test/nodes/load_publisher.py"
 TOPIC = "/load"
 IMAGE_BYTES = 2_000_000
 BUFFER_MB = 256
-HELD = 0.97
+HELD = 0.95
 """A rate of which less could be sent was not held."""
 PATIENCE_SEC = 120
 FORMATS = tuple(name for name in FORMAT_NAMES if name != "binary")

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, List
 
 from suite.contenders import FORMAT_NAMES, Store, verify
 from suite.context import Context, measure
@@ -84,19 +84,26 @@ def run_cluster(context: Context) -> None:
 def _on_cluster(context: Context, store: Store, measured: bool) -> None:
     count, batch = len(store.batch), store.batch
     store.open()
-    cost, _ = measure(store.server, lambda: (store.extend(0, count), store.finish()))
-    back, _ = measure(store.server, lambda: sum(1 for _ in store.objects()))
-    verify(store, batch)
-    store.open_reading()
-    rand, values = random.Random(1), []
-    for _ in range(context.size.lookups):
-        key: Any = store.topic.getRow(rand.choice(batch.times)).key
-        start = time.perf_counter()
-        store._topic.getData(key)
-        values.append((time.perf_counter() - start) * 1e3)
-    store.discard()
+    try:
+        cost, _ = measure(store.server, lambda: (store.extend(0, count), store.finish()))
+        back, _ = measure(store.server, lambda: sum(1 for _ in store.objects()))
+        verify(store, batch)
+        values = _lookups(store, context.size.lookups)
+    finally:
+        store.discard()
     if measured:
         nodes = max(1, context.size.nodes)
         context.add("write", store.format, count / cost.seconds, "msg/s", kind="imu", x=nodes)
         context.add("read", store.format, count / back.seconds, "msg/s", kind="imu", x=nodes)
         context.add("lookup", store.format, values, "ms", kind="imu", x=nodes)
+
+
+def _lookups(store: Store, count: int) -> List[float]:
+    """Return the times of random lookups, ms."""
+    topic, rand, values = store.topic, random.Random(1), []
+    for _ in range(count):
+        key: Any = topic.getRow(rand.choice(store.batch.times)).key
+        start = time.perf_counter()
+        topic.getData(key)
+        values.append((time.perf_counter() - start) * 1e3)
+    return values
