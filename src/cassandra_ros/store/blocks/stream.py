@@ -59,7 +59,7 @@ MAX_BLOCKS = 512
 """Of one page."""
 MAX_AT_ONCE = 100
 """Blocks that are fetched with one statement, by their keys."""
-FIRST_HEADERS = 8
+FIRST_HEADERS = 16
 """Of the first page of headers, where few messages are wanted; the next ones are larger."""
 FIRST_BLOCKS = 2
 """So many are asked for beside it: mostly those that are needed."""
