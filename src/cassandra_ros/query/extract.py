@@ -8,17 +8,31 @@ values per element. Other arrays of messages on the way to a field give a list o
 
 from __future__ import annotations
 
-from typing import Any, Callable, Container, Iterator, List, Optional, Sequence
+from typing import Any, Callable, Container, Iterator, List, NamedTuple, Optional, Sequence
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.plan import wire_plan
+from cassandra_ros.messages.wire.values import CQL_CODES
 from cassandra_ros.query.names import Array, FieldRef
 from cassandra_ros.query.protocols import Row
 
 Get = Callable[[Any], Any]
 Read = List[Any]
 """The values of some fields."""
+
+
+class Direct(NamedTuple):
+    """A field that is the whole of a column of format ``ros``, or is in it."""
+
+    asked: int
+    """Where the column stands among ``Extractor.columns``."""
+    stored: int
+    """Where it stands among all columns of the table."""
+    decode: Get
+    """From the column's bytes to the field's value; raises BUILD_ERRORS."""
+    code: str
+    """Its struct code where it is a number of fixed size and nothing is done with it, else ''."""
 
 
 class Extractor:
@@ -60,6 +74,22 @@ class Extractor:
         self.columns: Optional[list[str]] = None
         if len(self._stored) == len(names):
             self.columns = [self._plan.columns[n].name for n in asked]
+        self._gets = [each[0] for each in gets]
+
+    def direct(self) -> Optional[list[Direct]]:
+        """Say how each field is read from columns alone; None where elements are unnested."""
+        if self.columns is None or self._depth or not all(self._given):
+            return None
+        found = zip(self._projected, self._stored, self._gets)
+        return [self._direct(asked, stored, get) for asked, stored, get in found]
+
+    def _direct(self, asked: int, stored: int, get: Get) -> Direct:
+        column, decode = self._plan.columns[stored], self._plan.decoder(stored)
+        if get is not _itself:
+            return Direct(asked, stored, lambda raw: get(decode(raw)), "")
+        number = column.kind not in ("text", "bool", "array", "wire") and not column.is_list
+        code = CQL_CODES.get(column.element_type, "") if number else ""
+        return Direct(asked, stored, decode, code[1:])
 
     def values(self, row: Row) -> Iterator[Read]:
         """Yield the values of a row, once or per unnested element; CorruptMessage: it is none."""

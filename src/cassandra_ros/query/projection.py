@@ -14,6 +14,7 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.evaluate import Check, Values, compile_condition
 from cassandra_ros.query.extract import Extractor, Get
+from cassandra_ros.query.lean import LeanRows, compile_lean
 from cassandra_ros.query.literals import Comparable, fit_to_field, fit_to_text, fit_to_time
 from cassandra_ros.query.names import Array, FieldRef, Findings, all_fields, field_of, fields_of
 from cassandra_ros.query.protocols import Row, Table
@@ -39,6 +40,8 @@ KEY_PLACE, NODE_PLACE, RUN_PLACE = 0, 1, 2
 _OWN_WIDTH = 3
 _BESIDE = -1
 """From here downwards are the marks of problems that no other table can make good."""
+_COUNTED = "int64"
+"""Kind of a count: whatever is counted is not shown."""
 _NO_NUMBERS = ("string", "time", "duration")
 
 ResultRow = Tuple[Any, ...]
@@ -81,6 +84,12 @@ class Projection:
     """RUN is named; else its value is ''."""
     shown: tuple[tuple[Optional[int], Optional[Get]], ...] = ()
     """For each column of the result its place (None: missing here), and how to show a value."""
+    checked: frozenset[int] = frozenset()
+    """Places of the values that the condition needs."""
+    stored: int = 0
+    """How many columns its table has."""
+    lean: Optional[LeanRows] = None
+    """Makes the rows of nearly all stored ones, and quickly."""
 
     @classmethod
     def compile(cls, select: Select, table: Table, findings: Findings) -> Projection:
@@ -89,7 +98,14 @@ class Projection:
         every = (Selected(KeyOperand(0)), None)
         asked = every if select.columns is None else select.columns
         groups = tuple(tuple(names.outputs(selected)) for selected in asked)
-        check = compile_condition(select.condition, names.locate, names.fit)
+        checked: set[int] = set()
+
+        def locate(leaf: Leaf) -> Optional[int]:
+            place = names.locate(leaf)
+            checked.update(() if place is None else (place,))
+            return place
+
+        check = compile_condition(select.condition, locate, names.fit)
         extractor = None
         columns: Optional[Sequence[str]] = ()
         if table.definition is not None and names.refs:
@@ -97,15 +113,34 @@ class Projection:
             columns = extractor.columns if table.by_field else None
         unnested, width = tuple(names.unnested), _OWN_WIDTH + len(names.refs)
         made = cls(groups, check, columns, unnested, table.named, extractor, width, names.runs)
+        if table.by_field:
+            made = replace(made, checked=frozenset(checked), stored=len(table.columns))
         return made.showing([[output.name for output in group] for group in groups])
 
     def showing(self, names: Sequence[Sequence[str]]) -> Projection:
         """Return one that shows these columns of each selected path, None where it lacks one."""
         shown: list[tuple[Optional[int], Optional[Get]]] = []
         for group, wanted in zip(self.groups, names):
-            known = {output.name: (output.place, _SHOWS.get(output.kind)) for output in group}
+            known = {output.name: (output.place, _show_of(output)) for output in group}
             shown += [known.get(name, (None, None)) for name in wanted]
-        return replace(self, shown=tuple(shown))
+        made = replace(self, shown=tuple(shown))
+        return replace(made, lean=made._compile_lean())
+
+    def _compile_lean(self) -> Optional[LeanRows]:
+        direct = None if self.extractor is None or not self.stored else self.extractor.direct()
+        if direct is None or self.columns is None:
+            return None
+        return compile_lean(
+            direct,
+            self.own,
+            self.check,
+            tuple(self.checked),
+            self.shown,
+            KEY_PLACE,
+            own_width=_OWN_WIDTH,
+            asked=len(self.columns),
+            stored=self.stored,
+        )
 
     def own(self, row: Row) -> tuple[Union[int, str], str, str]:
         """Return the values of a row that are of no field."""
@@ -128,8 +163,16 @@ class Projection:
         """Say of each unnested element of a stored row whether it satisfies the condition."""
         return (self.check(values) is True for values in self.values(row))
 
+    def hit(self, row: Row) -> bool:
+        """Say whether a row, or one unnested element of it, satisfies the condition."""
+        found = None if self.lean is None else self.lean(row)
+        return any(self.hits(row)) if found is None else bool(found)
+
     def rows(self, row: Row) -> list[ResultRow]:
         """Return the rows of the result that a stored row gives."""
+        found = None if self.lean is None else self.lean(row)
+        if found is not None:
+            return found
         return [self._row(row, v) for v in self.values(row) if self.check(v) is True]
 
     def _row(self, row: Row, values: Values) -> ResultRow:
@@ -137,7 +180,7 @@ class Projection:
         for place, show in self.shown:
             if place is None:
                 found.append(None)
-            elif place == KEY_PLACE:
+            elif place == KEY_PLACE and show is None:
                 found.append(row.key)
             else:
                 found.append(values[place] if show is None else show(values[place]))
@@ -182,7 +225,7 @@ class Projections:
 
     def hit(self, row: Row) -> bool:
         """Say whether a row, or one unnested element of it, satisfies the condition."""
-        return any(self.of(row.table).hits(row))
+        return self.of(row.table).hit(row)
 
 
 class _Names:
@@ -233,7 +276,7 @@ class _Names:
         if function in ("min", "max"):
             return [found._replace(name=name)]
         total = "float64" if found.kind.startswith("float") else "sum"
-        kinds = {"count": "int64", "avg": "float64", "sum": total}
+        kinds = {"count": _COUNTED, "avg": "float64", "sum": total}
         return [Output(name, found.place, kinds[function])]
 
     def _output(self, operand: Operand, array: Optional[bool] = False) -> Optional[Output]:
@@ -344,3 +387,14 @@ def _duration(ns: int) -> object:
 
 
 _SHOWS = {"time": _shown_as(_time), "duration": _shown_as(_duration)}
+
+
+def _show_of(output: Output) -> Optional[Get]:
+    """Return how to show a value; None = as it is, of KEY the row's key."""
+    if output.place == KEY_PLACE:
+        return _itself if output.kind == _COUNTED else None
+    return _SHOWS.get(output.kind)
+
+
+def _itself(value: object) -> object:
+    return value

@@ -342,6 +342,9 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
                 {"ns": found.value},
             )
         self._place = place = read_place(after)
+        self._given = self._skip = 0
+        self._row: Optional[Row] = None
+        """The last one of which rows were taken."""
         self._projections = Projections(select, tables)
         self.columns = tuple(name for names in self._projections.names for name in names)
         self.pushdown = Pushdown(None if bounds.whole else select.condition, plan)
@@ -358,7 +361,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     @property
     def cursor(self) -> str:
         """Where to go on behind the last row that was taken; '' at the beginning."""
-        return self._place.text
+        row = self._row
+        return (self._place if row is None else Place(self._given, self._skip, row.position)).text
 
     def close(self) -> None:
         """Stop reading. Twice is harmless."""
@@ -375,14 +379,17 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         last = None if self._left is None else given + self._left
         if last == given:
             return
+        seen = place.position
         for row in self._stored(place):
             found = self._projections.of(row.table).rows(row)
-            skip = place.skip if _is_at(row, place.position, self._source) else 0
+            if not found:
+                continue
+            skip = place.skip if seen is not None and _is_at(row, seen, self._source) else 0
             for number in range(skip, len(found)):
                 given += 1
                 # All rows of the message: go on behind it, without looking at it again.
-                skip = 0 if number + 1 == len(found) else number + 1
-                self._place = Place(given, skip, row.position)
+                self._given, self._skip = given, 0 if number + 1 == len(found) else number + 1
+                self._row = row
                 yield found[number]
                 if given == last:
                     return

@@ -82,6 +82,10 @@ class WirePlan:
             name = self.columns[index].name
             raise CorruptMessage(f"column {name} of a row is malformed: {exc}") from exc
 
+    def decoder(self, index: int) -> Callable[[bytes], Any]:
+        """Return the function from a column to its Python value; it raises BUILD_ERRORS."""
+        return self._decoders[index]
+
     def column(self, name: str) -> FieldColumn | None:
         """Return the one of ``all_columns`` that holds a field."""
         return next((column for column in self.all_columns if column.name == name), None)

@@ -1,0 +1,157 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rows of a result straight out of the columns of format ``ros``: a function for a statement.
+
+It is compiled for what most statements are: nothing is unnested, and every field has a column. What
+the condition needs is decoded first, the rest only where it is true. Of a row that lacks one of the
+columns, or has one that is malformed, it says nothing: that row is read as any other.
+"""
+
+from __future__ import annotations
+
+import struct
+from operator import itemgetter
+from typing import Any, Callable, List, Optional, Sequence, Tuple
+
+from cassandra_ros.messages.wire.build import BUILD_ERRORS
+from cassandra_ros.query.evaluate import Check
+from cassandra_ros.query.extract import Direct, Get
+from cassandra_ros.query.protocols import Row
+
+Held = Sequence[Optional[bytes]]
+"""Columns of a row."""
+ResultRows = List[Tuple[Any, ...]]
+LeanRows = Callable[[Row], Optional[ResultRows]]
+"""Returns what a stored row gives; None where it cannot say."""
+Shown = Sequence[Tuple[Optional[int], Optional[Get]]]
+"""For each column of the result its place (None: missing here), and how to show a value."""
+_Fill = Callable[[Held, List[Any]], bool]
+"""Puts the values of some fields into their places; False: one is missing."""
+_Part = Tuple[int, int, Direct]
+"""Place among the values, place among the columns, how to read it."""
+_NONE: ResultRows = []
+"""Nobody changes it."""
+
+
+def compile_lean(
+    direct: Sequence[Direct],
+    own: Callable[[Row], Tuple[Any, ...]],
+    check: Check,
+    checked: Sequence[int],
+    shown: Shown,
+    key_place: int,
+    *,
+    own_width: int,
+    asked: int,
+    stored: int,
+) -> LeanRows:
+    """Make the function for one statement and table.
+
+    Args:
+        direct: The fields, in the order of their values, which come behind those of ``own``.
+        own: Gives the values of a row that are of no field.
+        checked: Places of the values that the condition needs.
+        key_place: Where KEY stands, which is shown as the row's key.
+        own_width: How many values are of no field.
+        asked, stored: How many columns a row has that was asked for the fields alone, and as a
+            whole.
+    """
+    places = range(own_width, own_width + len(direct))
+    spots = {asked: [d.asked for d in direct], stored: [d.stored for d in direct]}
+    layouts: dict[int, Tuple[_Fill, _Fill]] = {}
+    for count, each in spots.items():
+        parts = list(zip(places, each, direct))
+        layouts[count] = (
+            _compile_fill([part for part in parts if part[0] in checked]),
+            _compile_fill([part for part in parts if part[0] not in checked]),
+        )
+    blank = [None] * len(direct)
+    show = _compile_show(shown, key_place)
+
+    def rows(row: Row) -> Optional[ResultRows]:
+        held = row.columns
+        fills = layouts.get(len(held))
+        if fills is None:
+            return None
+        values: List[Any] = [*own(row), *blank]
+        try:
+            if not fills[0](held, values):
+                return None
+            if check(values) is not True:
+                return _NONE
+            if not fills[1](held, values):
+                return None
+        except BUILD_ERRORS:
+            return None
+        return [show(row, values)]
+
+    return rows
+
+
+def _compile_fill(parts: Sequence[_Part]) -> _Fill:
+    numbers = [part for part in parts if part[2].code]
+    if len(numbers) < 2:  # what takes all at once wants two
+        numbers = []
+    others = [(place, at, d.decode) for place, at, d in parts if not (d.code and numbers)]
+    fills = [_others(others)] if others else []
+    fills += [_numbers(numbers)] if numbers else []
+    if not fills:
+        return lambda held, values: True
+    if len(fills) == 1:
+        return fills[0]
+    return lambda held, values: fills[0](held, values) and fills[1](held, values)
+
+
+def _others(parts: Sequence[Tuple[int, int, Get]]) -> _Fill:
+    def fill(held: Held, values: List[Any]) -> bool:
+        for place, at, decode in parts:
+            raw = held[at]
+            if raw is None:
+                return False
+            values[place] = decode(raw)
+        return True
+
+    return fill
+
+
+def _numbers(parts: Sequence[_Part]) -> _Fill:
+    take = itemgetter(*(at for _, at, _ in parts))
+    unpack = struct.Struct(">" + "".join(d.code for _, _, d in parts)).unpack
+    places = [place for place, _, _ in parts]
+
+    def fill(held: Held, values: List[Any]) -> bool:
+        raws = take(held)
+        if None in raws:
+            return False
+        for place, value in zip(places, unpack(b"".join(raws))):
+            values[place] = value
+        return True
+
+    return fill
+
+
+def _compile_show(shown: Shown, key_place: int) -> Callable[[Row, List[Any]], Tuple[Any, ...]]:
+    """Return what makes a row of the result of the values of a stored one."""
+    keys = [n for n, (place, get) in enumerate(shown) if place == key_place and get is None]
+    gets = [(n, get) for n, (place, get) in enumerate(shown) if place is not None and get]
+    places = [place for place, _ in shown]
+    if None in places or len(places) < 2:
+        take = _take(places)
+    else:
+        take = itemgetter(*places)
+    if not keys and not gets:
+        return lambda row, values: take(values)
+
+    def show(row: Row, values: List[Any]) -> Tuple[Any, ...]:
+        found = list(take(values))
+        for n in keys:
+            found[n] = row.key
+        for n, get in gets:
+            found[n] = get(found[n])
+        return tuple(found)
+
+    return show
+
+
+def _take(places: Sequence[Optional[int]]) -> Callable[[List[Any]], Tuple[Any, ...]]:
+    return lambda values: tuple([None if place is None else values[place] for place in places])
