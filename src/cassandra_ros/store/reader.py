@@ -59,6 +59,8 @@ MERGED_ROWS = 16
 """Where few rows of several streams are wanted, so many are asked of each at least."""
 KEYS_AT_ONCE = 100
 """Rows that are fetched with one statement."""
+KEYED_SHARE = 0.04
+"""Of a bucket: where a filter finds the keys of more, it is asked for whole rows instead."""
 TURNED_PAGES = 2
 """So many pages of what an index finds are held to be turned."""
 _Order = Tuple[object, ...]
@@ -190,8 +192,13 @@ def _found(piece: Piece, scan: Scan, streams: Sequence[_Stream]) -> Iterator[Tab
     """Yield the rows of several queries in one order; one that several find comes once."""
     count, last = 0, None
     found = [stream.rows() for stream in streams]
-    for row in heapq.merge(*found, key=_place, reverse=scan.reverse):
-        if _place(row) != last:
+    merged = heapq.merge(*found, key=_place, reverse=scan.reverse)
+    single = len(found) == 1  # it gives no row twice, and in order
+    for row in found[0] if single else merged:
+        if single:
+            count += 1
+            yield row
+        elif _place(row) != last:
             last = _place(row)
             count += 1
             yield row
@@ -265,13 +272,25 @@ class _Stream:
                 return
             # From the newest on, all rows.
             self._asked = self._all("an index does not give its rows, or too many", None)
+        last: RawRow | None = None
         while True:
             try:
                 for page in self._asked.pages():
+                    if self._keyed and self._crowds(page):
+                        break
                     yield from self._made(self._fetched(page) if self._keyed else page)
-                return
+                    last = self._asked.last
+                else:
+                    return
+                # Whole rows of what is filtered, from here on.
+                self._keyed = False
+                self._asked = self._start(last)
             except DRIVER_ERRORS as exc:
-                self._asked = self._all(exc, self._asked.last)
+                self._asked = self._all(exc, last)
+
+    def _crowds(self, keys: Sequence[RawRow]) -> bool:
+        """Say whether so many keys were found that it is quicker to ask for the rows at once."""
+        return len(keys) > max(KEYS_AT_ONCE, KEYED_SHARE * self._piece.listed)
 
     def _found(self) -> list[TableRow] | None:
         """Read what an index finds, to be turned; None where that fails, or it is too much."""
@@ -303,7 +322,7 @@ class _Stream:
 
     def _fetch_early(self, keys: Sequence[RawRow]) -> None:
         """Ask for the first rows as soon as their keys are here, on the driver's thread."""
-        if keys:
+        if keys and not self._crowds(keys):
             part = keys[: self._at_once]
             self._early = part, self._ask_these(part)
 
@@ -361,8 +380,11 @@ def read_rows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> I
             return
         _, number, row, stream = heapq.heappop(heap)
         # While one stream is ahead of all others it needs no heap.
-        limit = heap[0][0] if heap else None
         yield row
+        if not heap and not waiting.left:
+            yield from stream
+            return
+        limit = heap[0][0] if heap else None
         for row in stream:
             late = limit is not None and _order(row, sign) > limit
             if late or (waiting.left and waiting.opens_before(row.t, sign)):
