@@ -52,7 +52,8 @@ def counts_agree(rosCas, cql):
         counted = Counter()
         for topic in rosCas.getAllTopics():
             for table in topic.tables:
-                rows = cql.execute(f'SELECT count(*) FROM {rosCas.keyspace}."{table.name}"')
+                what = 'sum("_n")' if table.packed else "count(*)"
+                rows = cql.execute(f'SELECT {what} FROM {rosCas.keyspace}."{table.name}"')
                 counted[topic.name] += rows.one()[0]
         return counted
 

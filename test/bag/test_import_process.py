@@ -28,7 +28,7 @@ IMPORT = """
 import os, resource, signal, sys
 from cassandra_ros import RosCassandra
 from cassandra_ros.bag.importer import import_bag
-host, port, keyspace, path, most = sys.argv[1:]
+host, port, keyspace, path, most, form = sys.argv[1:]
 done = 0
 def count(messages, size):
     global done
@@ -36,14 +36,21 @@ def count(messages, size):
     if done > int(most):
         os.kill(os.getpid(), signal.SIGKILL)
 with RosCassandra(host, int(port), keyspace=keyspace) as rosCas:
-    report = import_bag(rosCas, path, progress=count)
+    report = import_bag(rosCas, path, format=form or None, progress=count)
 print(report.messages, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
 
 
-def spawn_import(cassandra, keyspace, path, killed_behind=10**9):
+def spawn_import(cassandra, keyspace, path, killed_behind=10**9, form=""):
     """Import in a process that is killed when it has taken so many messages."""
-    where = (cassandra.host, str(cassandra.port), keyspace, str(path), str(int(killed_behind)))
+    where = (
+        cassandra.host,
+        str(cassandra.port),
+        keyspace,
+        str(path),
+        str(int(killed_behind)),
+        form,
+    )
     return subprocess.Popen(
         [sys.executable, "-c", IMPORT, *where],
         env={**os.environ, "PYTHONPATH": str(ROOT / "src")},

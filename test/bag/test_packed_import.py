@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Imports in format packed: the same rows, byte for byte, however often and in whatever parts."""
+
+from __future__ import annotations
+
+import random
+import signal
+
+import pytest
+from bag.test_import_export import counts_agree
+from bag.test_import_process import spawn_import
+from bag.truth import string_connection, string_wire
+
+from cassandra_ros.bag import part
+from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.bag.verify import verify_bag
+from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.store.blocks.limits import Limits
+
+START = 1_700_000_000 * 10**9
+
+
+def jumbled_bag(path, count, seed=1):
+    """Write a bag of two publishers of a topic and one of another, with late and equal times."""
+    chance = random.Random(seed)
+    with BagWriter(path, chunk_bytes=50_000) as writer:
+        numbers = [writer.connection(string_connection("/a", callerid=c)) for c in ("/x", "/y")]
+        numbers.append(writer.connection(string_connection("/b")))
+        for i in range(count):
+            late = chance.choice([0] * 20 + [3_000_000, 2 * 10**9, 40 * 10**9])
+            size = chance.choice([10, 10, 10, 40, 400])
+            if i == count // 2:
+                size = 70_000
+            if i == count // 3:
+                size = 700_000
+            t = START + i // 2 * 1_000_000 - late
+            writer.write(numbers[chance.choice([0, 0, 1, 2])], t, string_wire(f"{i}" + "x" * size))
+    return path
+
+
+def table_rows(rosCas, cql):
+    """All rows of all tables of topics as they lie there, with each column."""
+    query = "SELECT table_name FROM system_schema.tables WHERE keyspace_name = %s"
+    known = {name for (name,) in cql.execute(query, (rosCas.keyspace,))}
+    found = {}
+    for topic in rosCas.getAllTopics():
+        for table in topic.tables:
+            for name in (table.name, table.name + "_c"):
+                if name in known:
+                    rows = cql.execute(f'SELECT * FROM {rosCas.keyspace}."{name}"')
+                    found[topic.name, name[len(table.name) :]] = sorted(map(repr, rows))
+    return found
+
+
+@pytest.fixture
+def small_blocks(monkeypatch):
+    monkeypatch.setattr(part, "limits_for", lambda connections: Limits(100, 20_000))
+
+
+def test_a_repeated_import_ends_in_the_same_rows(rosCas, cql, tmp_path, small_blocks):
+    path = jumbled_bag(tmp_path / "a.bag", 4000)
+    # First a part of it, then one that is interrupted, then all.
+    import_bag(rosCas, path, format="packed", topics=["/b"])
+    parts = table_rows(rosCas, cql)
+    seen = []
+
+    def stop(messages, size):
+        seen.append(messages)
+        if sum(seen) > 1500:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        import_bag(rosCas, path, format="packed", progress=stop)
+    assert 0 < sum(counts_agree(rosCas, cql).values()) < 4000
+    report = import_bag(rosCas, path, format="packed")
+    assert report.messages == 4000
+    rows = table_rows(rosCas, cql)
+    assert rows["/b", ""] == parts["/b", ""] and len(rows["/a", ""]) > 30
+    assert verify_bag(rosCas, path).equal
+    assert sum(counts_agree(rosCas, cql).values()) == 4000
+    assert import_bag(rosCas, path, format="packed") == report
+    assert table_rows(rosCas, cql) == rows
+    assert sum(counts_agree(rosCas, cql).values()) == 4000
+
+
+@pytest.mark.fault
+def test_an_import_that_was_killed_is_completed_by_the_next(
+    rosCas, cassandra, keyspace, cql, tmp_path
+):
+    count = 6000
+    path = jumbled_bag(tmp_path / "a.bag", count)
+    for killed_at in (0.4, 0.8):
+        child = spawn_import(cassandra, keyspace, path, killed_at * count, "packed")
+        child.communicate(timeout=120)
+        assert child.returncode == -signal.SIGKILL
+    import_bag(rosCas, path, format="packed")
+    assert verify_bag(rosCas, path).equal
+    assert sum(counts_agree(rosCas, cql).values()) == count
+    rows = table_rows(rosCas, cql)
+    import_bag(rosCas, path, format="packed")
+    assert table_rows(rosCas, cql) == rows
+
+
+def test_a_deleted_message_is_there_again_after_the_import(rosCas, cql, tmp_path):
+    path = jumbled_bag(tmp_path / "a.bag", 500)
+    import_bag(rosCas, path, format="packed")
+    rows, topic = table_rows(rosCas, cql), rosCas.getTopic("/b")
+    key = next(iter(topic.items()))[0]
+    topic.removeData(key)
+    assert not verify_bag(rosCas, path).equal
+    import_bag(rosCas, path, format="packed")
+    assert verify_bag(rosCas, path).equal
+    assert table_rows(rosCas, cql) == rows
+    assert sum(counts_agree(rosCas, cql).values()) == 500
