@@ -11,8 +11,9 @@ from __future__ import annotations
 import hashlib
 from itertools import chain, takewhile
 from struct import Struct
-from typing import NamedTuple
+from typing import AbstractSet, NamedTuple
 
+from cassandra_ros.bag.chunk import ChunkMessage
 from cassandra_ros.bag.reader import BagReader, Progress
 from cassandra_ros.errors import BagError
 from cassandra_ros.keys import MAX_WRITER
@@ -38,6 +39,8 @@ class BagContent(NamedTuple):
     """64 hex digits that differ when a connection, time or byte of any message differs."""
     sizes: dict[int, int]
     """Serialised bytes by number of the connection."""
+    unordered: AbstractSet[int] = frozenset()
+    """Connections of which some message is older than the one before it in the file."""
 
     def writer_id(self, node: str = "") -> int:
         """Return the writer id of an import for a node: an int in [1, 2**31 - 1]."""
@@ -56,17 +59,23 @@ def read_content(reader: BagReader, reading: Progress | None = None) -> BagConte
     fails, and says where. ``reading`` is told how far it is, after each chunk.
     """
     digest, rank = _begin(b"cassandra_ros bag 2", reader)
-    sizes = dict.fromkeys(rank, 0)
+    sizes, latest, unordered = dict.fromkeys(rank, 0), dict.fromkeys(rank, 0), set()
     for chunk in range(reader.chunk_count):
         before = sum(sizes.values())
         try:
-            count = _add_chunk(digest, reader, chunk, rank, sizes)
+            found = _add_chunk(digest, reader, chunk, rank, sizes)
+            count = len(found)
+            for file_id, t_ns, _, _ in found:
+                number = reader.numbers[file_id]
+                if t_ns < latest[number]:
+                    unordered.add(number)
+                latest[number] = t_ns
         except BagError:
             digest.update(_DAMAGED_CHUNK)
             count = 0
         if reading is not None:
             reading(count, sum(sizes.values()) - before)
-    return BagContent(digest.hexdigest(), sizes)
+    return BagContent(digest.hexdigest(), sizes, unordered)
 
 
 def _add_chunk(
@@ -75,8 +84,8 @@ def _add_chunk(
     chunk: int,
     rank: dict[int, int],
     sizes: dict[int, int],
-) -> int:
-    """Hash the messages of a chunk, add up their sizes, and return how many they are."""
+) -> list[ChunkMessage]:
+    """Hash the messages of a chunk, add up their sizes, and return where they lie."""
     content, found = reader.chunk_content(chunk)
     numbers, pack = reader.numbers, _MESSAGE.pack
     # Of many small ones at once: each update costs as much as some hundred bytes.
@@ -95,7 +104,7 @@ def _add_chunk(
             parts.clear()
             waiting = 0
     digest.update(b"".join(parts))
-    return len(found)
+    return found
 
 
 def is_earlier(run: Run) -> bool:

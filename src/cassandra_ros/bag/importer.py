@@ -124,7 +124,7 @@ def import_bag(
                 if handle.warning and handle.warning not in report.warnings:
                     report.warnings.append(handle.warning)
             task = partial(Part, reader.path, formats, lengths, writer_id, nodeID, store)
-            parts = list(map(task, spans_of_jobs(reader, handles, content.sizes, jobs)))
+            parts = list(map(task, spans_of_jobs(reader, handles, content, jobs)))
             if not _write_parts(reader, writer, handles, report, progress, parts):
                 _write_messages(reader, writer, handles, report, progress)
             writer.close(lost=report.lost)

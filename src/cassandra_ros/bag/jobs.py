@@ -16,12 +16,13 @@ import threading
 from typing import Iterable, Mapping, Sequence
 
 from cassandra_ros import errors
+from cassandra_ros.bag.identity import BagContent
 from cassandra_ros.bag.part import Part, Span, Stored
 from cassandra_ros.bag.reader import BagReader, Progress
 from cassandra_ros.errors import WriteFailed
 from cassandra_ros.keys import MAX_NS
+from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.topics.message_writer import Handle
-from cassandra_ros.topics.topic_table import TopicTable
 
 MAX_JOBS = 64
 END_SEC = 20.0
@@ -35,7 +36,7 @@ _PROGRAM = (
 
 
 def spans_of_jobs(
-    reader: BagReader, handles: Mapping[int, Handle], sizes: Mapping[int, int], jobs: int
+    reader: BagReader, handles: Mapping[int, Handle], content: BagContent, jobs: int
 ) -> list[dict[int, Span]]:
     """Divide the messages of a bag among processes, about equally by bytes.
 
@@ -44,14 +45,17 @@ def spans_of_jobs(
         messages; fewer than ``jobs`` where there is not enough to divide.
     """
     parts: list[dict[int, Span]] = [{} for _ in range(jobs)]
-    loads = [0.0] * jobs
+    loads, sizes = [0.0] * jobs, content.sizes
     moments = _moments(reader, sizes, jobs)
     tables: dict[str, list[int]] = {}
     for number, handle in handles.items():
         tables.setdefault(handle.table.name, []).append(number)
     # The largest first: what cannot be cut goes to whoever has the least so far.
     for numbers in sorted(tables.values(), key=lambda n: -sum(map(sizes.__getitem__, n))):
-        cuts = _cuts(handles[numbers[0]].table, moments)
+        metadata = handles[numbers[0]].table.metadata
+        # Blocks end where buckets do, and wherever a message is older than the one before it.
+        loose = metadata.packed and not content.unordered.isdisjoint(numbers)
+        cuts = [] if loose else _cuts(metadata, moments)
         size = sum(map(sizes.__getitem__, numbers))
         if cuts:
             edges = [0, *cuts, MAX_NS + 1]
@@ -78,13 +82,10 @@ def _moments(reader: BagReader, sizes: Mapping[int, int], jobs: int) -> list[int
     return found[1:]
 
 
-def _cuts(table: TopicTable, moments: Sequence[int]) -> list[int]:
+def _cuts(metadata: TopicMetadata, moments: Sequence[int]) -> list[int]:
     """Return the beginnings of buckets near some times, all different; empty = keep it whole."""
-    metadata = table.metadata
-    # Buckets of other times than those of receiving, or none; and blocks may end elsewhere in
-    # a part than in the whole where messages come out of order.
-    if metadata.own_time or metadata.named or metadata.packed:
-        return []
+    if metadata.own_time or metadata.named:
+        return []  # the buckets, where there are any, are not those of the times in the bag
     length = metadata.bucket_ns
     cuts = [(moment + length // 2) // length * length for moment in moments]
     return cuts if len(set(cuts)) == len(cuts) and all(cuts) else []
