@@ -11,7 +11,8 @@ from cassandra_ros.errors import ConnectionFailed, StoreUnavailable
 from cassandra_ros.keys import split_seq, writer_of
 from cassandra_ros.store.blocks.counts import count_part as count_blocks
 from cassandra_ros.store.blocks.counts import measure
-from cassandra_ros.store.blocks.stream import Part, stream
+from cassandra_ros.store.blocks.part import Part
+from cassandra_ros.store.blocks.stream import stream
 from cassandra_ros.store.directory import STALE_SEC, BucketRow, BucketTotals, Directory
 from cassandra_ros.store.row_table import COUNTED, MAX_SEQ, MIN_SEQ, RowTable, decode_long
 

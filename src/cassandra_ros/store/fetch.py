@@ -17,7 +17,8 @@ from cassandra.query import BoundStatement
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.store.blocks.lookup import Finder, answer_one, ask_one
-from cassandra_ros.store.blocks.stream import Part, stream
+from cassandra_ros.store.blocks.part import Part
+from cassandra_ros.store.blocks.stream import stream
 from cassandra_ros.store.directory import Directory, slot_of
 from cassandra_ros.store.paging import Asked, RawRow, sent_ahead
 from cassandra_ros.store.row_table import (

@@ -27,7 +27,8 @@ from cassandra.query import PreparedStatement
 
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.keys import Position
-from cassandra_ros.store.blocks.stream import Part, Sift, stream
+from cassandra_ros.store.blocks.part import Part, Sift
+from cassandra_ros.store.blocks.stream import stream
 from cassandra_ros.store.directory import BucketRow, Directory
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_refused
 from cassandra_ros.store.paging import GROWTH, Asked, RawRow

@@ -14,8 +14,10 @@ from store.blocks.stored_blocks import MS, T0, list_blocks, make_table, put_bloc
 
 from cassandra_ros.keys import Position, writer_of
 from cassandra_ros.store import reader
+from cassandra_ros.store.blocks import needed
 from cassandra_ros.store.blocks import stream as streams
-from cassandra_ros.store.blocks.stream import Part, stream
+from cassandra_ros.store.blocks.part import Part
+from cassandra_ros.store.blocks.stream import stream
 from cassandra_ros.store.counting import recount
 from cassandra_ros.store.fetch import Wanted, fetch_rows, first_at
 from cassandra_ros.store.reader import Scan, read_rows
@@ -204,8 +206,9 @@ def test_blocks_read_as_a_sorted_list(stored, found, rand):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reader, "PAGE_BYTES", rand.choice((1, 40, 10**6)))
         patch.setattr(streams, "BLOCK_BYTES", rand.choice((1, 20, 2**18)))
-        patch.setattr(streams, "FIRST_HEADERS", rand.choice((1, 2, 64)))
-        patch.setattr(streams, "MAX_AT_ONCE", rand.choice((1, 3, 100)))
+        patch.setattr(needed, "FIRST_HEADERS", rand.choice((1, 2, 64)))
+        patch.setattr(needed, "MAX_AT_ONCE", rand.choice((1, 3, 100)))
+        patch.setattr(needed, "FEW_ROWS", rand.choice((1, 8)))
         model = Model(stored, found)
         check(model, rand)
         check_streams(model, rand)
