@@ -29,6 +29,31 @@ def test_every_verb_explains_itself(verb, capsys):
         assert option in text
 
 
+def test_convert(call, tmp_path):
+    with BagWriter(tmp_path / "a.bag") as writer:
+        numbers = [writer.connection(string_connection(name)) for name in ("/a", "/b")]
+        for n in range(10):
+            writer.write(numbers[n % 2], n, string_wire(str(n)))
+    assert call("import", tmp_path / "a.bag")[0] == 0
+    status, text, err = call("convert", "a", "/b", "/a", "--format", "packed")
+    assert (status, err) == (0, "")
+    lines = text.splitlines()
+    assert len(lines) == 2
+    assert lines[0].startswith("topic /a: 5 messages converted to format packed (")
+    assert call("verify", tmp_path / "a.bag")[0] == 0
+    again = call("convert", "/b", "--format", "packed")
+    assert again == (0, "topic /b: is kept in format packed already\n", "")
+    assert call("convert", "/a", "--format", "ros", "-q") == (0, "", "")
+    # An import that is repeated goes where the messages are now.
+    assert call("import", tmp_path / "a.bag")[0] == 0
+    assert call("verify", tmp_path / "a.bag")[0] == 0
+    assert "messages:  10 of 2 topics" in call("info")[1]
+    status, _, err = call("convert", "/c", "--format", "ros")
+    assert (status, err.count("\n")) == (1, 1)
+    assert call("convert", "/a", "--format", "xml")[0] == 2
+    assert call("convert", "/a")[0] == 2
+
+
 def test_export_of_what_satisfies_a_condition(call, tmp_path):
     with BagWriter(tmp_path / "a.bag") as writer:
         numbers = [writer.connection(string_connection(name)) for name in ("/a", "/b")]

@@ -43,8 +43,8 @@ def begin(
         for old in olds:
             if old not in listing.visible or old in listing.leaving:
                 raise SchemaConflict(
-                    f"the tables of topic {topic} were changed by another client just "
-                    "now; convert it again"
+                    f"the tables of topic {topic} were removed or replaced by another "
+                    "client just now; nothing was converted. Convert it again"
                 )
         metadata, columns, shadows = plan([listing.visible[old] for old in olds])
         earlier = (name for old in olds for name in listing.visible[old].replaces)
