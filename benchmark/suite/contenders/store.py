@@ -44,6 +44,7 @@ class Store(Contender):
         connection, (bucket_ns, span_ns) = self.batch.connection, lengths
         self._handle = self._writer.connect(connection, bucket_ns, span_ns=span_ns)
         assert self._handle.format == self.format, self._handle.warning
+        self.table = self._handle.table.name
 
     def extend(self, first: int, last: int) -> None:
         write, handle, batch = self._writer.write, self._handle, self.batch
@@ -68,12 +69,6 @@ class Store(Contender):
 
     def lookup(self, t_ns: int) -> Any:
         return self._topic.getData(t_ns)
-
-    @property
-    def table(self) -> str:
-        """Name of its table."""
-        (table,) = self.topic.tables
-        return table.name
 
     def size(self) -> Optional[int]:
         return self.server.table_bytes(self.table)
