@@ -12,11 +12,12 @@ from __future__ import annotations
 import logging
 import struct
 from dataclasses import replace
-from typing import Mapping, NamedTuple, Optional, Sequence, Union
+from typing import Callable, Mapping, NamedTuple, Optional, Sequence, Union
 
 import numpy as np
 
 from cassandra_ros.arrays.array_types import AnyArray, ArrayType, group_types
+from cassandra_ros.arrays.stacked_values import StackedField, read_stacked
 from cassandra_ros.arrays.values import (
     Convert,
     Values,
@@ -41,6 +42,10 @@ _log = logging.getLogger(__name__)
 
 BATCH_ROWS = 4096
 BATCH_BYTES = 8 * 1024 * 1024
+
+
+Cut = Callable[[bytes], Sequence[Optional[bytes]]]
+"""Cuts columns out of a serialised message."""
 
 
 class Origin(NamedTuple):
@@ -84,9 +89,21 @@ class TableValues:
         condition = Projection.compile(replace(select, columns=()), table, Findings(select.text))
         # Tells of each element whether it satisfies the condition; None: all of them do.
         self._tester = condition if condition.unnested else None
+        self._stacked = self._stacked_fields(known)
+        """All fields, where they are read out of many messages at once; else none."""
         self._chunks: list[list[Values]] = [[] for _ in self._outputs]
         self._orders: list[AnyArray] = []
         self._clear()
+
+    def _stacked_fields(self, known: Mapping[str, FieldColumn]) -> list[StackedField]:
+        if self._table.by_field or self._arrays or not self._by_column:
+            return []
+        fields = [
+            StackedField(output.ref, known[output.ref.column], kind)
+            for output, kind in zip(self._outputs, self._kinds)
+            if output.ref is not None
+        ]
+        return fields if all(field.is_able for field in fields) else []
 
     def _origin(
         self, ref: FieldRef, kind: ArrayType, known: Mapping[str, FieldColumn]
@@ -116,6 +133,8 @@ class TableValues:
         if self._cut is None:
             return ()
         try:
+            if self._stacked:
+                return (row.wire,)
             columns = row.columns
             places = self._where(len(columns))
             if places is not None:
@@ -128,7 +147,7 @@ class TableValues:
             return None
         except CorruptMessage as exc:
             _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
-            return [None] * len(self._names)
+            return [None] * (1 if self._stacked else len(self._names))
 
     def _where(self, width: int) -> Optional[list[int]]:
         """Places of the columns in a row of so many: all of the table's, or those asked for."""
@@ -178,7 +197,10 @@ class TableValues:
         if not self._numbers:
             return
         try:
-            chunks = self._column_by_column() if self._by_column else self._value_by_value()
+            if self._stacked:
+                chunks = self._all_at_once()
+            else:
+                chunks = self._column_by_column() if self._by_column else self._value_by_value()
         except (ValueError, struct.error) as exc:
             if isinstance(exc, CassandraRosError):
                 raise
@@ -186,6 +208,37 @@ class TableValues:
         for gathered, chunk in zip(self._chunks, chunks):
             gathered.append(chunk)
         self._clear()
+
+    def _all_at_once(self) -> list[Values]:
+        definition, cut = self._table.definition, self._cut
+        if definition is None or cut is None:
+            raise AssertionError("only fields of a definition are stacked")
+        wires = [raw for (raw,) in self._raws]
+        found, rest = read_stacked(definition, self._stacked, wires)
+        raws = [self._cut_one(n, wires[n] or b"", cut) for n in rest]
+        columns, fields, places = list(zip(*raws)), iter(found), np.array(rest, np.int64)
+        chunks = []
+        for output, kind, origin in zip(self._outputs, self._kinds, self._origins):
+            if origin is None:
+                chunks.append(self._own_values(output.place, kind))
+                continue
+            chunk = next(fields)
+            if rest:
+                values, missing = origin.convert(columns[origin.place])
+                chunk.values[places], chunk.missing[places] = values, missing
+            if not chunk.missing.any():
+                chunk = chunk._replace(missing=none_missing(len(wires)))
+            chunks.append(chunk)
+        self._orders.append(_order(self._numbers))
+        return chunks
+
+    def _cut_one(self, n: int, wire: bytes, cut: Cut) -> Sequence[Optional[bytes]]:
+        try:
+            return cut(wire)
+        except CorruptMessage as exc:
+            topic, key = self._table.msg_type, self._own[n][0]
+            _log.warning("a message of type %s at %s cannot be read: %s", topic, key, exc)
+            return [None] * len(self._names)
 
     def _value_by_value(self) -> list[Values]:
         columns = list(zip(*self._decoded))

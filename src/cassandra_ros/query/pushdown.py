@@ -66,6 +66,8 @@ DENSE_SHARE = 0.05
 """Where an index finds more of a bucket than this, a filter is quicker: it fetches row by row."""
 DENSE_ROWS = 500
 """So few are no burden, whatever their share."""
+ZONES_SHARE = 0.5
+"""Where zones let more of the messages through than this, they are not asked any more."""
 CROWDED_SHARE = 0.3
 """Where more of a bucket is wanted, it is read once instead of by several queries."""
 Query = Tuple[Tuple[Term, ...], bool]
@@ -186,6 +188,8 @@ class Pushdown:
         branches = self._branches[table.name]
         if branches is None:
             return None
+        if table.packed and self._plan == "auto" and self._zones_are_idle:
+            return None
         dense = self._plan == "auto" and table.name in self._dense
         filled = frozenset.intersection(*(row.filled for row in bucket))
         if self._plan == "filter" or (dense and table.by_field):
@@ -203,6 +207,11 @@ class Pushdown:
         if any(row.odd or not row.closed for row in bucket):
             queries.append(_ODD)
         return queries
+
+    @property
+    def _zones_are_idle(self) -> bool:
+        """Whether most blocks come all the same: they are then quicker read in their order."""
+        return self.unpacked > DENSE_ROWS and self.unpacked > ZONES_SHARE * self.held
 
     def _queries(
         self, branch: Branch, filled: frozenset[str], used: Used, way_without: str

@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Fields straight out of serialised messages, of all messages of a layout at once.
+
+For fields of one value, and arrays of numbers, that lie in no array of messages. What has no layout
+in common with others is left to whoever cuts one message after the other.
+"""
+
+from __future__ import annotations
+
+from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+
+from cassandra_ros.arrays.array_types import AnyArray, ArrayType
+from cassandra_ros.arrays.values import Values, empty_values
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.wire.layout import FieldColumn
+from cassandra_ros.messages.wire.stacked import Stack, by_size, stacker
+from cassandra_ros.query.names import FieldRef
+
+_NUMBERS = ("int", "float", "bool", "time", "duration")
+
+
+class StackedField(NamedTuple):
+    """A field that can be read out of many messages at once."""
+
+    ref: FieldRef
+    column: FieldColumn
+    kind: ArrayType
+
+    @property
+    def is_able(self) -> bool:
+        """Whether it is one value, or an array of numbers, outside of all arrays of messages."""
+        ref, column, kind = self
+        if column.name != ref.column or column.is_list or kind.depth > 1:
+            return False
+        if any(step.many for step in ref.steps):
+            return False
+        return column.kind in (*_NUMBERS, "text", "array")
+
+    def put(self, stack: Stack, found: Values) -> None:
+        """Put what the messages of a layout have where they stand among all."""
+        if self.column.kind == "text":
+            found.values[stack.members] = _texts(stack, self.column.name)
+        else:
+            numbers = self._numbers(stack)
+            if numbers is None:
+                return  # an array that is too short
+            if found.values.dtype.kind == "O":
+                for member, row in zip(stack.members.tolist(), numbers):
+                    found.values[member] = row
+            else:
+                found.values[stack.members] = numbers
+        found.missing[stack.members] = False
+
+    def _numbers(self, stack: Stack) -> Optional[AnyArray]:
+        """Return the numbers, one of each message, or a row of each."""
+        ref, path = self.ref, self.column.name
+        base = self.column.field_type.partition("[")[0]
+        if self.kind.depth:
+            rows: AnyArray = np.ascontiguousarray(stack.array(path, base).T)
+            return rows.astype(self.kind.dtype)
+        if ref.index is not None:
+            every = stack.element(path, ref.index, base)
+        else:
+            every = stack.numbers(path, base)
+        if not len(every):
+            return None
+        numbers: AnyArray = every[0]
+        if ref.part:
+            numbers = numbers // SECOND_NS if ref.part == "secs" else numbers % SECOND_NS
+        return numbers.astype(self.kind.dtype)
+
+
+def _texts(stack: Stack, path: str) -> AnyArray:
+    ((at, size),) = stack.layout.texts[path]
+    every = stack.planes[at : at + size].T.tobytes()
+    count = stack.planes.shape[1]
+    cut = [every[n * size : (n + 1) * size] for n in range(count)]
+    # Frames and names repeat: of equal texts one is kept.
+    known = {raw: raw.decode("utf-8", "replace") for raw in set(cut)}
+    values: Any = np.empty(count, object)
+    values[:] = [known[raw] for raw in cut]
+    return values  # type: ignore[no-any-return]
+
+
+def read_stacked(
+    definition: Definition, fields: Sequence[StackedField], wires: Sequence[Optional[bytes]]
+) -> Tuple[List[Values], List[int]]:
+    """Read fields out of messages; None for one is missing.
+
+    Returns:
+        The values of each field, all of them missing in the messages that were not read; and
+        which these are, without those that are None.
+    """
+    found = [empty_values(field.kind, len(wires)) for field in fields]
+    present = [n for n, wire in enumerate(wires) if wire is not None]
+    places, rest = np.array(present, np.int64), []
+    for members, planes in by_size([wire for wire in wires if wire is not None]):
+        stacks, others = stacker(definition).stacks(planes, places[members])
+        rest += others.tolist()
+        for stack in stacks:
+            for field, values in zip(fields, found):
+                field.put(stack, values)
+    return found, rest
