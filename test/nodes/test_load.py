@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from nodes.children import Child, start_recorder
+from nodes.children import Child, await_true, start_recorder
 
 PUBLISHER = Path(__file__).with_name("load_publisher.py")
 BUFFER_MB = 256
@@ -27,8 +27,12 @@ def peak_mb(pid):
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("size", "count", "rate", "fmt"),
-    [(0, 100_000, 10_000, "ros"), (2 << 20, 600, 30, "binary")],
-    ids=["small", "images"],
+    [
+        (0, 100_000, 10_000, "ros"),
+        (0, 200_000, 20_000, "packed"),
+        (2 << 20, 600, 30, "binary"),
+    ],
+    ids=["small", "packed", "images"],
 )
 def test_nothing_is_lost_under_load(
     roscore, cassandra, keyspace, rosCas, record_property, size, count, rate, fmt
@@ -59,3 +63,29 @@ def test_nothing_is_lost_under_load(
             int.from_bytes(row.wire[:4], "little") for row in rosCas.getTopic("/load").rows()
         ]
         assert numbers == list(range(count))
+
+
+@pytest.mark.fault
+def test_what_was_stored_in_blocks_survives_a_kill(roscore, cassandra, keyspace, rosCas):
+    """A recorder dies by kill -9: what is older than a block may be is there, and nothing torn."""
+    options = ("--format", "packed", "--block-age", "0.2", "-O", "killed")
+    child = start_recorder(roscore, cassandra, keyspace, "/load", *options)
+    with child:
+        child.await_line("recording 1 topic")
+        command = [sys.executable, PUBLISHER, roscore.uri, "/load", 0, 3000, 3000]
+        with Child(command, roscore.env) as publisher:
+            publisher.await_line("sent ")
+            # Nobody has ended the recording: they are stored for they are old enough.
+            await_true(lambda: sum(info.count for info in rosCas.info()) == 3000)
+            assert publisher.wait(60) == 0
+        command = [sys.executable, PUBLISHER, roscore.uri, "/load", 0, 100_000, 3000]
+        with Child(command, roscore.env) as publisher:
+            await_true(lambda: rosCas.info(["/load"])[0].count > 5000)
+            child.process.send_signal(signal.SIGKILL)
+            child.wait(60)
+            publisher.end(signal.SIGKILL)
+    numbers = [int.from_bytes(row.wire[:4], "little") for row in rosCas.getTopic("/load").rows()]
+    first, second = numbers[:3000], numbers[3000:]
+    assert first == list(range(3000))
+    assert second == list(range(len(second))) and len(second) > 2000
+    assert rosCas.info(["/load"])[0].count == len(numbers)

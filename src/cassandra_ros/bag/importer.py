@@ -28,6 +28,7 @@ from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
 
+_TELL_MESSAGES, _TELL_BYTES = 64, 64 * 1024
 _WINDOW_NS = 10 * SECOND_NS
 _REPAIRED = (
     "A repaired copy counts as another bag: import it into another keyspace, or remove these "
@@ -222,15 +223,23 @@ def _write_messages(
     report: ImportReport,
     progress: Progress | None,
 ) -> None:
-    counted = {number: report.topics[handle.topic] for number, handle in handles.items()}
+    each = {n: (handle, report.topics[handle.topic]) for n, handle in handles.items()}
+    write, untold, untold_bytes = writer.write, 0, 0
     try:
         for position, number, t_ns, data in reader.messages(handles.keys()):
-            writer.write(handles[number], t_ns, position, data)
-            topic = counted[number]
+            handle, topic = each[number]
+            write(handle, t_ns, position, data)
+            size = len(data)
             topic.messages += 1
-            topic.bytes += len(data)
-            if progress is not None:
-                progress(1, len(data))
+            topic.bytes += size
+            untold += 1
+            untold_bytes += size
+            # Not of each: who is told may take longer than the message.
+            if progress is not None and (untold >= _TELL_MESSAGES or size > _TELL_BYTES):
+                progress(untold, untold_bytes)
+                untold = untold_bytes = 0
+        if progress is not None:
+            progress(untold, untold_bytes)
     except BagError as exc:
         writer.flush()
         raise type(exc)(
