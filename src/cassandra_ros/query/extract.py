@@ -8,6 +8,7 @@ values per element. Other arrays of messages on the way to a field give a list o
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, Callable, Container, Iterator, List, NamedTuple, Optional, Sequence
 
 from cassandra_ros.keys import SECOND_NS
@@ -119,6 +120,10 @@ class Extractor:
             for n in inner:
                 one[n] = values[n][element]
             yield from self._unnest(level + 1, one)
+
+
+extractor_of = lru_cache(maxsize=256)(Extractor)
+"""Returns the extractor of a definition and its fields, compiled once."""
 
 
 def _count(values: object) -> int:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import difflib
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Iterator, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import InvalidQuery
@@ -57,12 +58,12 @@ class FieldRef:
     part: str = ""
     """'secs' or 'nsecs' of a time or duration."""
 
-    @property
+    @cached_property
     def column(self) -> str:
         """The dotted name without any index: the column of the format ``ros``."""
         return ".".join(step.name for step in self.steps)
 
-    @property
+    @cached_property
     def name(self) -> str:
         """The dotted name as a column of a result."""
         names = [(step.name, step.index) for step in self.steps]
@@ -92,9 +93,10 @@ class Findings:
                 raise InvalidQuery(self._text, problem.position, problem.reason)
 
 
-def all_fields(definition: Definition) -> list[FieldRef]:
+@lru_cache(maxsize=256)
+def all_fields(definition: Definition) -> tuple[FieldRef, ...]:
     """List every field of primitive type in the order of the wire."""
-    return list(_leaves(definition, definition.type, ()))
+    return tuple(_leaves(definition, definition.type, ()))
 
 
 def fields_of(path: Path, definition: Definition) -> list[FieldRef]:

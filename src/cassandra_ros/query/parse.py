@@ -57,6 +57,8 @@ from cassandra_ros.query.syntax import (
     parts,
 )
 
+SHORT_TEXT = 1000
+"""Texts up to here are not parsed twice."""
 MAX_STATEMENT = 1 << 20
 
 _WORDS = {
@@ -379,11 +381,18 @@ def _parse(text: str, start: str) -> Any:
     if len(text) > MAX_STATEMENT:
         raise InvalidQuery(text[:200], 0, f"a statement has at most {MAX_STATEMENT} characters")
     try:
-        return _grammar().parse(text, start=start)
+        return (_parsed_before if len(text) <= SHORT_TEXT else _parsed)(text, start)
     except StatementError as exc:
         raise InvalidQuery(text, exc.position, exc.reason) from None
     except UnexpectedInput as exc:
         raise InvalidQuery(text, *_explain(text, exc)) from None
+
+
+def _parsed(text: str, start: str) -> Any:
+    return _grammar().parse(text, start=start)
+
+
+_parsed_before = lru_cache(maxsize=256)(_parsed)  # a tree is never changed
 
 
 def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:

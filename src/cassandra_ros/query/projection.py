@@ -13,7 +13,7 @@ from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.evaluate import Check, Values, compile_condition
-from cassandra_ros.query.extract import Extractor, Get
+from cassandra_ros.query.extract import Extractor, Get, extractor_of
 from cassandra_ros.query.lean import LeanRows, compile_lean
 from cassandra_ros.query.literals import Comparable, fit_to_field, fit_to_text, fit_to_time
 from cassandra_ros.query.names import Array, FieldRef, Findings, all_fields, field_of, fields_of
@@ -109,7 +109,7 @@ class Projection:
         extractor = None
         columns: Optional[Sequence[str]] = ()
         if table.definition is not None and names.refs:
-            extractor = Extractor(table.definition, names.refs, names.unnested)
+            extractor = extractor_of(table.definition, tuple(names.refs), tuple(names.unnested))
             columns = extractor.columns if table.by_field else None
         unnested, width = tuple(names.unnested), _OWN_WIDTH + len(names.refs)
         made = cls(groups, check, columns, unnested, table.named, extractor, width, names.runs)
@@ -237,6 +237,7 @@ class _Names:
         self._findings = findings
         self.refs: list[FieldRef] = []
         """The fields that were found so far, in the order of their values."""
+        self._places: dict[FieldRef, int] = {}
         self.unnested: list[Array] = []
         """The arrays of messages whose elements are named, outermost first."""
         self.runs = False
@@ -245,7 +246,7 @@ class _Names:
     def outputs(self, selected: Optional[Selected]) -> Sequence[Output]:
         """Return the columns that one selected path gives; None = every field."""
         if selected is None:
-            return self._shown([] if self._definition is None else all_fields(self._definition))
+            return self._shown(() if self._definition is None else all_fields(self._definition))
         what = selected.what
         if isinstance(what, Aggregate):
             return self._aggregated(what, selected.text)
@@ -346,9 +347,11 @@ class _Names:
         )
 
     def _place(self, ref: FieldRef) -> int:
-        if ref not in self.refs:
+        place = self._places.get(ref)
+        if place is None:
+            place = self._places[ref] = _OWN_WIDTH + len(self.refs)
             self.refs.append(ref)
-        return _OWN_WIDTH + self.refs.index(ref)
+        return place
 
 
 def _fitted(found: Output, leaf: Leaf, literal: Literal) -> Comparable:
