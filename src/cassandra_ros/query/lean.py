@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 from operator import itemgetter
-from typing import Any, Callable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from cassandra_ros.messages.wire.build import BUILD_ERRORS
 from cassandra_ros.query.evaluate import Check
@@ -58,15 +58,18 @@ def compile_lean(
     """
     places = range(own_width, own_width + len(direct))
     spots = {asked: [d.asked for d in direct], stored: [d.stored for d in direct]}
-    layouts: dict[int, Tuple[_Fill, _Fill]] = {}
-    for count, each in spots.items():
-        parts = list(zip(places, each, direct))
-        layouts[count] = (
-            _compile_fill([part for part in parts if part[0] in checked]),
-            _compile_fill([part for part in parts if part[0] not in checked]),
-        )
-    blank = [None] * len(direct)
-    show = _compile_show(shown, key_place)
+    layouts = {n: _fills(list(zip(places, each, direct)), checked) for n, each in spots.items()}
+    return _compile_rows(layouts, own, check, len(direct), _compile_show(shown, key_place))
+
+
+def _compile_rows(
+    layouts: Dict[int, Tuple[_Fill, _Fill]],
+    own: Callable[[Row], Tuple[Any, ...]],
+    check: Check,
+    fields: int,
+    show: Callable[[Row, List[Any]], Tuple[Any, ...]],
+) -> LeanRows:
+    blank = [None] * fields
 
     def rows(row: Row) -> Optional[ResultRows]:
         held = row.columns
@@ -86,6 +89,12 @@ def compile_lean(
         return [show(row, values)]
 
     return rows
+
+
+def _fills(parts: Sequence[_Part], checked: Sequence[int]) -> Tuple[_Fill, _Fill]:
+    """Return what reads the fields that are checked, and what reads the others."""
+    first = [part for part in parts if part[0] in checked]
+    return _compile_fill(first), _compile_fill([part for part in parts if part not in first])
 
 
 def _compile_fill(parts: Sequence[_Part]) -> _Fill:

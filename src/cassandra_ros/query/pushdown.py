@@ -107,7 +107,7 @@ Used = Dict[Tuple[int, str], Leaf]
 
 
 class Pushdown:
-    """Decides for every bucket what the server is to check; see Chooser in store/reader.py.
+    """Decides for every bucket what the server is to check; see Chooser in store/scan.py.
 
     Args:
         expression: The condition, bound; None is always true.

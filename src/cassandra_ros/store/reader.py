@@ -12,13 +12,9 @@ import logging
 from collections import deque
 from functools import partial
 from typing import (
-    Callable,
-    FrozenSet,
     Iterable,
     Iterator,
-    NamedTuple,
     Optional,
-    Protocol,
     Sequence,
     Tuple,
 )
@@ -26,23 +22,19 @@ from typing import (
 from cassandra.query import PreparedStatement
 
 from cassandra_ros.errors import SchemaConflict
-from cassandra_ros.keys import Position
-from cassandra_ros.store.blocks.part import Part, Sift
+from cassandra_ros.store.blocks.part import Part
 from cassandra_ros.store.blocks.stream import stream
 from cassandra_ros.store.directory import BucketRow, Directory
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_refused
 from cassandra_ros.store.paging import GROWTH, Asked, RawRow
 from cassandra_ros.store.row_table import (
     KEYS,
-    MAX_SEQ,
-    MIN_SEQ,
-    Order,
     RowTable,
     TableRow,
-    Terms,
     bind,
     encode_int,
 )
+from cassandra_ros.store.scan import Chooser, Piece, Query, Scan, ends_of
 from cassandra_ros.store.walk import Walk
 
 _log = logging.getLogger(__name__)
@@ -65,84 +57,6 @@ KEYED_SHARE = 0.04
 TURNED_PAGES = 2
 """So many pages of what an index finds are held to be turned."""
 _Order = Tuple[object, ...]
-
-Query = Tuple[Terms, bool]
-"""What the server is to check, and whether it finds the rows by an index."""
-
-
-class Chooser(Protocol):
-    """Decides, bucket by bucket, what the server is to check."""
-
-    def choose(self, table: RowTable, bucket: Sequence[BucketRow]) -> Optional[Sequence[Query]]:
-        """Return the queries that give the rows that may be wanted; None = all, empty = none."""
-
-    def few(self, table: RowTable) -> bool:
-        """Say whether the server is expected to let few rows of a bucket through."""
-
-    def learn(self, table: RowTable, bucket: Sequence[BucketRow], found: int) -> None:
-        """Take note of how many rows (messages, also of blocks) the queries of a bucket found."""
-
-    def sift(self, table: RowTable) -> Optional[Sift]:
-        """Return what leaves out messages of unpacked blocks; None = nothing can be left out."""
-
-    def opened(self, table: RowTable, messages: int, kept: int) -> None:
-        """Take note of a block that was unpacked, and how many of its messages became rows."""
-
-
-class Scan(NamedTuple):
-    """What to read: t in [low, high], rows after a position, by chosen columns."""
-
-    low: int
-    high: int
-    after: Optional[Position] = None
-    nodes: Optional[Sequence[str]] = None
-    reverse: bool = False
-    columns: Optional[Callable[[RowTable], Optional[Sequence[str]]]] = None
-    """Which of the format's columns to read, in their order; None = all."""
-    chooser: Optional[Chooser] = None
-    """None = all rows."""
-    writers: Optional[FrozenSet[int]] = None
-    """Only rows of these writer ids; None = of all."""
-    wanted: Optional[int] = None
-    """How many rows are probably taken; None = all. More come all the same."""
-
-    @property
-    def few(self) -> bool:
-        """Whether less than a page is probably taken."""
-        return self.wanted is not None and self.wanted <= MAX_PAGE_ROWS
-
-    def reaches(self, row: BucketRow) -> bool:
-        """Say whether a writer may have rows of the time in a bucket."""
-        inside = row.rows and row.t_min <= self.high and row.t_max >= self.low
-        return bool(not row.closed or inside)
-
-    def lists(self, bucket: Sequence[BucketRow]) -> bool:
-        """Say whether a bucket may hold rows of the writers: the directory lists a superset."""
-        return self.writers is None or any(row.writer in self.writers for row in bucket)
-
-
-class Piece(NamedTuple):
-    """The part of one bucket that a scan reads."""
-
-    start: int
-    """Where in time it begins, in the direction of reading, ns."""
-    table: RowTable
-    node: str
-    bucket: int
-    rows: Sequence[BucketRow]
-    """What its writers say in the directory; empty: this is no bucket, but from here on there may
-    be some that were not looked for yet."""
-    page_rows: int = 0
-    page_bytes: int = PAGE_BYTES
-    """Of messages, what it holds at once at the most, about."""
-    first_rows: int = 0
-    """Rows of its first page, which the next ones outgrow; 0 = page_rows."""
-
-    @property
-    def listed(self) -> int:
-        """How many rows it has, as its writers say: of a closed bucket what there are."""
-        return sum(row.rows for row in self.rows)
-
 
 _ALL: Query = ((), False)
 
@@ -167,7 +81,7 @@ def _blocks(piece: Piece, scan: Scan, chosen: Optional[Sequence[Query]]) -> Iter
         table,
         piece.node,
         piece.bucket,
-        _ends(piece, scan),
+        ends_of(piece, scan),
         scan.reverse,
         scan.writers,
         bare=columns is not None and not columns,
@@ -244,7 +158,7 @@ class _Stream:
             return table.stretch(
                 KEYS if self._keyed else table.listing(self._columns),
                 self._place,
-                _ends(self._piece, self._scan),
+                ends_of(self._piece, self._scan),
                 terms=self._terms,
                 page_rows=self._piece.page_rows,
                 first_rows=0 if self._turned or last else self._piece.first_rows,
@@ -340,25 +254,6 @@ def _pairs(keys: Sequence[RawRow]) -> bytes:
     size = encode_int(8)
     pairs = (encode_int(24) + size + (t or b"") + size + (seq or b"") for t, seq in keys)
     return encode_int(len(keys)) + b"".join(pairs)
-
-
-def _ends(piece: Piece, scan: Scan) -> tuple[Order, Order]:
-    """Return the first and the last place in a bucket whose rows are read."""
-    low, high = (scan.low, MIN_SEQ), (scan.high, MAX_SEQ)
-    if scan.after is None:
-        return low, high
-    t, node, seq, table, _ = scan.after
-    if scan.reverse and t <= scan.high:
-        high = (t - (piece.node > node), MAX_SEQ)
-        if piece.node == node:
-            high = (t, seq - (piece.table.name >= table))
-    elif not scan.reverse and t >= scan.low:
-        low = (t + (piece.node < node), MIN_SEQ)
-        if piece.node == node and piece.table.name > table:
-            low = (t, seq)
-        elif piece.node == node:
-            low = (t, seq + 1) if seq < MAX_SEQ else (t + 1, MIN_SEQ)
-    return low, high
 
 
 def read_rows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> Iterator[TableRow]:

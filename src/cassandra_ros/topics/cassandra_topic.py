@@ -313,16 +313,10 @@ class CassandraTopic:
         if not isinstance(after, (Position, type(None))):
             raise InvalidKey(f"after={after!r:.80} is no place: give the position of a row")
         limit = check_limit(limit)
-        rows = self._keyspace.rows.read(
-            self._stored(),
-            Stretch.between(key, to_key),
-            whose=self._whose(nodeID, run),
-            after=after,
-            reverse=reverse,
-            columns=columns,
-            chooser=chooser,
-            wanted=limit if wanted is None else wanted,
-        )
+        stretch, whose = Stretch.between(key, to_key), self._whose(nodeID, run)
+        read = partial(self._keyspace.rows.read, self._stored(), stretch, whose=whose)
+        few = limit if wanted is None else wanted
+        rows = read(after=after, reverse=reverse, columns=columns, chooser=chooser, wanted=few)
         return islice(rows, limit)
 
     def _stored(self) -> list[TopicTable]:

@@ -12,7 +12,6 @@ from cassandra_ros.keys import Position, RowName, is_behind
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.pushdown import Pushdown
-from cassandra_ros.store import reader
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import Directory
 from cassandra_ros.store.fetch import (
@@ -24,8 +23,9 @@ from cassandra_ros.store.fetch import (
     list_names,
     versions,
 )
-from cassandra_ros.store.reader import Scan, read_rows
+from cassandra_ros.store.reader import read_rows
 from cassandra_ros.store.row_table import RowTable, TableRow
+from cassandra_ros.store.scan import Chooser, Scan
 from cassandra_ros.topics.chunks_ahead import chunks_ahead
 from cassandra_ros.topics.selection import (
     EVERYBODY,
@@ -94,7 +94,7 @@ class RowReader:
             reverse,
             # The store gives back the tables that it is given, which are TopicTables.
             cast("Optional[Callable[[RowTable], Optional[Sequence[str]]]]", columns),
-            cast("Optional[reader.Chooser]", chooser),
+            cast("Optional[Chooser]", chooser),
             whose.writers,
             wanted,
         )

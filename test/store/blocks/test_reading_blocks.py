@@ -20,7 +20,8 @@ from cassandra_ros.store.blocks.part import Part
 from cassandra_ros.store.blocks.stream import stream
 from cassandra_ros.store.counting import recount
 from cassandra_ros.store.fetch import Wanted, fetch_rows, first_at
-from cassandra_ros.store.reader import Scan, read_rows
+from cassandra_ros.store.reader import read_rows
+from cassandra_ros.store.scan import Scan
 from cassandra_ros.topics.finding import Finder
 from cassandra_ros.topics.removal import delete_rows, delete_stretch
 from cassandra_ros.topics.selection import Stretch, Whose
