@@ -62,7 +62,6 @@ class Unpacked:
     ) -> None:
         self.times, self.seqs, self.sizes, self.received = times, seqs, sizes, received
         self._body = body
-        self._cut: dict[int, bytes] = {}
 
     def __len__(self) -> int:
         return len(self.times)
@@ -89,39 +88,33 @@ class Unpacked:
             place[found.members] = np.arange(len(found.members))
         return group, place
 
-    def _bytes_of(self, number: int) -> bytes:
-        """Return the messages of a group, one behind the other."""
-        found = self._cut.get(number)
-        if found is None:
-            # Turned first: tobytes would go through it byte by byte.
-            turned = np.ascontiguousarray(self.groups[number].planes.T)
-            found = self._cut[number] = turned.tobytes()
-        return found
+    @cached_property
+    def _turned(self) -> Tuple[bytes, Longs]:
+        """All messages, those of a group one behind the other, and where each begins."""
+        # Turned first: tobytes would go through the planes byte by byte.
+        parts = [np.ascontiguousarray(group.planes.T).tobytes() for group in self.groups]
+        starts, at = np.empty(len(self), np.int64), 0
+        for (size, members, _), part in zip(self.groups, parts):
+            starts[members] = np.arange(at, at + len(part), size) if size else at
+            at += len(part)
+        return parts[0] if len(parts) == 1 else b"".join(parts), starts
 
     def wire(self, position: int) -> bytes:
         """Return one message, serialised."""
         group, place = self._places
-        number, n = int(group[position]), int(place[position])
-        found = self._cut.get(number)
-        if found is None:  # to turn the others, too, would be most of the work
-            return self.groups[number].planes[:, n].tobytes()
-        size = self.groups[number].size
-        return found[n * size : (n + 1) * size]
+        # To turn the others, too, would be most of the work.
+        return self.groups[int(group[position])].planes[:, int(place[position])].tobytes()
 
     def wires(self, positions: Optional[Longs] = None) -> List[bytes]:
         """Return messages, serialised: those at some positions, None = all."""
-        if positions is not None and FEW_SHARE * len(positions) < len(self):
+        turned = "_turned" in self.__dict__
+        if positions is not None and not turned and FEW_SHARE * len(positions) < len(self):
             return [self.wire(position) for position in positions.tolist()]
-        found: List[bytes] = [b""] * len(self)
-        for number, (size, members, _) in enumerate(self.groups):
-            every = self._bytes_of(number)
-            cut = [every[n : n + size] for n in range(0, len(every), size)] if size else []
-            if len(members) == len(self):
-                found = cut or found
-            else:
-                for position, wire in zip(members.tolist(), cut):
-                    found[position] = wire
-        return found if positions is None else [found[n] for n in positions.tolist()]
+        every, starts = self._turned
+        ends = starts + self.sizes
+        if positions is not None:
+            starts, ends = starts[positions], ends[positions]
+        return [every[start:end] for start, end in zip(starts.tolist(), ends.tolist())]
 
 
 def pack_block(

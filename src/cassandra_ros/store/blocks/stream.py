@@ -25,6 +25,8 @@ from cassandra_ros.store.blocks.part import (
 from cassandra_ros.store.paging import Asked, RawRow
 from cassandra_ros.store.row_table import Order, TableRow
 
+ROWS_AT_ONCE = 200
+
 
 def stream(part: Part) -> Iterator[TableRow]:
     """Yield the rows of a bucket in the order (t, seq), or newest first. It is asked at once."""
@@ -63,9 +65,17 @@ class _Pages:
 def _whole(part: Part, pages: _Pages) -> Iterator[TableRow]:
     held = Held()
     for blocks, behind in pages:
-        for block in blocks:
-            held.add(part.rows(part.open(block)))
+        keys: List[Optional[Order]] = [*(block.key for block in blocks[1:]), behind]
+        for block, bound in zip(blocks, keys):
+            opened = part.open(block)
+            if not held and opened.left and (bound is None or opened.last < bound[0]):
+                # Nothing overlaps. By some at a time: Python's collector looks through rows that
+                # are there together.
+                while opened.left:
+                    yield from part.rows(opened.take(ROWS_AT_ONCE, reverse=False))
+                continue
+            held.add(part.rows(opened))
+            yield from held.rest() if bound is None else held.until(bound, part.node)
         if behind is None:
             break
-        yield from held.until(behind, part.node)
     yield from held.rest()
