@@ -92,10 +92,11 @@ class BagReader(BagIndex):
         if start >= self.message_count:
             return
         first = bisect_right(self._column(4), start) - 1
-        for chunk in range(first, self.chunk_count):
-            for message in self.chunk_messages(chunk, numbers):
-                if message.position >= start:
-                    yield message
+        for message in self.chunk_messages(first, numbers):
+            if message.position >= start:
+                yield message
+        for chunk in range(first + 1, self.chunk_count):
+            yield from self.chunk_messages(chunk, numbers)
 
     def chunk_messages(
         self, chunk: int, numbers: AbstractSet[int] | None = None

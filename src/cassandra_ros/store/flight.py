@@ -16,8 +16,9 @@ from cassandra_ros.store.driver_errors import is_busy, is_passing
 from cassandra_ros.store.outage import Outage
 from cassandra_ros.store.paging import BUSY_PAUSE_SEC, FIRST_PAUSE_SEC, LAST_PAUSE_SEC, Patience
 
-MAX_BYTES = 2 * 1024 * 1024
-"""More is no faster, and a server refuses to read on when one address sends it heap / 40 ahead."""
+MAX_BYTES = 4 * 1024 * 1024
+"""Eight chunks of large messages, or 16 batches. More is no faster, and a server refuses to read on
+when one address sends it heap / 40 ahead."""
 MAX_REQUESTS = 16
 
 Outcome = Callable[["BaseException | None"], None]

@@ -117,7 +117,8 @@ class RowWriter:
             TopicNotFound: The table is gone already; nothing was taken.
         """
         with self._lock:
-            self._raise_error()
+            if self._error is not None:
+                self._raise_error()
             try:
                 if table.named:
                     bucket = self._name_bucket(table, node, row.name)

@@ -50,6 +50,7 @@ _log = logging.getLogger(__name__)
 MAX_COUNTER = (1 << COUNTER_BITS) - 1
 MAX_REMOVALS = 5
 """A message is given up when its topic was removed so often while it was being written."""
+_TRIES = tuple(reversed(range(MAX_REMOVALS)))
 TABLE_PAUSE_SEC = 0.5
 """A table that is gone is made anew; a store that is away meanwhile is asked so often."""
 MAX_HANDLES = 1024
@@ -276,9 +277,11 @@ class MessageWriter:
         try:
             if blocks is not None and blocks.take(t_ns, seq, wire):
                 return None
-            for left in reversed(range(MAX_REMOVALS)):
+            for left in _TRIES:
                 try:
-                    return self._put(self._current(handle), t_ns, seq, wire, name)
+                    if handle.table.name in self._rows.gone:
+                        return self._put(self._current(handle), t_ns, seq, wire, name)
+                    return self._put(handle, t_ns, seq, wire, name)
                 except TopicNotFound:  # another client removed it; it goes on in a new table
                     if not left:
                         raise
