@@ -12,6 +12,7 @@ before it becomes rows.
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import product
 from typing import (
     Dict,
@@ -133,6 +134,9 @@ class Pushdown:
         self._many: set[str] = set()
         self._dense: set[str] = set()
         self._crowded: set[str] = set()
+        self._idle: set[str] = set()
+        self._opened: Counter[str] = Counter()
+        self._passed: Counter[str] = Counter()
         self.indexed = self.filtered = self.whole = self.skipped = 0
         self.blocks = self.unpacked = self.kept = self.held = 0
         self.used: Used = {}
@@ -159,6 +163,11 @@ class Pushdown:
     def learn(self, table: Table, bucket: Sequence[_Bucket], found: int) -> None:
         """Do less in the next buckets where much was found in this one."""
         every = sum(row.rows for row in bucket)
+        if table.packed:
+            opened, passed = self._opened[table.name], self._passed[table.name] + every
+            self._passed[table.name] = passed
+            if opened > DENSE_ROWS and opened > ZONES_SHARE * passed:
+                self._idle.add(table.name)
         if found > FEW_ROWS and found > FEW_SHARE * every:
             self._many.add(table.name)
         if found > DENSE_ROWS and found > DENSE_SHARE * every:
@@ -176,6 +185,7 @@ class Pushdown:
 
     def opened(self, table: Table, messages: int, kept: int) -> None:
         """Take note of a block that was unpacked, and how many of its messages became rows."""
+        self._opened[table.name] += messages
         self.blocks += 1
         self.unpacked += messages
         self.kept += kept
@@ -188,7 +198,7 @@ class Pushdown:
         branches = self._branches[table.name]
         if branches is None:
             return None
-        if table.packed and self._plan == "auto" and self._zones_are_idle:
+        if self._plan == "auto" and table.name in self._idle:
             return None
         dense = self._plan == "auto" and table.name in self._dense
         filled = frozenset.intersection(*(row.filled for row in bucket))
@@ -207,11 +217,6 @@ class Pushdown:
         if any(row.odd or not row.closed for row in bucket):
             queries.append(_ODD)
         return queries
-
-    @property
-    def _zones_are_idle(self) -> bool:
-        """Whether most blocks come all the same: they are then quicker read in their order."""
-        return self.unpacked > DENSE_ROWS and self.unpacked > ZONES_SHARE * self.held
 
     def _queries(
         self, branch: Branch, filled: frozenset[str], used: Used, way_without: str
