@@ -143,12 +143,17 @@ def test_an_iterator_goes_on_where_its_table_was_dropped(rosCas):
         "all": rosCas.readMessages(),
     }
     got = {name: [next(rows) for _ in range(1000)] for name, rows in ways.items()}
-    lazy = topic.rows()
-    rosCas.convertTopic("/t", "binary")
+    lazy, untouched = topic.rows(), list(topic.rows())
+    for target in ("json", "packed", "binary"):
+        rosCas.convertTopic("/t", target)
     for name, rows in ways.items():
         found = seen(got[name]) + seen(rows)
         assert found == (wanted[::-1] if name == "down" else wanted), name
     assert seen(lazy) == wanted
+    for row in untouched[::100]:
+        row.table.connections.get.cache_clear()
+        assert row.connection.topic == "/t"
+        assert row.message().header.seq >= 0
 
 
 @pytest.mark.parametrize("key_format", ["hash", "manual"])
@@ -262,3 +267,52 @@ def test_a_topic_that_is_being_recorded_is_refused(rosCas, connect, monkeypatch)
             thread.join()
     assert formats(rosCas) == ["ros"]
     assert rosCas.convertTopic("/t", "binary").messages == rosCas.getTopic("/t").countTopicData()
+
+
+def test_large_messages_and_bytes_that_are_no_message(rosCas):
+    with rosCas.messageWriter(writer_id=9, format="ros") as writer:
+        handle = writer.connect(api_connection("/t", definition_of(String), "/x"), bucket_ns=SEC)
+        wires = [serialize(String("x" * n)) for n in (3, 100_000, 700_000, 1_300_000, 0)]
+        for number, wire in enumerate([*wires, b"", b"\xff" * 9, wires[0] + b"surplus"]):
+            writer.write(handle, T0 + number * SEC // 3, number, wire)
+    before = seen(rosCas.getTopic("/t").rows())
+    lazy = rosCas.getTopic("/t").rows()
+    late = [next(lazy) for _ in range(4)]
+    for target in ("packed", "json", "ros", "binary"):
+        rosCas.convertTopic("/t", target)
+        assert seen(rosCas.getTopic("/t").rows()) == before
+    assert seen(late) == before[:4]
+
+
+def test_blocks_cover_what_the_rate_asks_for(rosCas):
+    with rosCas.messageWriter(writer_id=9, format="ros") as writer:
+        handle = writer.connect(
+            api_connection("/t", definition_of(String), "/x"), bucket_ns=60 * SEC
+        )
+        for number in range(3000):
+            writer.write(handle, T0 + number * SEC // 1000, number, serialize(String("x")))
+    rosCas.convertTopic("/t", "packed")
+    (table,) = rosCas.getTopic("/t").tables
+    assert table.metadata.span_ns == pytest.approx(4.096 * SEC, rel=0.01)
+    assert rosCas.getTopic("/t").countTopicData() == 3000
+
+
+def test_what_comes_into_the_old_table_after_all_is_taken_along(rosCas, connect, monkeypatch):
+    """As an earlier release does, which knows nothing of conversions."""
+    fill(rosCas, "ros", 20)
+    topic, finish = rosCas.getTopic("/t"), replacement.finish
+    with connect(keyspace=rosCas.keyspace) as other, other.messageWriter() as writer:
+        row = next(topic.rows())
+        handle = writer.connect(row.connection)
+        monkeypatch.setattr(other.parts.schema, "takes_rows", lambda table: True)
+
+        def finish_then(*arguments):
+            finish(*arguments)
+            writer.write(handle, T0 + 5, 1, serialize(joint_state(99)))
+            writer.flush()
+
+        monkeypatch.setattr(replacement, "finish", finish_then)
+        rosCas.convertTopic("/t", "json")
+    assert formats(rosCas) == ["json"]
+    assert topic.countTopicData() == 41
+    assert topic.getData(T0 + 5).header.seq == 99

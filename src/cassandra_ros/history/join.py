@@ -30,11 +30,11 @@ from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFo
 from cassandra_ros.history.alignment import Live, Mark, digest_of, first_live
 from cassandra_ros.history.live_queue import LiveQueue, Publisher, Waiting
 from cassandra_ros.history.past import Past
-from cassandra_ros.keys import SECOND_NS, Position, split_seq
+from cassandra_ros.keys import SECOND_NS, split_seq
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.recording.buffer import starts_with_header
-from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.stored_row import Place, StoredRow
 
 _log = logging.getLogger(__name__)
 
@@ -110,13 +110,13 @@ class History:
     ) -> None:
         self._past, self._queue, self._connected = past, queue, connected
         self._since, self._low = since, 0
-        self._done: Dict[Position, int] = {}
+        self._done: Dict[Place, int] = {}
         self._floor, self._room = 0, ROOM
         """From this time on all rows that were given are in _done, ns; when to make room there."""
         self._over: Dict[_Stream, _Arrival] = {}
         self._heard: Dict[Publisher, Live] = {}
         self._late_sec: List[float] = []
-        self._seen: Dict[Position, _Seen] = {}
+        self._seen: Dict[Place, _Seen] = {}
         self._newest = 0
         self._last: Dict[_Stream, Mark] = {}
         self._counted: Dict[Publisher, int] = {}
@@ -210,7 +210,7 @@ class History:
             self._look()
             if self._queue.closed:
                 return
-            if row.position not in self._done:
+            if row.place not in self._done:
                 if self._is_head(row, heads):
                     break
                 yield from self._give(row)
@@ -242,8 +242,8 @@ class History:
         except MessageNotFound:
             return None
         except CorruptMessage as exc:
-            self.lost += row.position not in self._done
-            self._done[row.position] = row.received
+            self.lost += row.place not in self._done
+            self._done[row.place] = row.received
             _log.error("a stored message is left out: %s", exc)
             return None
 
@@ -251,9 +251,9 @@ class History:
         wire = self._wire(row)
         if wire is None:
             return
-        self._done[row.position] = row.received
+        self._done[row.place] = row.received
         self._newest = max(self._newest, row.received)
-        self._seen.pop(row.position, None)
+        self._seen.pop(row.place, None)
         stream = _stream(row)
         owed = self._queue.owed.get(stream.publisher)
         mark = self._last[stream] = Mark(row.received, digest_of(wire))
@@ -302,7 +302,7 @@ class History:
         firsts = {who: w.messages[0].t for who, w in self._queue.waiting().items()}
         high = max([self._queue.began_ns, *firsts.values()]) + reach_ns
         for row in self._past.rows(self._low, high):
-            if row.position in self._done or row.position in self._seen:
+            if row.place in self._done or row.place in self._seen:
                 continue
             stream = _stream(row)
             if row.received > firsts.get(stream.publisher, high) + reach_ns:
@@ -310,7 +310,7 @@ class History:
             wire = self._wire(row)
             if wire is not None:
                 mark = Mark(row.received, digest_of(wire))
-                self._seen[row.position] = _Seen(row.arrival, stream, mark)
+                self._seen[row.place] = _Seen(row.arrival, stream, mark)
 
     def _places(
         self, who: Publisher, live: Waiting, streams: Mapping[_Stream, List[_Seen]]
@@ -380,7 +380,7 @@ class History:
         try:
             for row in self._past.rows(low, max(b[0] for b in self._over.values())):
                 bound = self._over.get(_stream(row))
-                if bound is None or row.arrival >= bound or row.position in self._done:
+                if bound is None or row.arrival >= bound or row.place in self._done:
                     continue
                 if not self._is_heard(row):
                     found.append(row.received)
@@ -413,12 +413,12 @@ class History:
                 return
             stream = _stream(row)
             bound = bounds.get(stream)
-            if bound is None or row.arrival >= bound or row.position in self._done:
+            if bound is None or row.arrival >= bound or row.place in self._done:
                 continue
-            if row.position not in self._seen and self._is_heard(row):
+            if row.place not in self._seen and self._is_heard(row):
                 continue  # stored since the place was found
             yield from self._live_before(row.received, left)
-            if row.position in self._seen:
+            if row.place in self._seen:
                 left[stream.publisher] -= 1
             yield from self._give(row)
 

@@ -23,9 +23,10 @@ from cassandra_ros.errors import (
     TopicNotFound,
 )
 from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store import replacement
-from cassandra_ros.store.directory import STALE_SEC
+from cassandra_ros.store.directory import STALE_SEC, span_for
 from cassandra_ros.store.expiry import set_lifetime
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.store.schema import Planned
@@ -259,16 +260,32 @@ class Conversion:
         replacement.drop(self._space.schema, self._names)
         return count
 
+    def _span(self, connections: int) -> int:
+        """Choose how much time a block is to cover, ns; 0 = nobody knows, or a row is a message."""
+        if not format_class(self._plan.format).PACKED:
+            return 0
+        known = max(old.metadata.span_ns for old in self._olds)
+        if known:
+            return known
+        rows = [r for old in self._olds for r in buckets_of(self._space.directory, old) if r.rows]
+        # As if each writer had as many connections: what counts is about how fast one fills blocks.
+        each = max(1.0, connections / max(1, len({row.writer for row in rows})))
+        seconds = [max(1.0, (row.t_max - row.t_min) / SECOND_NS) * each for row in rows]
+        rate_hz = max((row.rows / lasted for row, lasted in zip(rows, seconds)), default=0.0)
+        rate = max((row.bytes / lasted for row, lasted in zip(rows, seconds)), default=0.0)
+        return span_for(rate_hz, rate)
+
     def _begin(self) -> TopicTable:
-        plan = self._plan
+        headers = list(self._space.registry.headers(self._names))
+        wanted = self._plan.metadata.with_(span_ns=self._span(len(headers)))
 
         def planned(olds: Sequence[TopicMetadata]) -> Planned:
             # As if beside itself: what the others say stands in it already.
-            return self._space.planner(plan.metadata, plan.newest.definition)([plan.metadata])
+            return self._space.planner(wanted, self._plan.newest.definition)([wanted])
 
         name, metadata = replacement.begin(self._space.schema, planned, self._topic, self._names)
         new = self._space.tables.get(name, metadata)
-        for _, conn, header in self._space.registry.headers(self._names):
+        for _, conn, header in headers:
             self._space.registry.put_header(name, conn, header)
         return new
 

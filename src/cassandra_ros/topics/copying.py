@@ -9,6 +9,7 @@ from typing import Callable, Dict, FrozenSet, Iterator, List, Optional, Sequence
 
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, WriteFailed
 from cassandra_ros.keys import split_seq
+from cassandra_ros.store.blocks.limits import limits_for
 from cassandra_ros.store.expiry import left_by_name, left_in_bucket, rounded, set_lifetime
 from cassandra_ros.store.fetch import Wanted, fetch_rows, list_names
 from cassandra_ros.topics.keyspace import Keyspace
@@ -25,8 +26,6 @@ TOLD = 100
 """Progress is told after so many messages."""
 WRITERS_AT_ONCE = 16
 """Each has a thread; where more have written, the rows are read several times."""
-_Place = Tuple[int, str, int, str]
-"""Key time, node, seq and name."""
 
 
 class Copy:
@@ -47,6 +46,8 @@ class Copy:
         self._newest = self._newest_of_names()
         rows = count_rows(space.directory, olds, 0, LAST_NS, Whose())
         self._tell = _Told(progress, 2 * rows)
+        names = {old.name for old in olds}
+        self._limits = limits_for(sum(1 for _ in space.registry.headers(names)))
 
     def _newest_of_names(self) -> Dict[Tuple[str, str], Tuple[int, int]]:
         """Where equal messages are kept once: where each came last, over several tables."""
@@ -127,7 +128,7 @@ class Copy:
         for row in self._reader.read(tables, Stretch(), whose=whose):
             if self._newest and (row.t, row.seq) != self._newest.get((row.node, row.name)):
                 continue  # an equal message came later, into another table
-            if last is not None and _place(row) == _place(last):
+            if last is not None and row.place == last.place:
                 if row.wire != last.wire:
                     raise CorruptMessage(
                         f"topic {row.topic} has two messages at {row.t} of the same writer and "
@@ -167,7 +168,7 @@ class Copy:
             raise failed
 
     def _open(self, writer_id: int) -> MessageWriter:
-        writer = MessageWriter(self._space, writer_id, ttl=None)
+        writer = MessageWriter(self._space, writer_id, ttl=None, limits=self._limits)
         writer.given = True
         return writer
 
@@ -187,12 +188,12 @@ class Copy:
         theirs = self._rows(self._olds, Whose())
         mine, its = next(ours, None), next(theirs, None)
         while mine is not None or its is not None:
-            if mine is not None and its is not None and _place(mine) == _place(its):
+            if mine is not None and its is not None and mine.place == its.place:
                 self._check_equal(mine, its)
                 mine, its = next(ours, None), next(theirs, None)
                 count += 1
                 self._tell.one()
-            elif its is not None and (mine is None or _place(its) < _place(mine)):
+            elif its is not None and (mine is None or its.place < mine.place):
                 self._check_expired(its)
                 its = next(theirs, None)
             elif mine is not None:
@@ -253,10 +254,6 @@ class _Told:
     def _tell(self) -> None:
         if self._progress is not None:
             self._progress(self._done, max(self._done, self._total))
-
-
-def _place(row: StoredRow) -> _Place:
-    return row.t, row.node, row.seq, row.name
 
 
 def _fetching(table: TopicTable, wanted: Sequence[Wanted]) -> Callable[[], Iterator[StoredRow]]:

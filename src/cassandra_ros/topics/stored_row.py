@@ -21,6 +21,8 @@ from cassandra_ros.store.fetch import Wanted, ask_chunks, fetch_rows, read_chunk
 from cassandra_ros.store.row_table import BlockKey, Sent, TableRow
 from cassandra_ros.topics.topic_table import TopicTable
 
+Place = Tuple[int, str, int, str]
+"""Key time, node, seq and name."""
 Key = Union[Stamp, RowName]
 """What finds one stored message again: a time, or the name under which it is kept."""
 
@@ -72,6 +74,11 @@ class StoredRow:
     def block(self) -> Tuple[Optional[BlockKey], int]:
         """The block in which it lies, None where it has a row of its own, and its place there."""
         return self._row[13:15]
+
+    @property
+    def place(self) -> Place:
+        """What it is known by whatever table it lies in: one that is converted lies in another."""
+        return (self.t, self.node, self.seq, self.name)
 
     @property
     def arrival(self) -> tuple[int, str, int, str]:
@@ -128,7 +135,7 @@ class StoredRow:
     @property
     def connection(self) -> Connection:
         """The connection over which it came."""
-        return self.table.connections.get(self.table.name, self.conn)
+        return self.table.connection(self.conn)
 
     @property
     def type(self) -> str:

@@ -10,11 +10,12 @@ import threading
 from functools import lru_cache, partial
 from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
-from cassandra_ros.errors import DefinitionError, InvalidName
+from cassandra_ros.errors import CorruptMessage, DefinitionError, InvalidName
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.classes import message_class, raw_class
+from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.definition import Definition, parse_definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
@@ -106,9 +107,19 @@ class TopicTable(RowTable):
             self._indexes = indexes, fields
         return fields
 
+    def connection(self, conn: int) -> Connection:
+        """Read a connection by its number; CorruptMessage where there is none."""
+        try:
+            return self.connections.get(self.name, conn)
+        except CorruptMessage:
+            heir = self.heir(True)  # with the table its headers went
+            if heir is None:
+                raise
+            return heir.connection(conn)
+
     def _message_class(self, conn: int) -> Any:
         definition, md5sum = self.definition, self.metadata.md5sum
-        connection = self.connections.get(self.name, conn)
+        connection = self.connection(conn)
         if definition is None:
             return raw_class(connection.type, md5sum)
         try:
