@@ -112,8 +112,7 @@ class MessageWriter:
         if format is not None:
             format_class(format)
         keyspace.side_tables.make()
-        self.writer_id, self._run = writer_id, run
-        self._keyspace = keyspace
+        self.writer_id, self._run, self._keyspace = writer_id, run, keyspace
         self._format, self._node, self._ttl, self._on_loss = format, node, ttl, on_loss
         self._handles: dict[tuple[Connection, Optional[str], str], Handle] = {}
         self._topics: dict[str, str] = {}
@@ -125,9 +124,7 @@ class MessageWriter:
         if run is not None:
             keyspace.registry.put_run(run, started=True)
         self._rows = RowWriter(
-            keyspace.cassandra,
-            keyspace.schema,
-            keyspace.directory,
+            *(keyspace.cassandra, keyspace.schema, keyspace.directory),
             writer_id,
             linger_sec=linger_sec,
             block_sec=block_sec,
