@@ -126,6 +126,24 @@ def test_pages_grow_where_more_is_taken(rosCas, monkeypatch):
     assert rosCas.executeCQL(statement) == []
 
 
+def test_what_matches_in_numbers_is_not_fetched_by_its_keys(rosCas, monkeypatch):
+    with rosCas.messageWriter(writer_id=2, format="ros") as writer:
+        kind = api_connection("/a", definition_of(UInt32), "/x")
+        handle = writer.connect(kind, bucket_ns=SEC, format="ros")
+        for n in range(3000):
+            writer.write(handle, T0 + n * SEC // 1000, n, serialize(UInt32(data=n % 1000)))
+    for least, requests in ((0, 12), (500, 12), (900, 12), (999, 10)):
+        for what in ("KEY, data", "*", "count(*)"):
+            statement = f"select {what} from a where data >= {least}"
+            rosCas.executeCQL(statement)
+            with metered(monkeypatch) as told:
+                found = rosCas.executeCQL(statement)
+            assert (found[0][0] if what == "count(*)" else len(found)) == 3 * (1000 - least)
+            assert told.requests <= requests
+            # Keys of the buckets that were begun before the first had been read.
+            assert told.rows <= 5 * (1000 - least) + 20
+
+
 ENTRIES = st.lists(
     st.tuples(
         st.one_of(st.integers(0, 40), st.sampled_from([4094, 4095, 4096, 12_000])),

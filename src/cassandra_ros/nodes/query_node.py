@@ -179,7 +179,8 @@ class Services:
         after = decode_cursor(request.cursor) if request.cursor else None
         node, run = request.node_id or None, self.ros_cas.parts.runs.writers(request.run or None)
         if request.where:
-            return Condition(request.where, node=node, run=run).rows(topic, low, high, after)
+            condition = Condition(request.where, node=node, run=run)
+            return condition.rows(topic, low, high, after, wanted=most)
         return topic.rows(low, high, nodeID=node, limit=most, after=after, run=run)
 
     def execute_cql(self, request: ExecuteCQLRequest) -> ExecuteCQLResponse:

@@ -10,7 +10,7 @@ before it, of the runs that the window shows.
 from __future__ import annotations
 
 import logging
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, Optional, Sequence, Tuple
 
 from cassandra_ros.arguments import check_nodes, check_topics
@@ -208,7 +208,7 @@ class LatchedFinder:
         missing = {((row.node, row.writer), conn) for row in there for conn in conns}
         stretch = Stretch(max(since, min(row.bucket for row in there) * length), t - 1)
         whose = Whose(tuple({row.node for row in there}), frozenset(row.writer for row in there))
-        for row in self._rows(table, stretch, whose, reverse=True):
+        for row in self._rows(table, stretch, whose, reverse=True, wanted=len(missing)):
             publisher = publisher_of(row)
             if publisher in missing and self._wanted(row):
                 missing.discard(publisher)
@@ -235,12 +235,17 @@ class LatchedFinder:
         return iter(last.values())
 
     def _rows(
-        self, table: TopicTable, stretch: Stretch, whose: Whose, reverse: bool = False
+        self,
+        table: TopicTable,
+        stretch: Stretch,
+        whose: Whose,
+        reverse: bool = False,
+        wanted: Optional[int] = None,
     ) -> Iterator[StoredRow]:
         # Of most rows the keys are enough; a condition looks into the messages.
         columns = None if table.metadata.topic in self._tests else lambda table: ()
-        read = self._keyspace.rows.read
-        return read([table], stretch, whose=whose, reverse=reverse, columns=columns)
+        read = partial(self._keyspace.rows.read, [table], stretch, whose=whose, columns=columns)
+        return read(reverse=reverse, wanted=wanted)
 
     def _wanted(self, row: StoredRow) -> bool:
         test = self._tests.get(row.topic)
