@@ -7,14 +7,18 @@ from __future__ import annotations
 import time
 
 import pytest
+from sensor_msgs.msg import Imu
 from std_msgs.msg import String, UInt8MultiArray
 from store.blocks.stored_blocks import MS, SEC, T0, list_blocks, make_table, put_block
 
+from cassandra_ros.bag.exporter import export_bag
+from cassandra_ros.bag.verify import verify_bag
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.store.blocks import block_row
 from cassandra_ros.store.blocks.cutting import Cutter
 from cassandra_ros.store.row_table import CHUNK_BYTES, BlockKey, encode_int, encode_long
@@ -238,3 +242,35 @@ def test_expired_blocks_are_gone(rosCas):
     time.sleep(2.1)
     assert list(topic.rows()) == []
     assert topic.countTopicData() == 0
+
+
+def test_blocks_lie_by_a_time_in_the_message(rosCas, tmp_path):
+    """Keys are the stamps, which jump; exported, and read, in the order of reception."""
+    definition = definition_of(Imu)
+    key = {"key_format": "msg_part", "key_part": "header.stamp"}
+    rosCas.addTopic("/imu", msg_type="sensor_msgs/Imu", format="packed", **key)
+    stamps = [T0 + n * 37 % 200 * MS for n in range(300)]
+    wires = []
+    for n, stamp in enumerate(stamps):
+        message = Imu()
+        message.header.seq, message.header.stamp = n, Stamp.from_ns(stamp)
+        wires.append(serialize(message))
+    with rosCas.messageWriter(writer_id=3) as writer:
+        handle = writer.connect(api_connection("/imu", definition, "/x"), bucket_ns=SEC)
+        for n, wire in enumerate(wires):
+            writer.write(handle, T0 + 10 * SEC + n, n, wire)
+    topic = rosCas.getTopic("/imu")
+    assert topic.tables[0].packed
+    order = sorted(range(300), key=lambda n: (stamps[n], n))
+    assert [row.wire for row in topic.rows()] == [wires[n] for n in order]
+    assert [row.received for row in topic.rows()] == [T0 + 10 * SEC + n for n in order]
+    arrived = rosCas.readMessages(received=True)
+    assert [row.wire for row in arrived] == wires
+    window = rosCas.readMessages(key=T0 + 10 * SEC + 5, to_key=T0 + 10 * SEC + 9, received=True)
+    assert [row.wire for row in window] == wires[5:10]
+    assert topic.getRow(stamps[7]).wire == wires[min(n for n in order if stamps[n] == stamps[7])]
+    export_bag(rosCas, tmp_path / "out.bag")
+    assert verify_bag(rosCas, tmp_path / "out.bag").equal_messages == 300
+    topic.removeData(where="header.seq = 12")
+    report = verify_bag(rosCas, tmp_path / "out.bag")
+    assert (report.missing, report.differences) == (1, 1)
