@@ -47,12 +47,13 @@ class StoredRow:
 
     def __init__(self, row: TableRow, table: TopicTable) -> None:
         self.t, self.node, self.seq, _, self.conn, self.size, chunks = row[:7]
-        _, self.odd, _, self.columns, self.name, received = row[7:13]
+        _, self.odd, _, self.columns, self.name, received, block = row[7:14]
         self.received = self.t if received < 0 else received
         self.chunked = chunks > 0
         self.table = table
         self._row = row
-        self._wire: Optional[bytes] = None
+        # What comes out of a block was checked with it.
+        self._wire: Optional[bytes] = self.columns[0] if block and self.columns else None
         self._sent: Optional[Sent] = None
 
     @property
