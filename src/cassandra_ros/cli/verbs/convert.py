@@ -8,8 +8,9 @@
 Who reads a topic meanwhile sees all of its messages, each once; keys and cursors stay good. A copy
 is made and compared message by message before it takes the place of the old tables, so for that
 time the topic needs both on the disk. A topic that is being recorded is refused. When it is
-interrupted or killed, the topic is as it was; the same command again removes what was left and
-begins anew. What expires keeps about the time that it has left.
+interrupted or killed, the topic is as it was, but what is recorded then goes into a table beside,
+and nothing can be deleted: the same command again removes what was left and begins anew; with the
+format that the topic has it only removes that. What expires keeps about the time that it has left.
 """
 
 from __future__ import annotations
