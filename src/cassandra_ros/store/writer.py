@@ -94,7 +94,7 @@ class RowWriter:
         """Table name → what became of its rows."""
         self.gone: set[str] = set()
         """Tables that were dropped while they were written to."""
-        self._builders = Builders(limits, self._add_block, self._raise_error, self.gone)
+        self._builders = Builders(limits, self.add_block, self._raise_error, self.gone)
         self._homeless: deque[tuple[RowTable, Again]] = deque()
         """Rows that such a table has not taken."""
         self._moving, self._moves = threading.Lock(), 0
@@ -141,7 +141,7 @@ class RowWriter:
         self.stats.setdefault(table.name, WriteStats())
         return self._builders.get(table, node, conn)
 
-    def _add_block(self, builder: BlockBuilder, block: Block) -> None:
+    def add_block(self, builder: BlockBuilder, block: Block) -> None:
         """Take a block; its messages are counted as lost where that fails."""
         table, added = builder.table, False
         try:
