@@ -62,7 +62,7 @@ def _together(context: Context, format: str, writers: int) -> None:
 
 
 def run_cluster(context: Context) -> None:
-    """Write, read and look up on a cluster whose every node has every message."""
+    """Write, read and look up on a cluster whose every node has every message; the last to run."""
     server, nodes = context.server, context.size.nodes
     if nodes:
         server.stop()
@@ -77,8 +77,7 @@ def run_cluster(context: Context) -> None:
                     _on_cluster(context, Store(batch, context.folder, server, format), measured)
     finally:
         if nodes:
-            server.stop()
-            context.server.start()
+            server.stop()  # the one of the other experiments stays stopped: this is the last
 
 
 def _on_cluster(context: Context, store: Store, measured: bool) -> None:
