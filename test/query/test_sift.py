@@ -235,3 +235,18 @@ def test_what_is_not_understood_leaves_out_nothing():
     both = parse_select("select KEY from topic where f = 1 and not d = 1", ()).condition
     block = blockOf([serialized(TYPES.root(f=n, d=1)) for n in (0, 1)] * 20)
     assert compile_sift(both, definition)(block).tolist() == [False, True] * 20
+
+
+NESTED = "sift_msgs/Item[] items\n" + "=" * 80 + "\nMSG: sift_msgs/Item\nstring name\nfloat64[] w"
+
+
+@pytest.mark.parametrize("condition", ["items.w[1] = 5", "items[1].w[1] = 5", "items.w contains 5"])
+def test_arrays_in_elements_of_any_size_are_not_sifted_by_the_first(condition):
+    types = Types("sift_msgs/Nested", NESTED)
+    item, table = types.classes["sift_msgs/Item"], tableOf(types)
+    made = types.root(items=[item(name="a", w=[1, 2]), item(name="bb", w=[3, 5])])
+    wires = [serialized(made)] * 20
+    select = parse_select(f"select KEY from topic where {condition}", ())
+    assert all(any(Projections(select, [table]).of(table).hits(r)) for r in rowsOf(wires, table))
+    sift = compile_sift(select.condition, table.definition)
+    assert sift is None or sift(blockOf(wires)) is None
