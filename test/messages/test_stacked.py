@@ -172,3 +172,22 @@ def test_equal_messages_are_not_walked_one_by_one(monkeypatch):
         assert stacks[0].texts("transforms.child_frame_id") == [b"base"]
         assert stacks[0].numbers("transforms.transform.rotation.w", "float64").shape == (3, 500)
     assert len(walks) == 1
+
+
+def test_a_large_message_of_many_lengths_is_left_to_who_skips_them():
+    # A scan with several echoes has an array for each beam: to look at all took 10 ms a message.
+    definition = installed_definition("sensor_msgs/MultiEchoLaserScan")
+    echo = message_class(installed_definition("sensor_msgs/LaserEcho"))
+    made = message_class(definition)()
+    made.range_max, made.ranges = 30.0, [echo([1.0] * (n % 3)) for n in range(1500)]
+    wire = serialize(made)
+    planes = np.frombuffer(wire, np.uint8)[:, None]
+    stacks, rest = stacker(definition).stacks(planes, np.arange(1))
+    assert (stacks, rest.tolist()) == ([], [0])
+    # Of many that share their layout one is looked at for all.
+    stacks, rest = stacker(definition).stacks(np.repeat(planes, 100, axis=1), np.arange(100))
+    assert len(stacks) == 1 and not len(rest)
+    for count in (1, 100):
+        zones = zone_map(definition).measure([wire] * count)
+        bounds = dict(zip(zone_map(definition).columns, zones.values))
+        assert bounds["_max.range_max"] == struct.pack(">f", 30.0) and not zones.odd

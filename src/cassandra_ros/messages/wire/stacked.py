@@ -36,6 +36,8 @@ MAX_SIZES = 128
 """Sizes of messages whose layouts are kept ..."""
 MAX_LAYOUTS = 4
 """... and layouts of each."""
+LENGTHS_EACH = 16
+"""So many lengths of strings and arrays, for each message that may share them, are looked at."""
 MAX_STRIDED = 64
 """Places of a field that are read one by one."""
 MAX_KEPT = 4096
@@ -69,6 +71,9 @@ class Layout:
 
     Inside of an array of messages a field lies at several places, in the order of the wire.
 
+    Args:
+        most: So many lengths it may have; struct.error: it has more, or the bytes are no message.
+
     Attributes:
         texts: Of strings.
         arrays: Of arrays of numbers.
@@ -77,8 +82,9 @@ class Layout:
         lengths: What stands there.
     """
 
-    def __init__(self, definition: Definition, wire: bytes) -> None:
+    def __init__(self, definition: Definition, wire: bytes, most: int) -> None:
         self._wire = wire
+        self._most = most
         self._specs = definition.specs
         self._found: Dict[str, List[Places]] = {}
         self._counted: List[int] = []
@@ -123,6 +129,8 @@ class Layout:
 
     def _count(self, at: int) -> int:
         self._counted.append(at)
+        if len(self._counted) > self._most:
+            raise struct.error("more lengths than are worth looking at")
         (count,) = _length(self._wire, at)
         return int(count)
 
@@ -243,7 +251,7 @@ class Stacker:
         for _ in range(MAX_PARTS):
             if len(left) < max(1, least):
                 break
-            layout = self._layout(planes[:, left[0]].tobytes())
+            layout = self._layout(planes[:, left[0]].tobytes(), LENGTHS_EACH * len(left))
             part = planes if len(left) == count else planes[:, left]
             fits = np.arange(len(left)) == 0 if layout is None else layout.fits(part)
             if layout is not None and fits.all():
@@ -256,15 +264,15 @@ class Stacker:
             left = left[~fits]
         return found, _joined([*rest, members[left]])
 
-    def _layout(self, wire: bytes) -> Optional[Layout]:
-        """Return the layout of a message; None: it is none."""
+    def _layout(self, wire: bytes, most: int) -> Optional[Layout]:
+        """Return the layout of a message; None: it is none, or has more than so many lengths."""
         kept = self._kept.get(len(wire), ())
         raw = np.frombuffer(wire, np.uint8)[:, None]
         for layout in kept:
             if layout.fits(raw)[0]:
                 return layout
         try:
-            layout = Layout(self._definition, wire)
+            layout = Layout(self._definition, wire, most)
         except struct.error:
             return None
         if layout.weight <= MAX_KEPT:
