@@ -4,6 +4,7 @@
 
 By hand, once for each schema version, against a Cassandra without a keyspace rows_v1:
 PYTHONPATH=src python3 test/store/make_rows_v1.py 127.0.0.1 9042
+Of a format that comes later its name follows; then only its rows are written, beside the others.
 """
 
 from __future__ import annotations
@@ -150,11 +151,26 @@ def expected(rosCas):
     }
 
 
-def main(host, port):
+def beside(path, found):
+    """Put what an earlier run wrote before what this one found."""
+    old = json.loads(path.read_text())
+    if isinstance(found.get("rows"), list):
+        return {**found, "rows": old["rows"] + found["rows"]}
+    return {**old, **found}
+
+
+def keep(path, found, adding):
+    if adding and path.exists():
+        found = beside(path, found)
+    path.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n")
+
+
+def main(host, port, *forms):
     with RosCassandra(host, int(port), keyspace=KEYSPACE) as rosCas:
-        for form in FORMATS:
+        for form in forms or FORMATS:
             fill(rosCas, form)
-        fill_keys(rosCas)
+        if not forms:
+            fill_keys(rosCas)
         rosCas._open.adder.close()
         FOLDER.mkdir(exist_ok=True)
         tables = ask(
@@ -171,10 +187,9 @@ def main(host, port):
                 names[table + "_c"] = names[table] + "_chunks"
         for table, comment in tables:
             if table in names or table in SIDE_TABLES:
-                text = json.dumps(dump(rosCas, table, comment), indent=1, sort_keys=True)
-                (FOLDER / f"{names.get(table, table)}.json").write_text(text + "\n")
-        text = json.dumps(expected(rosCas), indent=1, sort_keys=True)
-        (FOLDER / "expected.json").write_text(text + "\n")
+                path = FOLDER / f"{names.get(table, table)}.json"
+                keep(path, dump(rosCas, table, comment), bool(forms))
+        keep(FOLDER / "expected.json", expected(rosCas), bool(forms))
         ask(rosCas, f"DROP KEYSPACE {KEYSPACE}", ())
 
 
