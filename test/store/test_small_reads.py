@@ -94,6 +94,15 @@ def test_one_of_many_buckets_costs_little(long, monkeypatch, ask, wanted, reques
     assert told.rows <= rows
 
 
+def test_what_was_stored_meanwhile_before_the_first_slot_hides_nothing(rosCas):
+    write(rosCas, [(T0 + n * SEC, "", 0) for n in range(20)])
+    topic = rosCas.getTopic("/a")
+    assert topic.first().ns == T0  # where the topic begins is remembered
+    write(rosCas, [(T0 - SLOT, "", 0)])
+    wanted = [T0 - SLOT, *(T0 + n * SEC for n in range(20))]
+    assert [key.ns for key, _ in topic.items(limit=30)] == wanted
+
+
 def test_of_a_full_bucket_a_row_is_read(rosCas, monkeypatch):
     write(rosCas, [(T0 + n, "", 0) for n in range(3000)])
     topic = rosCas.getTopic("/a")

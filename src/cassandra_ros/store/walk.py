@@ -90,7 +90,8 @@ class Walk:
             if slot is None:
                 continue
             low, high = self._inside(slot)
-            asked = early if slot == expected else None
+            # Behind others it were too little: they ask for more and more.
+            asked = early if slot == expected and not begun else None
             while low <= high:
                 if begun and self._few:
                     yield (high if self._reverse else low), []
