@@ -250,3 +250,15 @@ def test_arrays_in_elements_of_any_size_are_not_sifted_by_the_first(condition):
     assert all(any(Projections(select, [table]).of(table).hits(r)) for r in rowsOf(wires, table))
     sift = compile_sift(select.condition, table.definition)
     assert sift is None or sift(blockOf(wires)) is None
+
+
+def test_texts_in_one_element_are_not_looked_for_in_the_first():
+    text = NESTED.replace("string name", "string[] names")
+    types = Types("sift_msgs/Named", text)
+    item, table = types.classes["sift_msgs/Item"], tableOf(types)
+    made = types.root(items=[item(names=["a", "b", "c"]), item(names=["d"])])
+    wires = [serialized(made)] * 20
+    select = parse_select("select KEY from topic where items[1].names contains 'd'", ())
+    assert all(any(Projections(select, [table]).of(table).hits(r)) for r in rowsOf(wires, table))
+    sift = compile_sift(select.condition, table.definition)
+    assert sift is None or sift(blockOf(wires)) is None

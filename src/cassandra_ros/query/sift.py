@@ -157,9 +157,11 @@ def _part(part: str, get: _Get) -> _Get:
 def _text_test(ref: FieldRef, operator: str, values: Sequence[str]) -> Optional[_Test]:
     """Texts are compared where they shall be equal; what is no UTF-8 is read with U+FFFD."""
     chosen, path = _place(ref), ref.column
+    many = any(step.many for step in ref.steps)
     if ref.index is not None:
-        many = any(step.many for step in ref.steps)
         chosen = None if many else slice(ref.index, ref.index + 1)
+    elif ref.is_array and many and chosen != slice(None):
+        chosen = None  # the elements before may hold any number of texts
     if operator not in ("=", "CONTAINS") or chosen is None:
         return None
     if any("\N{REPLACEMENT CHARACTER}" in value for value in values):
