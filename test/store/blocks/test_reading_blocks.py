@@ -236,3 +236,36 @@ def delete(model, rand):
         gone
     )
     model.forget(gone)
+
+
+@pytest.fixture(scope="module")
+def crowded(fresh):
+    """Twenty connections of a writer, whose blocks overlap."""
+    with fresh() as rosCas:
+        table, conn = make_table(rosCas)
+        blocks = []
+        for n in range(20):
+            times = [T0 + n, T0 + 10 * MS + n]
+            if n in (0, 19):
+                times[1:1] = range(T0 + 10 * MS - 50 + n % 2, T0 + 10 * MS, 2)
+            seqs = range(1 << 32 | n * 100, 1 << 32 | n * 100 + 99)
+            blocks.append([(t, seq, bytes([n])) for t, seq in zip(times, seqs)])
+            put_block(rosCas, table, "", conn, blocks[-1])
+        list_blocks(rosCas, table, "", blocks)
+        yield table, sorted(message for block in blocks for message in block)
+
+
+@pytest.mark.parametrize("low", [T0, T0 + 20, T0 + 10 * MS - 60, T0 + 10 * MS - 20])
+def test_what_is_left_of_a_block_waits_for_those_whose_headers_are_not_read(crowded, low):
+    table, every = crowded
+    for wanted in (1, 3, 40):
+        ends = (low, 0), (2**62, 0)
+        rows = stream(Part(table, "", table.bucket_of(T0), ends, wanted=wanted))
+        assert [(r.t, r.seq) for r in rows] == [m[:2] for m in every if m[0] >= low]
+
+
+def test_a_message_is_found_under_more_blocks_than_are_kept(crowded):
+    table, every = crowded
+    for t, seq, wire in every:
+        (row,) = fetch_rows([Wanted(table, Position(t, "", seq, table.name))])
+        assert (row.t, row.seq, row.columns[0]) == (t, seq, wire)

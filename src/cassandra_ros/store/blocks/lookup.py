@@ -104,7 +104,9 @@ class Finder:
                 found.append(Block(self._table, node, row))
             except CorruptMessage as exc:
                 problem = exc
+        # First the one that has it: of many connections more come than are kept.
+        found.sort(key=lambda block: not len(block.between((t, seq), (t, seq))))
         self._kept = ([(node, block) for block in found] + self._kept)[:KEPT_BLOCKS]
-        held = any(len(block.between((t, seq), (t, seq))) for block in found)
+        held = bool(found) and len(found[0].between((t, seq), (t, seq))) > 0
         if problem is not None and not held:
             raise problem

@@ -174,7 +174,10 @@ class Needed:
         """Say whether none that is not read is needed before the first one that is."""
         if self._part.reverse:
             return bool(self._known) and -self._known[0][0][0] > self._unread_end
-        return len(self._known) > 1  # the next one tells how far the first one is all
+        # The next one tells how far the first one is all. What is left of a block may lie behind
+        # others that are not read.
+        last = self._headers.last
+        return len(self._known) > 1 and (last is None or self._known[0][0] <= last)
 
     @property
     def _unread_end(self) -> int:
@@ -201,9 +204,10 @@ class Needed:
         """Return the key that no message lies before which is still to come; None = none comes."""
         if coming is not None:
             return coming.taken[0].key
-        if self._known:
-            return self._known[0][0]
-        return self._headers.last if self._headers.more else None
+        ends = [self._known[0][0]] if self._known else []
+        if self._headers.more and self._headers.last is not None:
+            ends.append(self._headers.last)
+        return min(ends, default=None)
 
     def bound_down(self, coming: Optional[_Batch]) -> int:
         """Return the time that no message lies behind which is still to come."""
