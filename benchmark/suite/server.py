@@ -90,15 +90,19 @@ class Server:
             return None
         return self._bytes(self.keyspace, (f"{table}-*", f"{table}_c-*"))
 
-    def keyspace_bytes(self, keyspace: str) -> int:
-        """Return the size of the files of all tables of messages in a keyspace of our server."""
-        return self._bytes(keyspace, ("t_*",))
+    def keyspace_bytes(self, keyspace: str, files: str = "*") -> int:
+        """Return the size of the files of all tables of messages in a keyspace of our server.
 
-    def _bytes(self, keyspace: str, patterns: Sequence[str]) -> int:
+        Args:
+            files: Which, as a pattern of their names.
+        """
+        return self._bytes(keyspace, ("t_*",), files)
+
+    def _bytes(self, keyspace: str, patterns: Sequence[str], names: str = "*") -> int:
         assert self._cluster is not None
         data = self._cluster.nodes[0].directory / "data" / keyspace
         folders = [folder for pattern in patterns for folder in data.glob(pattern)]
-        files = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
+        files = [path for folder in folders for path in folder.rglob(names) if path.is_file()]
         if not any(path.name.endswith("-Data.db") for path in files):
             raise RuntimeError(f"nothing of {patterns} is on disk in {data}")
         return sum(path.stat().st_size for path in files)

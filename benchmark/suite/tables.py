@@ -117,10 +117,17 @@ def bags(results: Results) -> str:
     found = sorted({one.kind for one in results.of("bags")})
     rows = []
     for name in names:
-        sizes = [number(results.median("bags", "size", name, bag)) for bag in found]
+        sizes = [_bag_size(results, name, bag) for bag in found]
         rates = [number(results.median("bags", "write", name, bag)) for bag in found]
         rows.append([name, *(f"{size}, {rate}/s" for size, rate in zip(sizes, rates))])
     return markdown(["size / wire bytes, messages written", *found], rows)
+
+
+def _bag_size(results: Results, name: str, bag: str) -> str:
+    """Show the size of a bag, and what of it grows with the messages."""
+    size = number(results.median("bags", "size", name, bag))
+    data = results.median("bags", "size of data alone", name, bag)
+    return size if data is None else f"{size} (data alone {number(data)})"
 
 
 def _by_count(

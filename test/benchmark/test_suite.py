@@ -79,6 +79,16 @@ def test_a_target_is_told_by_its_worst_case():
     assert find(grown, "lookup by key, ros", "x that at 100").verdict == "missed: 92% above it"
 
 
+def test_the_size_of_a_bag_is_told_with_and_without_the_files_that_do_not_grow():
+    results = Results()
+    for what, value in (("size", 0.17), ("size of data alone", 0.1), ("write", 3)):
+        results.add("bags", what, "packed", [value], "", "husky.bag")
+    results.add("bags", "size", "rosbag", [1.3], "", "husky.bag")
+    table = TABLES["bags"](results)
+    assert "| packed | 0.17 (data alone 0.1), 3/s |" in table
+    assert "| rosbag | 1.3, -/s |" in table
+
+
 def test_what_was_not_measured_is_neither_reached_nor_missed():
     verdicts = {row[-1] for row in rows(Results())[1:]}
     assert verdicts == {"not measured"}

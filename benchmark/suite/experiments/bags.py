@@ -2,17 +2,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Import real bags: time, and bytes on disk beside the bag itself, compressed and not.
 
-A small bag is repeated at later and later times until it has so many wire bytes that a table's own
-files count little. What compresses does so in blocks, chunks and pages that are shorter than the
-bag, so that repeats cost as much as new messages.
+Sizes are those of the bag as it is: where it is repeated, a block of a slow topic, and Cassandra's
+compression of blocks that are the same, find in one repeat what stood in the one before, and a
+longer recording seems to compress better than it would. For the times a small bag is repeated, at
+later and later times.
 """
 
 from __future__ import annotations
 
+import functools
 import os
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Dict, List, Tuple
+from typing import Any, Callable, Dict, List, Tuple
 
 import rosbag
 from genpy import Time
@@ -37,9 +39,13 @@ Message = Tuple[int, Any, bytes]
 """Receive time in ns, connection, wire bytes."""
 
 
+Stored = Dict[Tuple[str, str], Tuple[str, int]]
+"""By bag and format the keyspace that has it, and its wire bytes."""
+
+
 def run(context: Context) -> None:
     """Measure each bag that is there."""
-    stored: Dict[Tuple[str, str], Tuple[str, int]] = {}
+    stored: Stored = {}
     names = BAGS if context.size.bag_bytes > 1 else BAGS[:1]
     for name in names:
         paths = [folder / name for folder in FOLDERS if (folder / name).is_file()]
@@ -52,18 +58,28 @@ def run(context: Context) -> None:
         context.server.stop()
         for (name, format), (keyspace, wire_bytes) in stored.items():
             with context.part(f"size of {name}, {format}"):
-                size = context.server.keyspace_bytes(keyspace)
-                context.add("size", format, size / wire_bytes, "of wire bytes", kind=name)
+                for what, pattern in (("size", "*"), ("size of data alone", "*-Data.db")):
+                    size = context.server.keyspace_bytes(keyspace, pattern)
+                    context.add(what, format, size / wire_bytes, "of wire bytes", kind=name)
         context.server.start()
 
 
-def repeated(path: Path, least: int) -> List[Message]:
-    """Return the messages of a bag, repeated until they have so many bytes."""
+def messages_of(path: Path) -> List[Message]:
+    """Return the messages of a bag in the order of their times."""
     with BagReader(path) as reader:
         of = reader.connections
-        once = [(m.t_ns, of[m.number], bytes(m.data)) for m in reader.messages()]
-    once.sort(key=lambda message: message[0])
-    size = sum(len(wire) for _, _, wire in once)
+        found = [(m.t_ns, of[m.number], bytes(m.data)) for m in reader.messages()]
+    return sorted(found, key=lambda message: message[0])
+
+
+def bytes_of(messages: List[Message]) -> int:
+    """Return their serialised bytes together."""
+    return sum(len(wire) for _, _, wire in messages)
+
+
+def repeated(once: List[Message], least: int) -> List[Message]:
+    """Return messages, repeated until they have so many bytes."""
+    size = bytes_of(once)
     period = once[-1][0] - once[0][0] + GAP_NS
     return [
         (t_ns + number * period, connection, wire)
@@ -101,38 +117,43 @@ def write_mcap(messages: List[Message], path: Path) -> None:
     writer.finish()
 
 
-def _one(
-    context: Context, path: Path, folder: Path, stored: Dict[Tuple[str, str], Tuple[str, int]]
-) -> None:
-    name, messages = path.name, repeated(path, context.size.bag_bytes)
-    wire_bytes, count = sum(len(wire) for _, _, wire in messages), len(messages)
-    context.say(f" {name}: {count:,} messages, {wire_bytes / 1e6:.1f} MB")
-    for what, compression in (("rosbag", "none"), ("rosbag bz2", "bz2"), ("rosbag lz4", "lz4")):
+def _one(context: Context, path: Path, folder: Path, stored: Stored) -> None:
+    name, once = path.name, messages_of(path)
+    messages = repeated(once, context.size.bag_bytes)
+    context.say(f" {name}: {len(messages):,} messages, {bytes_of(messages) / 1e6:.1f} MB")
+    files: Dict[str, Callable[[List[Message], Path], None]] = {
+        "rosbag": functools.partial(write_bag, compression="none"),
+        "rosbag bz2": functools.partial(write_bag, compression="bz2"),
+        "rosbag lz4": functools.partial(write_bag, compression="lz4"),
+        "mcap": write_mcap,
+    }
+    for what, write in files.items():
         with context.part(f"{name}, {what}"):
-            copy = folder / f"{compression}.bag"
-            seconds = timed(lambda copy=copy, by=compression: write_bag(messages, copy, by))
-            context.add("write", what, count / seconds, "msg/s", kind=name)
-            context.add("size", what, copy.stat().st_size / wire_bytes, "of wire bytes", kind=name)
-    with context.part(f"{name}, mcap"):
-        copy = folder / "zstd.mcap"
-        seconds = timed(lambda: write_mcap(messages, copy))
-        context.add("write", "mcap", count / seconds, "msg/s", kind=name)
-        context.add("size", "mcap", copy.stat().st_size / wire_bytes, "of wire bytes", kind=name)
+            copy = folder / what.replace(" ", "_")
+            seconds = timed(lambda write=write, copy=copy: write(messages, copy))
+            context.add("write", what, len(messages) / seconds, "msg/s", kind=name)
+            write(once, copy.with_suffix(".once"))
+            size = copy.with_suffix(".once").stat().st_size / bytes_of(once)
+            context.add("size", what, size, "of wire bytes", kind=name)
     for format in FORMAT_NAMES:
         keyspace = f"{context.server.keyspace}_{BAGS.index(name)}_{format}"
         with context.part(f"{name}, {format}"):
-            with RosCassandra(context.server.host, context.server.port, keyspace=keyspace) as store:
-                store.addTopic("/first", msg_type="std_msgs/String")
-                store.removeTopic("/first")
-                work = _importing(store, folder / "none.bag", format)
-                context.add("write", format, count / timed(work), "msg/s", kind=name)
-                found = sum(info.count for info in store.info())
-                assert found == count, f"{found:,} of {count:,} stored"
-                if context.server.ours:
-                    stored[name, format] = keyspace, wire_bytes
-                else:
-                    context.server.drop(keyspace)
+            seconds = _import(context, keyspace, folder / "rosbag", format, len(messages))
+            context.add("write", format, len(messages) / seconds, "msg/s", kind=name)
+            context.server.drop(keyspace)
+            if context.server.ours:
+                keyspace += "_once"
+                _import(context, keyspace, folder / "rosbag.once", format, len(once))
+                stored[name, format] = keyspace, bytes_of(once)
 
 
-def _importing(store: RosCassandra, path: Path, format: str) -> Any:
-    return lambda: import_bag(store, path, format=format)
+def _import(context: Context, keyspace: str, bag: Path, format: str, count: int) -> float:
+    """Import a bag of so many messages into a keyspace of its own; return the seconds."""
+    server = context.server
+    with RosCassandra(server.host, server.port, keyspace=keyspace) as store:
+        store.addTopic("/first", msg_type="std_msgs/String")
+        store.removeTopic("/first")
+        seconds = timed(lambda: import_bag(store, bag, format=format))
+        found = sum(info.count for info in store.info())
+        assert found == count, f"{found:,} of {count:,} stored"
+    return seconds
