@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Iterable, Iterator, List, Optional, Sequence, Tuple
+from typing import Callable, Iterable, Iterator, List, Optional, Sequence, Tuple
 
 from suite.messages import LARGE, SMALL
 from suite.results import Results
@@ -66,16 +66,23 @@ def targets(results: Results) -> List[Target]:
 
 def at_least(work: str, unit: str, wanted: float, cases: Cases) -> Target:
     """Make a target of the smallest of its cases."""
-    found = [(value, case) for case, value in cases if value is not None]
-    value, case = min(found) if found else (None, "")
-    return Target(work, unit, wanted, True, value, case)
+    return Target(work, unit, wanted, True, *_worst(cases, min))
 
 
 def at_most(work: str, unit: str, wanted: float, cases: Cases) -> Target:
     """Make a target of the largest of its cases."""
+    return Target(work, unit, wanted, False, *_worst(cases, max))
+
+
+def _worst(cases: Cases, worst: Callable[..., Tuple[float, str]]) -> Tuple[Optional[float], str]:
+    """Return the worst case and its name; a case that failed is named, too."""
+    cases = list(cases)
     found = [(value, case) for case, value in cases if value is not None]
-    value, case = max(found) if found else (None, "")
-    return Target(work, unit, wanted, False, value, case)
+    if not found:
+        return None, ""
+    value, name = worst(found)
+    missing = [case for case, value in cases if value is None]
+    return value, name + f"; without {', '.join(missing)}" * bool(missing)
 
 
 def ratio(value: Optional[float], base: Optional[float]) -> Optional[float]:
@@ -210,11 +217,15 @@ def rows(results: Results) -> List[List[str]]:
     found = [["work", "must reach", "reached", ""]]
     for one in targets(results):
         sign = "≥" if one.at_least else "≤"
-        reached = "-" if one.reached is None else f"{one.reached:,.3g}"
+        reached = "-" if one.reached is None else _short(one.reached)
         if one.reached is not None and one.case:
             reached += f" ({one.case})"
-        found.append([one.work, f"{sign} {one.wanted:,.4g} {one.unit}", reached, one.verdict])
+        found.append([one.work, f"{sign} {_short(one.wanted)} {one.unit}", reached, one.verdict])
     return found
+
+
+def _short(value: float) -> str:
+    return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
 
 
 def text_table(table: List[List[str]]) -> str:

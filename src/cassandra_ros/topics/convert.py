@@ -97,7 +97,7 @@ def convert_topic(
 
     Args:
         topic: Its whole name.
-        progress, comparing: Progress how many messages of how many are written, and then compared.
+        progress: Called with how many messages of how many were written, or compared afterwards.
 
     Raises:
         TopicNotFound, UnknownFormat.
@@ -190,7 +190,10 @@ def _await_writers(space: Keyspace, topic: str, tables: Sequence[TopicTable]) ->
             return
         if first is None:
             first = now
-            _log.info("topic %s: looking whether it is still recorded", topic)
+            text = (
+                "topic %s has a writer that did not end: looking for up to %.0f s whether it lives"
+            )
+            _log.warning(text, topic, QUIET_SEC)
         if any(first.get(place) != beat for place, beat in now.items()):
             raise SchemaConflict(
                 f"topic {topic} is being recorded and cannot be converted now: end the recording, "

@@ -99,7 +99,8 @@ def no_index_in_blocks(topic: str) -> InvalidOption:
     """Return the error to raise where all messages of a topic lie in blocks."""
     return InvalidOption(
         f"topic {topic} takes no index: its messages are packed in blocks, of which the least and "
-        "the greatest value of each field are kept; conditions use these by themselves"
+        "the greatest value of each field are kept; conditions use these by themselves. For an "
+        f"index keep it in another format: cassandra_bag convert {topic} --format ros"
     )
 
 
