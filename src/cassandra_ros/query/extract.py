@@ -84,6 +84,25 @@ class Extractor:
         found = zip(self._projected, self._stored, self._gets)
         return [self._direct(asked, stored, get) for asked, stored, get in found]
 
+    def whole(self) -> Optional[Callable[[bytes], Read]]:
+        """Return what reads all fields of a serialised message; None where some are unnested.
+
+        It raises CorruptMessage.
+        """
+        if self._depth or not all(self._given):
+            return None
+        read, steps = self._read, self._steps[0]
+        if not steps:
+            return read
+
+        def values(wire: bytes) -> Read:
+            found = read(wire)
+            for n, get in steps:
+                found[n] = get(found[n])
+            return found
+
+        return values
+
     def _direct(self, asked: int, stored: int, get: Get) -> Direct:
         column, decode = self._plan.columns[stored], self._plan.decoder(stored)
         if get is not _itself:

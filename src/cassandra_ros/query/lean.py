@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rows of a result straight out of the columns of format ``ros``: a function for a statement.
+"""Rows of a result straight out of stored ones: a function for a statement.
 
-It is compiled for what most statements are: nothing is unnested, and every field has a column. What
-the condition needs is decoded first, the rest only where it is true. Of a row that lacks one of the
-columns, or has one that is malformed, it says nothing: that row is read as any other.
+It is compiled for what most statements are: nothing is unnested. Of format ``ros`` every field has
+to have a column; what the condition needs is decoded first, the rest only where it is true. Of a
+row that lacks one of the columns, or is malformed, it says nothing: that row is read as any other.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import struct
 from operator import itemgetter
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
+from cassandra_ros.errors import CorruptMessage, MessageNotFound
 from cassandra_ros.messages.wire.build import BUILD_ERRORS
 from cassandra_ros.query.evaluate import Check
 from cassandra_ros.query.extract import Direct, Get
@@ -60,6 +61,26 @@ def compile_lean(
     spots = {asked: [d.asked for d in direct], stored: [d.stored for d in direct]}
     layouts = {n: _fills(list(zip(places, each, direct)), checked) for n, each in spots.items()}
     return _compile_rows(layouts, own, check, len(direct), _compile_show(shown, key_place))
+
+
+def compile_lean_wire(
+    read: Callable[[bytes], List[Any]],
+    own: Callable[[Row], Tuple[Any, ...]],
+    check: Check,
+    shown: Shown,
+    key_place: int,
+) -> LeanRows:
+    """As compile_lean, of a table whose rows hold serialised messages, which ``read`` reads."""
+    show = _compile_show(shown, key_place)
+
+    def rows(row: Row) -> Optional[ResultRows]:
+        try:
+            values = [*own(row), *read(row.wire)]
+        except (CorruptMessage, MessageNotFound):
+            return None
+        return [show(row, values)] if check(values) is True else _NONE
+
+    return rows
 
 
 def _compile_rows(

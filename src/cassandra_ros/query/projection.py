@@ -14,7 +14,7 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.evaluate import Check, Values, compile_condition
 from cassandra_ros.query.extract import Extractor, Get, extractor_of
-from cassandra_ros.query.lean import LeanRows, compile_lean
+from cassandra_ros.query.lean import LeanRows, compile_lean, compile_lean_wire
 from cassandra_ros.query.literals import Comparable, fit_to_field, fit_to_text, fit_to_time
 from cassandra_ros.query.names import Array, FieldRef, Findings, all_fields, field_of, fields_of
 from cassandra_ros.query.protocols import Row, Table
@@ -127,7 +127,14 @@ class Projection:
         return replace(made, lean=made._compile_lean())
 
     def _compile_lean(self) -> Optional[LeanRows]:
-        direct = None if self.extractor is None or not self.stored else self.extractor.direct()
+        if self.extractor is None:
+            return None
+        if not self.stored:
+            read = self.extractor.whole()
+            if read is None:
+                return None
+            return compile_lean_wire(read, self.own, self.check, self.shown, KEY_PLACE)
+        direct = self.extractor.direct()
         if direct is None or self.columns is None:
             return None
         return compile_lean(
