@@ -8,7 +8,7 @@ import itertools
 
 from nodes.children import await_true
 from sensor_msgs.msg import Imu
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.recording.recording import Recording
@@ -72,3 +72,18 @@ def test_what_waits_in_blocks_is_stored_at_the_end(rosCas, cql):
     assert all(n <= 1024 and size <= 256 * 1024 for n, size, *_ in found)
     assert all(last - t <= span_ns for *_, t, last in found)
     assert rosCas.info(["/imu"])[0].count == 3000
+
+
+def test_a_topic_whose_key_is_no_time_is_recorded_in_the_format_that_it_has(rosCas, caplog):
+    rosCas.addTopic("/map", "binary", msg_type="std_msgs/String", key_format="manual")
+    rules = [[("/by_name", {"key_part": "frame_id"}), ("/found", {"index": ("data",)})]]
+    settings = Settings(TopicSettings("packed"), rules)
+    running = Recording(rosCas, clock=itertools.count(T0, STEP).__next__, settings=settings)
+    for topic, cls in (("/map", String), ("/by_name", Header), ("/found", String)):
+        assert running.received(topic, header(cls), serialize(cls()))
+    assert all(report.stored == 1 and not report.lost for report in running.close())
+    formats = {name: rosCas.getTopic(name).getMeta["format"] for name in ("/map", "/by_name")}
+    assert formats == {"/map": "binary", "/by_name": "ros"}
+    for said in ("/map is kept in format binary", "/by_name is kept in format ros"):
+        assert said in caplog.text
+    assert "/found takes no index" in caplog.text and "cassandra_bag index" not in caplog.text

@@ -34,6 +34,7 @@ def test_the_example():
     of = Settings(TopicSettings("json", 60), [rules]).of
     camera = TopicSettings("binary", 86400, 5.0)
     assert of("/front/image_raw") == of("/lidar/points/filtered") == camera
+    assert of("/imu/data") == TopicSettings("packed", 60)
     assert of("/cmd_vel_stamped").key_part == "header.stamp"
     assert of("/main_battery/state").index == ("percentage", "voltage")
     assert of("/else") == TopicSettings("json", 60)

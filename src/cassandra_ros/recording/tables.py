@@ -11,12 +11,14 @@ import threading
 import time
 from collections import deque
 from dataclasses import replace
+from functools import partial
 from typing import Callable, Optional
 
 from cassandra_ros.errors import (
     CassandraRosError,
     InvalidKey,
     InvalidName,
+    InvalidOption,
     SchemaConflict,
     StoreUnavailable,
 )
@@ -102,24 +104,39 @@ def connect(
 ) -> Handle:
     """Make ready for the messages of a connection; raises as MessageWriter.connect does.
 
-    A key field that the type has not is left out with an error: recording goes before order.
+    A key field that the type has not is left out with an error, and so is format packed where the
+    key is no time: recording goes before order.
     """
-    wanted, (bucket_ns, span_ns) = settings.of(connection.topic), lengths
-    if wanted == settings.default and not (wanted.key_part or wanted.index):
-        return writer.connect(connection, bucket_ns, span_ns=span_ns)
+    wanted = settings.of(connection.topic)
     try:
-        handle = writer.connect(
-            connection, bucket_ns, span_ns=span_ns, format=wanted.format, like=_like(wanted)
-        )
-    except (InvalidKey, InvalidName) as exc:
-        _log.error("topic %s is kept by time of reception: %s", connection.topic, exc)
-        by_time = _like(replace(wanted, key_part=""))
-        handle = writer.connect(
-            connection, bucket_ns, span_ns=span_ns, format=wanted.format, like=by_time
-        )
+        if wanted == settings.default and not (wanted.key_part or wanted.index):
+            return writer.connect(connection, lengths.bucket_ns, span_ns=lengths.span_ns)
+        handle = _connect(writer, connection, lengths, wanted)
+    except InvalidOption as exc:
+        kept = writer.format_of(connection)
+        _log.error("topic %s is kept in format %s: %s", connection.topic, kept, exc)
+        wanted = replace(wanted, format=kept)
+        handle = _connect(writer, connection, lengths, wanted)
     for text in differences(wanted, handle.table.metadata):
         _log.warning("topic %s %s", connection.topic, text)
     return handle
+
+
+def _connect(
+    writer: MessageWriter, connection: Connection, lengths: Lengths, wanted: TopicSettings
+) -> Handle:
+    open_as = partial(
+        writer.connect,
+        connection,
+        lengths.bucket_ns,
+        span_ns=lengths.span_ns,
+        format=wanted.format,
+    )
+    try:
+        return open_as(like=_like(wanted))
+    except (InvalidKey, InvalidName) as exc:
+        _log.error("topic %s is kept by time of reception: %s", connection.topic, exc)
+        return open_as(like=_like(replace(wanted, key_part="")))
 
 
 def differences(wanted: TopicSettings, stored: TopicMetadata) -> list[str]:
@@ -130,7 +147,9 @@ def differences(wanted: TopicSettings, stored: TopicMetadata) -> list[str]:
     if wanted.key_part and wanted.key_part != stored.key_part:
         key = stored.key_part or stored.key_format
         found.append(f"was made with the key {key}, not {wanted.key_part}")
-    for name in wanted.index:
+    if wanted.index and stored.packed:
+        found.append("takes no index: it is packed, and conditions use the bounds of its blocks")
+    for name in () if stored.packed else wanted.index:
         if name not in stored.indexes:
             found.append(
                 f"has no index on {name}; make it with: rosrun cassandra_ros cassandra_bag index "

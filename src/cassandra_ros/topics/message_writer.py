@@ -196,6 +196,10 @@ class MessageWriter:
             _log.warning("%s", warning)
         return self._keep(key, Handle(connection, table, conn, node, key[1], warning))
 
+    def format_of(self, connection: Connection) -> str:
+        """Return the format in which the topic of a connection is stored, or would be unasked."""
+        return self._keyspace.format_for(connection.topic, connection.md5sum)
+
     def _other_ttl(self, stored: TopicMetadata) -> Optional[str]:
         if self._ttl in (None, stored.ttl):
             return None
