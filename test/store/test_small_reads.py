@@ -214,3 +214,14 @@ def _compare(data, topic, every, unit):
             row = topic.getRow(t, nearest=how, **whose)
             wanted = [p for p in mine if [p.t] == times][:1]
             assert ([] if row is None else [row.position]) == wanted
+
+
+@pytest.mark.parametrize("wanted", [1, None])
+@pytest.mark.parametrize("reverse", [False, True])
+def test_a_stretch_that_ends_slots_before_it_begins_is_empty(long, wanted, reverse):
+    ends = T0 + 9 * SLOT, T0
+    assert list(long.rows(*ends, wanted=wanted, reverse=reverse)) == []
+    behind = Position(T0 - SLOT if reverse else T0 + 20 * SLOT, "", 0, long.tables[0].name)
+    between = long.rows(T0, T0 + SLOT, wanted=wanted, reverse=reverse, after=behind)
+    assert list(between) == []
+    assert list(long.items(*ends, reverse=reverse)) == []

@@ -81,7 +81,7 @@ class Walk:
         """
         limit = FEW_BUCKETS if self._few else ALL_ROWS
         slots = self._slots()
-        next(slots)  # they are asked for
+        next(slots, None)  # they are asked for; of no stretch there are none
         # The first is mostly the one that it was before: its buckets are asked for at once.
         expected = self._expected()
         early = None if expected is None else self._ask(expected, self._inside(expected), limit)
