@@ -209,8 +209,9 @@ def _formats(
             raise TopicExists(
                 f"{reader.path} is stored in keyspace {ros_cas.keyspace} already, topic "
                 f"{connection.topic} in format {', '.join(sorted(kept))}; in format {wanted} "
-                "every message would be there twice: remove the topics first, or import it "
-                "into another keyspace"
+                f"every message would be there twice: 'cassandra_bag convert {connection.topic} "
+                f"--format {wanted}' changes the format of what is stored; or import it into "
+                "another keyspace"
             )
         found[number] = min(kept, default=wanted)
     return found
