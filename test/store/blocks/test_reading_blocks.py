@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from store.blocks.stored_blocks import MS, T0, list_blocks, make_table, put_block
 
 from cassandra_ros.keys import Position, writer_of
-from cassandra_ros.store import reader
+from cassandra_ros.store import reader, walk
 from cassandra_ros.store.blocks import needed
 from cassandra_ros.store.blocks import stream as streams
 from cassandra_ros.store.blocks.part import Part
@@ -101,8 +101,8 @@ class Model:
             and (after is None or (p < after if reverse else p > after))
         ]
 
-    def read(self, low, high, after=None, writers=None, reverse=False, columns=None):
-        scan = Scan(low, high, after, self.nodes, reverse, columns, None, writers)
+    def read(self, low, high, after=None, writers=None, reverse=False, columns=None, few=None):
+        scan = Scan(low, high, after, self.nodes, reverse, columns, None, writers, few)
         return list(read_rows(self.rosCas.parts.directory, self.tables, scan))
 
     def count(self, low, high, writers=None):
@@ -123,7 +123,8 @@ def check(model, rand):
     for reverse in (False, True):
         for asked in (EVERY, (low, high, after, writers), (low, high), (*EVERY, after)):
             wanted = model.inside(*asked, *[None] * (4 - len(asked)), reverse)
-            rows = model.read(*asked, *[None] * (4 - len(asked)), reverse)
+            few = rand.choice((None, 1, 5))  # who takes more than he said is given all the same
+            rows = model.read(*asked, *[None] * (4 - len(asked)), reverse, few=few)
             assert [row.position for row in rows] == wanted
             assert [row.columns[0] for row in rows] == [model.messages[p] for p in wanted]
         bare = model.read(low, high, None, None, reverse, lambda table: ())
@@ -210,6 +211,8 @@ def test_blocks_read_as_a_sorted_list(stored, found, rand):
         patch.setattr(needed, "FIRST_HEADERS", rand.choice((1, 2, 64)))
         patch.setattr(needed, "MAX_AT_ONCE", rand.choice((1, 3, 100)))
         patch.setattr(needed, "FEW_ROWS", rand.choice((1, 8)))
+        patch.setattr(walk, "FEW_BUCKETS", rand.choice((1, 2, 8)))
+        patch.setattr(walk, "FEW_SLOTS", rand.choice((1, 2, 64)))
         model = Model(stored, found)
         check(model, rand)
         check_streams(model, rand)
