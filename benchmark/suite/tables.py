@@ -236,12 +236,13 @@ def cluster(results: Results) -> str:
     rows = []
     for what, unit in (("write", "msg/s"), ("read", "msg/s"), ("lookup", "ms")):
         for name in names:
-            one = results.median("writing", what, name, "imu")
+            one, label = results.median("writing", what, name, "imu"), what
             if what == "lookup":
+                label = "lookup (on one node among the paper's messages)"
                 counts = [s.x or 0 for s in results.of("lookups", "lookup")]
                 one = results.median("lookups", what, name, x=max(counts)) if counts else None
             many = results.median("cluster", what, name, "imu", nodes)
-            rows.append([f"{what}, {name}, {unit}", number(one), number(many)])
+            rows.append([f"{label}, {name}, {unit}", number(one), number(many)])
     return markdown(["Imu", "one node", f"{nodes:.0f} nodes, factor {nodes:.0f}"], rows)
 
 
