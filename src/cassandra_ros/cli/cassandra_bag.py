@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Stored topics: list, describe, ask and index them; runs; bags: import, export and verify."""
+"""Stored topics: list, describe, ask, index, convert; runs; bags: import, export, verify."""
 
 from __future__ import annotations
 

@@ -39,7 +39,8 @@ def add_format_option(parser: argparse._ActionsContainer) -> None:
         metavar="F",
         type=lambda text: text or None,
         help=f"how topics are kept: {', '.join(FORMATS)} (default: as they are stored, new ones "
-        f"as {DEFAULT_FORMAT}); another one than a topic is stored in gives it a second table",
+        f"as {DEFAULT_FORMAT}); another one than a topic is stored in gives it a second table "
+        "('cassandra_bag convert' changes the one that it has)",
     )
 
 

@@ -190,7 +190,8 @@ def _beside(metadata: TopicMetadata, others: Sequence[TopicMetadata]) -> TopicMe
     elif metadata.format not in (formats := {other.format for other in others}):
         was, now = ", ".join(sorted(formats)), metadata.format
         text = "topic %s is stored in format %s and goes on in format %s in a table of its own; "
-        _log.warning(text + "reading merges both", metadata.topic, was, now)
+        text += "reading merges both, and 'cassandra_bag convert' makes one of them"
+        _log.warning(text, metadata.topic, was, now)
     return metadata.with_(
         key_format=first.key_format,
         key_part=first.key_part,
