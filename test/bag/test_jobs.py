@@ -10,6 +10,7 @@ from bag.test_import_export import counts_agree, stored_rows
 from bag.truth import string_connection, string_wire
 
 from cassandra_ros.bag import importer
+from cassandra_ros.bag.identity import read_content
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.jobs import spans_of_jobs
 from cassandra_ros.bag.reader import BagReader
@@ -83,6 +84,15 @@ def test_several_processes_write_the_rows_of_one(rosCas, cql, tmp_path, monkeypa
     assert again == report
     assert (stored_rows(rosCas), cql_rows(rosCas, cql)) == (rows, keys)
     assert {info.topic: info.count for info in rosCas.info()} == counts
+
+
+def test_what_lies_outside_of_the_times_of_the_index_is_not_divided(tmp_path, monkeypatch):
+    """Messages are missed there, and then all are stored by one process: in the same blocks."""
+    with BagReader(sparse_bag(tmp_path / "a.bag", 200, late=10**6)) as reader:
+        assert not read_content(reader).unordered
+        times = reader.chunk_times(0)
+        monkeypatch.setattr(reader, "chunk_times", lambda chunk: (times[0], times[1] - 1))
+        assert read_content(reader).unordered
 
 
 def test_a_process_that_is_killed_ends_the_import(rosCas, cql, tmp_path):

@@ -40,7 +40,8 @@ class BagContent(NamedTuple):
     sizes: dict[int, int]
     """Serialised bytes by number of the connection."""
     unordered: AbstractSet[int] = frozenset()
-    """Connections of which some message is older than the one before it in the file."""
+    """Connections of which some message is older than the one before it in the file, or lies at a
+    time that the index denies."""
 
     def writer_id(self, node: str = "") -> int:
         """Return the writer id of an import for a node: an int in [1, 2**31 - 1]."""
@@ -64,10 +65,10 @@ def read_content(reader: BagReader, reading: Progress | None = None) -> BagConte
         before = sum(sizes.values())
         try:
             found = _add_chunk(digest, reader, chunk, rank, sizes)
-            count = len(found)
+            count, (start_ns, end_ns) = len(found), reader.chunk_times(chunk)
             for file_id, t_ns, _, _ in found:
                 number = reader.numbers[file_id]
-                if t_ns < latest[number]:
+                if t_ns < latest[number] or not start_ns <= t_ns <= end_ns:
                     unordered.add(number)
                 latest[number] = t_ns
         except BagError:
