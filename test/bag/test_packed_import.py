@@ -16,6 +16,7 @@ from cassandra_ros.bag import part
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.verify import verify_bag
 from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.store import replacement
 from cassandra_ros.store.blocks.limits import Limits
 
 START = 1_700_000_000 * 10**9
@@ -113,3 +114,26 @@ def test_a_deleted_message_is_there_again_after_the_import(rosCas, cql, tmp_path
     assert verify_bag(rosCas, path).equal
     assert table_rows(rosCas, cql) == rows
     assert sum(counts_agree(rosCas, cql).values()) == 500
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_import_into_blocks_that_a_conversion_cut_doubles_nothing(
+    rosCas, cql, tmp_path, monkeypatch, jobs
+):
+    monkeypatch.setattr(replacement, "SETTLE_SEC", 0.05)
+    monkeypatch.setattr("cassandra_ros.store.schema.CACHE_SEC", 0.03)
+    # What is late makes blocks begin elsewhere than in the order of time.
+    path = jumbled_bag(tmp_path / "a.bag", 2000)
+    with rosCas.messageWriter(format="binary") as writer:  # others keep theirs
+        handle = writer.connect(string_connection("/a"))
+        writer.write(handle, START, 1, string_wire("another's"))
+    import_bag(rosCas, path, format="binary")
+    rosCas.convertTopic("/a", "packed")
+    rosCas.convertTopic("/b", "packed")
+    report = import_bag(rosCas, path, jobs=jobs)
+    assert {topic.format for topic in report.topics.values()} == {"packed"}
+    assert verify_bag(rosCas, path).equal
+    expected = {name: topic.messages for name, topic in report.topics.items()}
+    expected["/a"] += 1
+    assert counts_agree(rosCas, cql) == expected
+    assert sum(1 for _ in rosCas.getTopic("/a").items()) == expected["/a"]

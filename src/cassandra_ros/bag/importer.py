@@ -19,12 +19,15 @@ from cassandra_ros.bag.reader import BagReader, Progress, chosen_connections
 from cassandra_ros.bag.verify import holds_nothing_else
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
-from cassandra_ros.keys import MAX_WRITER, SECOND_NS
+from cassandra_ros.keys import MAX_NS, MAX_WRITER, SECOND_NS
 from cassandra_ros.store.directory import Lengths, bucket_for, span_for
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.writer import WriteStats
 from cassandra_ros.topics.message_writer import Handle, MessageWriter, usable_definition
+from cassandra_ros.topics.removal import delete_stretch
 from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.selection import Whose
+from cassandra_ros.topics.totals import holds_any
 
 _log = logging.getLogger(__name__)
 
@@ -79,8 +82,9 @@ def import_bag(
     """Store the messages of a bag.
 
     The bag is read twice, for each row's key follows from the content of the whole bag: an import
-    that is repeated, or was interrupted and is started again, ends in the same rows. Memory does
-    not depend on the size of the bag (see BagReader for its share).
+    that is repeated, or was interrupted and is started again, ends in the same rows. What it had
+    stored in a topic that was converted to packed since is removed before it is stored anew.
+    Memory does not depend on the size of the bag (see BagReader for its share).
 
     Args:
         format: As addTopic takes it, for all topics.
@@ -124,6 +128,7 @@ def import_bag(
                 report.topics.setdefault(handle.topic, ImportedTopic(handle.format))
                 if handle.warning and handle.warning not in report.warnings:
                     report.warnings.append(handle.warning)
+            _remove_converted(ros_cas, handles, run)
             task = partial(Part, reader.path, formats, lengths, writer_id, nodeID, store)
             parts = list(map(task, spans_of_jobs(reader, handles, content, jobs)))
             if not _write_parts(reader, writer, handles, report, progress, parts):
@@ -215,6 +220,19 @@ def _formats(
             )
         found[number] = min(kept, default=wanted)
     return found
+
+
+def _remove_converted(ros_cas: RosCassandra, handles: Mapping[int, Handle], run: Run) -> None:
+    """Remove what an earlier import of the bag stored, where a conversion has made blocks of it.
+
+    They may begin at other messages than ours: what both hold would be double.
+    """
+    parts, whose = ros_cas.parts, Whose((run.node,), frozenset((run.writer,)))
+    tables = {handle.table.name: handle.table for handle in handles.values()}
+    for table in tables.values():
+        converted = table.packed and table.metadata.replaces
+        if converted and holds_any(parts.directory, [table], whose):
+            delete_stretch(parts, [table], 0, MAX_NS, whose)
 
 
 def _write_messages(

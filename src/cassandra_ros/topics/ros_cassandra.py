@@ -245,10 +245,10 @@ class RosCassandra:
 
         Args:
             writer_id: 1 to 2**31 - 1; repeats of the same import give the same; None = any.
-            format, nodeID: As addTopic takes them, for all topics.
-            ttl: Seconds until a message expires; 0 = never.
+            format, nodeID, ttl: As addTopic takes them, for all topics.
             linger_sec: How long a message may wait to be sent together with others.
-            block_sec: How long one may wait in a block (format packed); None = until it is full.
+            block_sec: How long one may wait in a block (format packed); None = until it is full:
+                only then the same messages make the same blocks, as repeated imports need it.
             give_up_after_sec: How long the writing of a message is tried.
             run: Description of the recording or import, kept in the store.
             on_loss: Called with (topic, messages, error) for what is lost; None: the writer raises.
