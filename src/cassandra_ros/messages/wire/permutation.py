@@ -244,15 +244,17 @@ class Permuter:
 
     def _permutation(self, stack: Stack) -> Optional[Permutation]:
         key = len(stack.planes), stack.layout.lengths.tobytes()
-        if key not in self._kept:
-            if len(self._kept) >= MAX_KEPT:
-                self._kept.clear()
-            try:
-                wire = stack.planes[:, 0].tobytes()
-                self._kept[key] = Permutation(self._segments, wire)
-            except (_Unfit, struct.error):
-                self._kept[key] = None
-        return self._kept[key]
+        kept = self._kept  # other threads may begin a new one meanwhile
+        if key in kept:
+            return kept[key]
+        try:
+            made: Optional[Permutation] = Permutation(self._segments, stack.planes[:, 0].tobytes())
+        except (_Unfit, struct.error):
+            made = None
+        if len(kept) >= MAX_KEPT:
+            kept = self._kept = {}
+        kept[key] = made
+        return made
 
 
 permuter = lru_cache(maxsize=512)(Permuter)
