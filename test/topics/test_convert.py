@@ -271,6 +271,20 @@ def test_a_topic_that_is_being_recorded_is_refused(rosCas, connect, monkeypatch)
     assert rosCas.convertTopic("/t", "binary").messages == rosCas.getTopic("/t").countTopicData()
 
 
+@pytest.mark.parametrize("format", ["binary", "packed"])
+def test_a_table_whose_conversion_was_given_up_takes_messages_again(rosCas, format):
+    with rosCas.messageWriter(format=format) as writer:
+        handle = writer.connect(api_connection("/t", definition_of(String), "/x"))
+        writer.write(handle, T0, 1, serialize(String("before")))
+        # As it was told while the conversion went on, which ends before the next message.
+        writer._rows.gone.add(handle.table.name)
+        writer.write(handle, T0 + 1, 2, serialize(String("after")))
+        writer.flush()
+    topic = rosCas.getTopic("/t")
+    assert [table.name for table in topic.tables] == [handle.table.name]
+    assert [msg.data for _, msg in topic.items()] == ["before", "after"]
+
+
 def test_large_messages_and_bytes_that_are_no_message(rosCas):
     with rosCas.messageWriter(writer_id=9, format="ros") as writer:
         handle = writer.connect(api_connection("/t", definition_of(String), "/x"), bucket_ns=SEC)

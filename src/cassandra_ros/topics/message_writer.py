@@ -209,6 +209,7 @@ class MessageWriter:
         )
 
     def _keep(self, key: tuple[Connection, Optional[str], str], handle: Handle) -> Handle:
+        self._rows.gone.discard(handle.table.name)  # its conversion was given up
         handle = self.ready(handle)
         with self._mutex:
             while len(self._handles) >= MAX_HANDLES:
