@@ -25,7 +25,7 @@ help:
 	@echo "make bench          measure beside rosbag, MCAP, SQLite and the bare driver (40 minutes)"
 	@echo "make bench-quick    the same with small numbers (5 minutes)"
 	@echo "make bench-page     fill the tables of README.md and doc/performance.md from the last make bench"
-	@echo "make bench-formats  measure all formats on real bags: bytes on disk, time"
+	@echo "make bench-formats  measure formats on messages of real bags: bytes on disk, time"
 	@echo "make bench-play     measure how late messages are played, beside rosbag play"
 	@echo "make clean          remove what was built; make distclean: also .venv"
 
