@@ -57,6 +57,12 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--only", nargs="+", choices=EXPERIMENTS, metavar="NAME", help=", ".join(EXPERIMENTS)
     )
+    parser.add_argument(
+        "--into",
+        type=Path,
+        metavar="FILE",
+        help="results of an earlier run, in which those of --only take the place of its own",
+    )
     parser.add_argument("--host", help="a running Cassandra (default: one of our own)")
     parser.add_argument("--port", type=int, default=9042, help="its port (%(default)s)")
     parser.add_argument(
@@ -74,9 +80,13 @@ def main() -> int:
     # Part of the experiments is no full run: it must not pass for one.
     name = "-".join(["part", args.size, *args.only]) if args.only else args.size
     path = args.results / f"{name}.json"
+    if args.into is not None:
+        path, later, results = args.into, results, Results.load(args.into)
+        results.take(later)
+        name = path.stem
     results.save(path)
     print(text_table(rows(results)))
-    for made in (path, *save_all(results, args.results, name)):
+    for made in (path, *save_all(results, path.parent, name)):
         print(made)
     for failure in results.failures:
         warn("bench: {experiment}: {part}: {error}".format(**failure))

@@ -83,6 +83,17 @@ class Results:
         """Return the series of an experiment."""
         return [s for s in self.series if s.experiment == experiment and what in ("", s.what)]
 
+    def take(self, later: Results) -> None:
+        """Put what another run has measured in the place of the same experiments here."""
+        names, ran = set(later.seconds), later.machine
+        self.series = [s for s in self.series if s.experiment not in names]
+        self.series += [s for s in later.series if s.experiment in names]
+        self.failures = [f for f in self.failures if f["experiment"] not in names]
+        self.failures += later.failures
+        self.seconds.update(later.seconds)
+        anew = dict.fromkeys(names, f"{ran['date']}, commit {ran['commit']}")
+        self.machine["anew"] = {**self.machine.get("anew", {}), **anew}
+
     def save(self, path: Path) -> None:
         """Write the JSON, a series a line."""
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -42,6 +42,8 @@ def machine(results: Results) -> str:
         f"{found['cpu']}, {found['memory_gb']} GB, {found['system']}; {versions}. It took "
         f"{seconds / 60:.0f} minutes."
     )
+    anew = found.get("anew", {})
+    text += "".join(f" Measured anew: {name}, {when}." for name, when in sorted(anew.items()))
     failed = [f"{one['experiment']}, {one['part']}: {one['error']}" for one in results.failures]
     return text + "".join(f"\n\n**Failed:** {line}" for line in failed)
 

@@ -105,6 +105,18 @@ def test_results_are_the_same_from_their_file(tmp_path):
     assert Results.load(tmp_path / "some.json") == results
 
 
+def test_an_experiment_that_ran_anew_takes_the_place_of_the_former(tmp_path):
+    results, later = made_up(), Results({"date": "today", "commit": "abc"}, seconds={"lookups": 2})
+    results.seconds = {"writing": 3.0, "lookups": 1.0}
+    later.add("lookups", "lookup", "ros", [7.0], "ms", x=100)
+    later.add("writing", "write", "rosbag", [1], "msg/s", "imu")
+    results.take(later)
+    assert [one.values for one in results.of("lookups")] == [[7.0]]
+    assert results.find("writing", "write", "rosbag", "imu") == [100, 200, 300]
+    assert results.seconds == {"writing": 3.0, "lookups": 2}
+    assert results.machine["anew"] == {"lookups": "today, commit abc"}
+
+
 @pytest.fixture(scope="module")
 def smoke(cassandra, workspace_env, tmp_path_factory):
     """The results of a run of the whole suite with next to nothing to measure."""
