@@ -58,10 +58,10 @@ bench-page: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/page.py $(ARGS)
 
 bench-formats: setup
-	@$(IN_WORKSPACE) $(PYTHON) benchmark/formats.py $(ARGS)
+	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_formats.py $(ARGS)
 
 bench-play: setup
-	@$(IN_WORKSPACE) $(PYTHON) benchmark/playing.py $(ARGS)
+	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_play.py $(ARGS)
 
 clean:
 	rm -rf .ws build .mypy_cache .pytest_cache .ruff_cache .hypothesis demo-output

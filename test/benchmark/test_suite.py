@@ -11,6 +11,7 @@ import sys
 import pytest
 from conftest import ROOT
 
+# Its modules have names of their own: what lies there is found before folders of tests.
 sys.path.append(str(ROOT / "benchmark"))
 
 from suite.contenders import FORMAT_NAMES, NotEqual, Rosbag, verify  # noqa: E402
