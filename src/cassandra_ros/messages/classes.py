@@ -10,7 +10,7 @@ import threading
 from functools import lru_cache
 from io import BytesIO
 from types import ModuleType
-from typing import Any, Callable, Sequence, cast
+from typing import Any, Callable, cast
 
 import genmsg
 import genmsg.msg_loader
@@ -151,13 +151,8 @@ def serialize(msg: Any) -> bytes:
 
 def deserialize(cls: Any, wire: bytes) -> Any:
     """Make a message of wire bytes, surplus ignored as in ROS; CorruptMessage: they are none."""
-    if issubclass(cls, RawMessage):
-        return cls(wire)
     try:
-        # genpy cuts strings silently at the end of a short buffer.
-        for check in _checks(cls):
-            check(wire)
-        return cls().deserialize(wire)
+        return _maker(cls)(wire)
     except struct.error as exc:
         why = "they end too early or count too far"
         raise CorruptMessage(f"{len(wire)} bytes are no {cls._type}: {why}") from exc
@@ -166,11 +161,20 @@ def deserialize(cls: Any, wire: bytes) -> Any:
 
 
 @lru_cache(maxsize=1024)
-def _checks(cls: Any) -> Sequence[Callable[[bytes], object]]:
+def _maker(cls: Any) -> Callable[[bytes], Any]:
+    if issubclass(cls, RawMessage):
+        return cast("Callable[[bytes], Any]", cls)
     definition = definition_of(cls)
     skip = compile_skip(definition.type, definition.specs)
-    count = compile_object_check(definition.type, definition.specs)
-    return [lambda wire: skip(wire, 0), *([count] if count else [])]
+    check = compile_object_check(definition.type, definition.specs)
+
+    def make(wire: bytes) -> Any:
+        skip(wire, 0)  # genpy cuts strings silently at the end of a short buffer
+        if check is not None:
+            check(wire)
+        return cls().deserialize(wire)
+
+    return make
 
 
 def to_yaml(msg: Any) -> str:

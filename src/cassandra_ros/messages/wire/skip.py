@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import struct
-from typing import Callable, List, Sequence, Union
+from typing import Callable, List, NamedTuple, Sequence, Union
 
 from cassandra_ros.messages.shape import object_counts
 from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, Specs
@@ -18,7 +18,19 @@ MAX_SURPLUS = 1 << 20
 
 _length = struct.Struct("<I").unpack_from
 
-_Parts = List[Union[int, Skip]]
+
+class _Counted(NamedTuple):
+    """A string, or an array of elements that have one size."""
+
+    unit: int
+    """Bytes of each element that is counted."""
+
+    def end(self, wire: bytes, at: int) -> int:
+        """Find where it ends."""
+        return at + 4 + self.unit * int(_length(wire, at)[0])
+
+
+_Parts = List[Union[int, _Counted, Skip]]
 """Numbers of bytes, and functions that find an end (and may find one behind that of the bytes)."""
 
 
@@ -94,7 +106,7 @@ def _parts(fields: Sequence[Field], specs: Specs) -> _Parts:
 
 def _field_parts(field: Field, specs: Specs) -> _Parts:
     if field.type == "string":
-        element: _Parts = [_skip_counted(1)]
+        element: _Parts = [_Counted(1)]
     elif field.is_primitive:
         element = [PRIMITIVE_SIZES[field.type]]
     else:
@@ -106,7 +118,7 @@ def _field_parts(field: Field, specs: Specs) -> _Parts:
         return [0]
     if size is None:
         return [_skip_elements(element, field.length)]
-    return [_skip_counted(size)] if field.length is None else [size * field.length]
+    return [_Counted(size)] if field.length is None else [size * field.length]
 
 
 def _size(parts: _Parts) -> int | None:
@@ -115,7 +127,9 @@ def _size(parts: _Parts) -> int | None:
 
 
 def _chain(parts: _Parts) -> Skip:
-    skips = [_skip_bytes(part) if isinstance(part, int) else part for part in parts]
+    if all(isinstance(part, (int, _Counted)) for part in parts):
+        return _plain_chain(parts)
+    skips = [_skip_of(part) for part in parts]
 
     def skip(wire: bytes, at: int) -> int:
         for part in skips:
@@ -127,18 +141,39 @@ def _chain(parts: _Parts) -> Skip:
     return skip
 
 
-def _skip_bytes(size: int) -> Skip:
-    return lambda wire, at: at + size
+def _plain_chain(parts: _Parts) -> Skip:
+    """Skip bytes and what is counted: most messages are no more, and are skipped in one loop."""
+    pairs, before = [], 0
+    for part in parts:
+        if isinstance(part, int):
+            before += part
+        elif isinstance(part, _Counted):
+            pairs.append((before, part.unit))
+            before = 4
+    last = before
+
+    def skip(wire: bytes, at: int) -> int:
+        for bytes_before, unit in pairs:
+            at += bytes_before
+            at += unit * _length(wire, at)[0]
+        at += last
+        if at > len(wire):
+            raise short_buffer()
+        return at
+
+    return skip
 
 
-def _skip_counted(size: int) -> Skip:
-    return lambda wire, at: at + 4 + _length(wire, at)[0] * size
+def _skip_of(part: int | _Counted | Skip) -> Skip:
+    if isinstance(part, _Counted):
+        return part.end
+    return (lambda wire, at: at + part) if isinstance(part, int) else part
 
 
 def _skip_elements(element: _Parts, length: int | None) -> Skip:
     # One part reads a count, which fails behind the end by itself; more of them are checked there.
     first = element[0]
-    step = first if len(element) == 1 and not isinstance(first, int) else _chain(element)
+    step = _chain(element) if len(element) > 1 or isinstance(first, int) else _skip_of(first)
 
     def skip(wire: bytes, at: int) -> int:
         count = length

@@ -91,8 +91,7 @@ class Unpacked:
     @cached_property
     def _turned(self) -> Tuple[bytes, Longs]:
         """All messages, those of a group one behind the other, and where each begins."""
-        # Turned first: tobytes would go through the planes byte by byte.
-        parts = [np.ascontiguousarray(group.planes.T).tobytes() for group in self.groups]
+        parts = [_turn(group.planes) for group in self.groups]
         starts, at = np.empty(len(self), np.int64), 0
         for (size, members, _), part in zip(self.groups, parts):
             starts[members] = np.arange(at, at + len(part), size) if size else at
@@ -141,7 +140,7 @@ def pack_block(
         rows = wires if len(members) == len(wires) else [wires[n] for n in members.tolist()]
         joined = b"".join(rows)
         if _as_planes(len(rows)):
-            joined = np.frombuffer(joined, np.uint8).reshape(len(rows), -1).T.tobytes()
+            joined = _turn(np.frombuffer(joined, np.uint8).reshape(len(rows), -1))
         parts.append(joined)
     head = bytes((VERSION, 0 if received is None else _RECEIVED))
     return head + _compressor().compress(b"".join(parts))
@@ -198,7 +197,13 @@ def _differences(values: Longs) -> Longs:
 
 def _planes(values: NDArray[np.generic]) -> bytes:
     little = values.astype(values.dtype.newbyteorder("<"), copy=False)
-    return np.ascontiguousarray(little).view(np.uint8).reshape(len(values), -1).T.tobytes()
+    return _turn(np.ascontiguousarray(little).view(np.uint8).reshape(len(values), -1))
+
+
+def _turn(matrix: Bytes) -> bytes:
+    """Return the bytes of a matrix column by column."""
+    # Turned first: tobytes alone would go through it byte by byte, at a third of the speed.
+    return np.ascontiguousarray(matrix.T).tobytes()
 
 
 def _numbers(view: memoryview, at: int, count: int, dtype: str) -> Longs:
