@@ -191,3 +191,27 @@ def test_a_large_message_of_many_lengths_is_left_to_who_skips_them():
         zones = zone_map(definition).measure([wire] * count)
         bounds = dict(zip(zone_map(definition).columns, zones.values))
         assert bounds["_max.range_max"] == struct.pack(">f", 30.0) and not zones.odd
+
+
+@given(SEEDS, SEEDS)
+@settings(deadline=None, max_examples=60)
+def test_what_messages_begin_with_is_found_in_those_of_any_size(kind, seed):
+    definition = parse_definition(*DefinitionMaker(kind).make())
+    wires = manyWires(definition, seed)
+    groups = [(planes, members) for members, planes in by_size(wires)]
+    head, plan = stacker(definition).head, wire_plan(definition)
+    for stack in (stacker(definition).heads_of(wires), stacker(definition).heads(groups)):
+        assert sorted(stack.members.tolist()) == [
+            n for n, wire in enumerate(wires) if len(wire) >= head.size
+        ]
+        for column in plan.all_columns:
+            if column.name not in head:
+                continue
+            read = plan.reader([column.name])
+            found = stack.numbers(column.name, column.field_type)[0].tolist()
+            for n, value in zip(stack.members.tolist(), found):
+                try:
+                    (expected,) = read(wires[n])
+                except CorruptMessage:
+                    continue
+                assert sameNumbers([value], [expected]), column.name

@@ -11,7 +11,7 @@ KEY) leaves out nothing.
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, Optional, Sequence, Tuple
+from typing import Any, Callable, List, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,32 +49,46 @@ _WHOLE = {"uint32": "time", "int32": "duration"}
 
 def compile_sift(expression: Expression, definition: Definition) -> Optional[Sift]:
     """Make a function that sifts blocks of one type; None: the condition leaves out nothing."""
-    test, stacks = _compile(expression, definition), stacker(definition).stacks
+    refs: List[FieldRef] = []
+    test, finder = _compile(expression, definition, refs), stacker(definition)
     if test is None:
         return None
+    # What stands before all that varies is found in messages of any size.
+    by_head = all(_is_plain(ref) and ref.column in finder.head for ref in refs)
 
     def sift(block: Block) -> Optional[Mask]:
         mask = np.ones(len(block), np.bool_)
+        groups = [(group.planes, group.members) for group in block.groups]
+        if by_head and len(groups) > 1:
+            stacks = [finder.heads(groups)]
+        else:
+            stacks = [stack for group in groups for stack in finder.stacks(*group)[0]]
         with np.errstate(invalid="ignore"):  # of signalling NaNs
-            for group in block.groups:
-                for stack in stacks(group.planes, group.members)[0]:
-                    mask[stack.members] = test(stack)
+            for stack in stacks:
+                mask[stack.members] = test(stack)
         return None if mask.all() else mask
 
     return sift
 
 
-def _compile(expression: Expression, definition: Definition) -> Optional[_Test]:
+def _is_plain(ref: FieldRef) -> bool:
+    return ref.index is None and not ref.is_array and not any(step.many for step in ref.steps)
+
+
+def _compile(
+    expression: Expression, definition: Definition, refs: List[FieldRef]
+) -> Optional[_Test]:
+    """Make the test of a condition; refs collect the fields that it looks at."""
     if isinstance(expression, Negation):
         return None
     if isinstance(expression, (All, Either)):
-        tests = [_compile(item, definition) for item in expression.items]
+        tests = [_compile(item, definition, refs) for item in expression.items]
         known = [test for test in tests if test is not None]
         either = isinstance(expression, Either)
         if not known or (either and len(known) < len(tests)):
             return None
         return _joined(known, np.logical_or if either else np.logical_and)
-    return _leaf(expression, definition)
+    return _leaf(expression, definition, refs)
 
 
 def _joined(tests: Sequence[_Test], join: Any) -> _Test:
@@ -87,7 +101,7 @@ def _joined(tests: Sequence[_Test], join: Any) -> _Test:
     return test
 
 
-def _leaf(leaf: Leaf, definition: Definition) -> Optional[_Test]:
+def _leaf(leaf: Leaf, definition: Definition, refs: List[FieldRef]) -> Optional[_Test]:
     if isinstance(leaf, IsNull) or not isinstance(leaf.operand, Path):
         return None
     operator = leaf.operator if isinstance(leaf, Compare) else "="
@@ -95,6 +109,7 @@ def _leaf(leaf: Leaf, definition: Definition) -> Optional[_Test]:
         ref = field_of(leaf.operand, definition, wants_array(leaf))
     except StatementError:
         return _never  # missing here, and what is missing never matches
+    refs.append(ref)
     values = list(fitting(leaf, ref))
     if not values:
         return _never

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,15 +180,60 @@ class Layout:
             ats = ats + count * size
 
 
+class Head:
+    """Where the numbers lie that all messages of a type have at the same places.
+
+    Those are the ones before the first string, or array of any length.
+
+    Attributes:
+        size: Bytes before it.
+        texts, arrays, lengths: Nothing, as of a Layout that has none.
+    """
+
+    def __init__(self, definition: Definition) -> None:
+        self._specs = definition.specs
+        self._ats: Dict[str, Places] = {}
+        self.texts: Dict[str, List[Texts]] = {}
+        self.arrays: Dict[str, List[Elements]] = {}
+        self.lengths: Bytes = np.zeros(0, np.uint8)
+        self.size, _ = self._message(definition.type, "", 0)
+
+    def __contains__(self, path: str) -> bool:
+        return path in self._ats
+
+    def numbers(self, path: str) -> Places:
+        """Return where a number, bool or time lies."""
+        return self._ats[path]
+
+    def _message(self, msg_type: str, prefix: str, at: int) -> Tuple[int, bool]:
+        """Note where the fields of a message lie; return where they end, and if that is its end."""
+        for field in self._specs[msg_type].fields:
+            path, size = prefix + field.name, _size_of(field.type, self._specs)
+            if field.is_array:
+                if size is None or field.length is None:
+                    return at, False
+                at += size * field.length
+            elif field.is_primitive:
+                if size is None:
+                    return at, False
+                self._ats[path] = np.array([at], np.int64)
+                at += size
+            else:
+                at, whole = self._message(field.type, path + ".", at)
+                if not whole:
+                    return at, False
+        return at, True
+
+
 def _size_of(type_: str, specs: Specs) -> Optional[int]:
     known = PRIMITIVE_SIZES.get(type_)
     return fixed_size(type_, specs) if known is None or type_ == "string" else known
 
 
 class Stack(NamedTuple):
-    """Messages of one layout."""
+    """Messages of one layout, or what all of a type begin with."""
 
-    layout: Layout
+    layout: Union[Layout, Head]
     members: Places
     """Which they are."""
     planes: Bytes
@@ -226,10 +271,15 @@ class Stack(NamedTuple):
 
 
 class Stacker:
-    """Finds the layouts of messages of one type."""
+    """Finds the layouts of messages of one type.
+
+    Attributes:
+        head: What all of them begin with, whatever their size.
+    """
 
     def __init__(self, definition: Definition) -> None:
         self._definition = definition
+        self.head = Head(definition)
         self._kept: Dict[int, Tuple[Layout, ...]] = {}
 
     def stacks(self, planes: Bytes, members: Places) -> Tuple[List[Stack], Places]:
@@ -263,6 +313,26 @@ class Stacker:
                 rest.append(members[chosen])
             left = left[~fits]
         return found, _joined([*rest, members[left]])
+
+    def heads(self, groups: Iterable[Tuple[Bytes, Places]]) -> Stack:
+        """Return what messages of any size begin with; those that are shorter are left out.
+
+        Args:
+            groups: Planes and members of the messages of each size.
+        """
+        size = self.head.size
+        long = [(planes[:size], members) for planes, members in groups if len(planes) >= size]
+        if not long:
+            return Stack(self.head, _NOWHERE, np.zeros((size, 0), np.uint8))
+        planes = np.concatenate([planes for planes, _ in long], axis=1)
+        return Stack(self.head, np.concatenate([members for _, members in long]), planes)
+
+    def heads_of(self, wires: Sequence[bytes]) -> Stack:
+        """Return what messages begin with; those that are shorter are left out."""
+        size = self.head.size
+        members = np.flatnonzero(np.fromiter(map(len, wires), np.int64, len(wires)) >= size)
+        joined = np.frombuffer(b"".join([w[:size] for w in wires if len(w) >= size]), np.uint8)
+        return Stack(self.head, members, joined.reshape(len(members), size).T)
 
     def _layout(self, wire: bytes, most: int) -> Optional[Layout]:
         """Return the layout of a message; None: it is none, or has more than so many lengths."""

@@ -9,6 +9,7 @@ them apart. A long text is bounded by what it begins with.
 
 from __future__ import annotations
 
+import struct
 from functools import lru_cache
 from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple
 
@@ -18,6 +19,7 @@ from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.plan import wire_plan
+from cassandra_ros.messages.wire.skip import compile_skip
 from cassandra_ros.messages.wire.stacked import Numbers, Stack, by_size, read_numbers, stacker
 from cassandra_ros.messages.wire.values import encode_value
 
@@ -62,6 +64,9 @@ class ZoneMap:
         }
         self._stacker = stacker(definition)
         self._read = plan.reader(list(self.fields))
+        self._by_head = all(name in self._stacker.head for name in self.fields)
+        """Messages of all sizes have their fields at the same places."""
+        self._skip = compile_skip(definition.type, definition.specs)
         self._texts = [name for name, column in self.fields.items() if column.kind == "text"]
         self._numbers: Dict[str, List[str]] = {}
         """Of each primitive type the fields."""
@@ -73,6 +78,34 @@ class ZoneMap:
         """Find the bounds over some serialised messages; any bytes will do."""
         found: _Found = {name: [] for name in self.fields}
         nan: Set[str] = set()
+        if self._by_head and len(set(map(len, wires))) > 1:
+            odd = self._add_heads(wires, found, nan)
+        else:
+            odd = self._add_sizes(wires, found, nan)
+        zones: List[Optional[bytes]] = []
+        for name, column in self.fields.items():
+            low, high = _encoded(column, found[name])
+            odd = odd or (high is None and bool(found[name]))
+            zones += (low, high)
+        return Zones(zones, tuple(sorted(nan)), odd)
+
+    def _add_heads(self, wires: Sequence[bytes], found: _Found, nan: Set[str]) -> bool:
+        """Add the bounds of messages of any size; return whether one of them is none."""
+        stack = self._stacker.heads_of([wire for wire in wires if self._is_one(wire)])
+        if len(stack.members):
+            self._add_stack(stack, found, nan)
+        return len(stack.members) < len(wires)
+
+    def _is_one(self, wire: bytes) -> bool:
+        """Say whether bytes are a message."""
+        try:
+            self._skip(wire, 0)
+        except struct.error:
+            return False
+        return True
+
+    def _add_sizes(self, wires: Sequence[bytes], found: _Found, nan: Set[str]) -> bool:
+        """Add the bounds of messages size by size; return whether one of them is none."""
         odd = False
         for members, planes in by_size(wires):
             stacks, rest = self._stacker.stacks(planes, members)
@@ -80,12 +113,7 @@ class ZoneMap:
                 self._add_stack(stack, found, nan)
             for n in rest.tolist():
                 odd = not self._add_one(wires[n], found, nan) or odd
-        zones: List[Optional[bytes]] = []
-        for name, column in self.fields.items():
-            low, high = _encoded(column, found[name])
-            odd = odd or (high is None and bool(found[name]))
-            zones += (low, high)
-        return Zones(zones, tuple(sorted(nan)), odd)
+        return odd
 
     def _add_stack(self, stack: Stack, found: _Found, nan: Set[str]) -> None:
         """Add the bounds of messages of one layout."""
