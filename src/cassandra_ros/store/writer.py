@@ -384,6 +384,8 @@ class RowWriter:
                 # The directory is behind, never wrong: its buckets still count as open.
                 _log.warning("the directory of buckets could not be updated: %s", exc)
                 if self._cassandra.closed:
+                    return  # nothing can be sent any more, and nobody is told twice
+                if self._cassandra.closed:
                     return  # whoever closed it has forgotten us
 
     def _send_old(self, now: float) -> None:
