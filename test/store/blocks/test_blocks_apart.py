@@ -72,6 +72,10 @@ def test_a_damaged_block_hides_no_other(three, damage):
         rows[10].message()
     with pytest.raises(CorruptMessage, match=r"removeData\("):
         topic.getData(T0 + 12 * MS)
+    # It reaches into what is asked for, and none of the rows there would tell.
+    for reverse in (False, True):
+        with pytest.raises(CorruptMessage, match="import or record"):
+            list(topic.rows(T0 + 15 * MS, T0 + 25 * MS, reverse=reverse))
     assert topic.getData(T0 + 5 * MS).data == "5"
     assert topic.getData(T0 + 25 * MS, nearest="before").data == "25"
     # As the text says.

@@ -116,10 +116,16 @@ class Part:
         return [block for block in found if block.last >= low and block.left > 0]
 
     def open(self, row: BlockRow) -> Opened:
-        """Unpack a block, and find what is wanted of it; it is noted what that took."""
+        """Unpack a block, and find what is wanted of it; it is noted what that took.
+
+        Raises:
+            CorruptMessage: It is damaged and begins before what is read: no row would tell of it.
+        """
         try:
             block = Block(self.table, self.node, row)
         except CorruptMessage as exc:
+            if row.key < self.ends[0]:
+                raise
             _log.warning("%s", exc)
             inside = self.ends[0] <= row.key <= self.ends[1]
             return Opened(row, None, np.arange(inside))
