@@ -205,6 +205,7 @@ class OpenBucket:
         parts: list[bytes] = []
         for row, columns in zip(later, self.table.encode_together([row.wire for row in later])):
             if columns is None:
+                self.batch.nbytes -= len(row.wire) + _ROW_OVERHEAD  # it is counted anew
                 others.append(self._statement(row))
             else:
                 own = _OWN.pack(8, row.t, 8, row.seq, 8, row.conn, 4, len(row.wire))
