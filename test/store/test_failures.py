@@ -12,10 +12,9 @@ import zlib
 
 import pytest
 from nodes.children import await_true
-from proxy import BATCH, EXECUTE, READ_TIMED_OUT, TIMED_OUT, Proxy, asks_on
+from proxy import BATCH, EXECUTE, READ_TIMED_OUT, TIMED_OUT, asks_on
 from std_msgs.msg import Header, String, UInt8MultiArray
 
-from cassandra_ros import RosCassandra
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import api_connection
 from cassandra_ros.messages.definition import definition_of
@@ -27,19 +26,6 @@ from cassandra_ros.store.row_table import bind
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
-
-
-@pytest.fixture
-def proxy(cassandra):
-    with Proxy(cassandra.host, cassandra.port) as running:
-        yield running
-
-
-@pytest.fixture
-def far(proxy, keyspace):
-    """A RosCassandra behind the proxy, on the keyspace of the test."""
-    with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as store:
-        yield store
 
 
 def connect(writer, topic, cls, **options):

@@ -11,11 +11,10 @@ import time
 
 import pytest
 from nodes.children import await_true
-from proxy import BATCH, EXECUTE, Proxy
+from proxy import BATCH, EXECUTE
 from std_msgs.msg import Header, String, UInt8MultiArray
 from store.test_failures import directory_of, told
 
-from cassandra_ros import RosCassandra
 from cassandra_ros.errors import WriteFailed
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import api_connection
@@ -23,19 +22,6 @@ from cassandra_ros.messages.definition import definition_of
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
-
-
-@pytest.fixture
-def proxy(cassandra):
-    with Proxy(cassandra.host, cassandra.port) as running:
-        yield running
-
-
-@pytest.fixture
-def far(proxy, keyspace):
-    """A RosCassandra behind the proxy, on the keyspace of the test."""
-    with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as store:
-        yield store
 
 
 def connect(writer, topic="/a", cls=String, caller="/x", **options):
