@@ -9,10 +9,13 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 import time
 import xmlrpc.client
 from pathlib import Path
+from socketserver import ThreadingMixIn
 from types import SimpleNamespace
+from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 from nodes.children import Child, await_true, start_node, start_recorder
@@ -54,9 +57,43 @@ def master(ros_env):
         stop()
 
 
+class SlowMaster(ThreadingMixIn, SimpleXMLRPCServer):
+    """In front of a master: asked for its state while it holds, it answers when a node has gone."""
+
+    def __init__(self, uri):
+        super().__init__(("127.0.0.1", free_port()), logRequests=False, allow_none=True)
+        self.uri = f"http://127.0.0.1:{self.server_address[1]}/"
+        self.holds, self.asked, self.unregistered = (threading.Event() for _ in range(3))
+        self._behind = uri
+
+    def _dispatch(self, method, params):
+        if method == "getSystemState" and self.holds.is_set():
+            self.asked.set()
+            self.unregistered.wait(60)
+        answer = getattr(xmlrpc.client.ServerProxy(self._behind), method)(*params)
+        if method in ("unregisterSubscriber", "system.multicall"):
+            self.unregistered.set()
+        return answer
+
+
+@pytest.fixture
+def slow_master(master):
+    server = SlowMaster(master.uri)
+    serving = threading.Thread(target=server.serve_forever, daemon=True)
+    serving.start()
+    yield server
+    server.shutdown()
+    server.server_close()
+    serving.join()
+
+
 def listed(master, service):
     code, _, uri = xmlrpc.client.ServerProxy(master.uri).lookupService("/test", service)
     return code == 1 and uri
+
+
+def listed_node(master, name):
+    return xmlrpc.client.ServerProxy(master.uri).lookupNode("/test", name)[2]
 
 
 @pytest.mark.fault
@@ -100,6 +137,25 @@ def test_a_master_that_is_started_anew(master, cassandra, keyspace, rosCas):
     (loss,) = rosCas.parts.registry.losses()
     assert (loss.topic, loss.kind, loss.count) == ("/a", LossKind.UNHEARD, 0)
     assert loss.first_ns < before < loss.last_ns
+
+
+def test_a_node_that_shuts_down_is_not_one_that_is_unknown(
+    master, slow_master, cassandra, keyspace
+):
+    """The master is asked before the node unregisters, and answers after."""
+    one = RawPublisher(master.uri, "/a", header_of(String))
+    behind = SimpleNamespace(env=dict(master.env, ROS_MASTER_URI=slow_master.uri))
+    with start_recorder(behind, cassandra, keyspace, "/a") as child:
+        one.await_subscribers().publish(text(1))
+        child.await_line("recording 1 topic")
+        slow_master.holds.set()
+        assert slow_master.asked.wait(60)
+        node = xmlrpc.client.ServerProxy(listed_node(master, "/recorder"))
+        node.shutdown("/test", "asked to")
+        assert child.wait() == 0, child.output
+    one.close()
+    assert slow_master.unregistered.is_set()
+    assert "does not know this node" not in child.output
 
 
 @pytest.mark.long

@@ -51,6 +51,10 @@ class _Ours(NamedTuple):
             left.append({(name, kind) for name, kind in mine if name not in listed})
         return _Ours(*left)
 
+    def still(self, ours: _Ours) -> _Ours:
+        """Return what is in both."""
+        return _Ours(*(mine & others for mine, others in zip(self, ours)))
+
 
 def _ours() -> _Ours:
     manager = get_topic_manager()
@@ -108,7 +112,11 @@ class Registration:
         ours = _ours()
         _, _, state = master.getSystemState(rospy.get_name())
         seen_ns = _now()
-        missing = ours.but(state)
+        # What was given up while the master answered is not missing: rospy unregisters it, and
+        # all of it where the node shuts down.
+        missing = ours.but(state).still(_ours())
+        if rospy.is_shutdown() or self._stop.is_set():
+            return
         if any(missing):
             _log.warning(
                 "the ROS master does not know this node any more: registering again %d "
