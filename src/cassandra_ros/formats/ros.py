@@ -8,7 +8,7 @@ from typing import Sequence
 
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.permutation import permuter
+from cassandra_ros.messages.wire.permuter import permuter
 from cassandra_ros.messages.wire.plan import wire_plan
 
 INLINE_BYTES = 512 * 1024

@@ -10,25 +10,17 @@ numpy then does for all messages of a batch, and its inverse gives the messages 
 from __future__ import annotations
 
 import struct
-from functools import lru_cache
-from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, layout
-from cassandra_ros.messages.wire.stacked import Bytes, Places, Stack, by_size, stacker
+from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail
+from cassandra_ros.messages.wire.stacked import Bytes, Places
 
-MIN_ROWS = 8
-"""Of fewer messages of a layout each is quicker walked by itself, ..."""
-MAX_BYTES = 2048
-"""... and larger ones: most of those is an array, which is copied as quickly."""
-MAX_KEPT = 64
-"""Permutations of a type that are kept, and ..."""
 MAX_PIECES = 4096
-"""... values in the columns of a message that is permuted: each element of a list is one."""
+"""Values in the columns of a message that is permuted: each element of a list is one."""
 _BYTE_VALUES = np.arange(256, dtype=np.uint8)
 _length = struct.Struct("<I").unpack_from
 _pack_size = struct.Struct(">i").pack
@@ -54,15 +46,19 @@ class _Value(NamedTuple):
     """Where a time lies, and the code of its halves; it is computed."""
 
 
-class _Unfit(ValueError):
+class Unfit(ValueError):
     """The layout has no permutation."""
 
 
 class Permutation:
-    """Turns messages of the layout of one of them into rows: each column's size, then its bytes."""
+    """Turns messages of the layout of one of them into rows: each column's size, then its bytes.
+
+    Attributes:
+        wire_size, row_size: Bytes of a message, and of its row.
+    """
 
     def __init__(self, segments: Sequence[Segment], wire: bytes) -> None:
-        self._wire = wire
+        self._wire, self.wire_size = wire, len(wire)
         self._runs: List[Tuple[int, int]] = []
         """Of the bytes of a row: from where to where in the message and the constants behind it."""
         self._size = self._pieces = 0
@@ -73,16 +69,18 @@ class Permutation:
         for segment in segments:
             at = self._segment(segment, at, None)
         if at != len(wire) or not self._runs:
-            raise _Unfit
+            raise Unfit
         self._from = np.concatenate([np.arange(first, last) for first, last in self._runs])
         times = [stamp.at for stamp in self._stamps]
         self._time_at: Places = np.array(times, np.int64)[:, None] + np.arange(8)
         self._bool_at: Places = np.array(self._bools, np.int64)
         texts = [np.arange(at, end) for at, end in self._texts]
         self._text_at: Places = np.concatenate(texts) if texts else np.zeros(0, np.int64)
-        del self._wire, self._runs, self._bools, self._texts
+        self.row_size = self._size
+        self._invert()
+        del self._wire, self._runs, self._bools, self._texts, self._size
 
-    # ---------------------------------------------------------------- messages to rows
+    # ---------------------------------------------------------------- messages and rows
 
     def rows(self, wires: Bytes) -> Tuple[Bytes, NDArray[np.bool_]]:
         """Return the rows of messages, (messages, bytes), and which of them are exact."""
@@ -104,6 +102,37 @@ class Permutation:
                 rows[:, to : to + 8] = ns.view(np.uint8).reshape(count, 8)
         return rows, good
 
+    def _invert(self) -> None:
+        """Find where in a row each byte of the message lies, and what else the row must hold."""
+        size = self.wire_size
+        constant = self._from >= size
+        for stamp in self._stamps:
+            constant[stamp.to : stamp.to + 8] = False
+        self._constant_at = np.flatnonzero(constant)
+        self._constants = (self._from[self._constant_at] - size).astype(np.uint8)
+        held = self._from < size
+        self._back = np.zeros(size, np.int64)
+        self._back[self._from[held]] = np.flatnonzero(held)
+        lost = np.ones(size, np.bool_)  # lengths of strings and arrays
+        lost[self._from[held]] = False
+        lost[self._time_at.ravel()] = False
+        self._lost = np.flatnonzero(lost)
+        self._lengths = np.frombuffer(self._wire, np.uint8)[self._lost]
+
+    def wires(self, rows: Bytes) -> Tuple[Bytes, NDArray[np.bool_]]:
+        """Return the messages of rows, (rows, bytes), and which rows are such of this layout."""
+        good: NDArray[np.bool_] = rows.take(self._constant_at, axis=1) == self._constants
+        good = good.all(axis=1)
+        wires = rows.take(self._back, axis=1)
+        wires[:, self._lost] = self._lengths
+        for at, to, code in self._stamps:
+            ns = np.ascontiguousarray(rows[:, to : to + 8]).view(">i8")[:, 0].astype(np.int64)
+            secs, limits = ns // SECOND_NS, np.iinfo(code)
+            good &= (secs >= limits.min) & (secs <= limits.max)
+            parts = np.stack((secs, ns - secs * SECOND_NS), axis=1).astype(code)
+            wires[:, at : at + 8] = parts.view(np.uint8)
+        return wires, good
+
     # ---------------------------------------------------------------- layout
 
     def _segment(self, segment: Segment, at: int, out: Optional[List[_Value]]) -> int:
@@ -122,7 +151,7 @@ class Permutation:
     def _fixed(self, fixed: Fixed, at: int) -> _Value:
         size = struct.calcsize("<" + fixed.little)
         if fixed.special == "uint64":
-            raise _Unfit  # as many bytes as its value needs
+            raise Unfit  # as many bytes as its value needs
         if fixed.special in ("time", "duration"):
             code = "<u4" if fixed.special == "time" else "<i4"
             return _Value(8, (), stamp=(at, code))
@@ -140,7 +169,7 @@ class Permutation:
             at += 4
         if tail.kind == "elements":
             if out is not None:
-                raise _Unfit
+                raise Unfit
             return self._elements(tail, count or 0, at)
         if tail.kind == "texts":
             values = []
@@ -167,13 +196,13 @@ class Permutation:
 
     def _text(self, at: int, size: int) -> _Value:
         if at + size > len(self._wire):
-            raise _Unfit
+            raise Unfit
         self._texts.append((at, at + size))
         return _Value(size, ((at, size),))
 
     def _elements(self, tail: Tail, count: int, at: int) -> int:
         if count * len(tail.columns) > MAX_PIECES:
-            raise _Unfit
+            raise Unfit
         elements: List[List[_Value]] = []
         for _ in range(count):
             values: List[_Value] = []
@@ -195,7 +224,7 @@ class Permutation:
     def _column(self, value: _Value) -> None:
         self._pieces += 1
         if self._pieces > MAX_PIECES:
-            raise _Unfit
+            raise Unfit
         self._constant(_pack_size(value.size))
         if value.stamp is not None:
             self._stamps.append(_Stamp(value.stamp[0], self._size, value.stamp[1]))
@@ -212,50 +241,3 @@ class Permutation:
             first = len(self._wire) - 1 - first
         self._runs.append((first, first + length))
         self._size += length
-
-
-class Permuter:
-    """Gives the columns of messages of one type, of those that share their layout with others."""
-
-    def __init__(self, definition: Definition) -> None:
-        self._stacker = stacker(definition)
-        self._segments = layout(definition.type, definition.specs)
-        self._kept: Dict[Tuple[int, bytes], Optional[Permutation]] = {}
-
-    def rows(self, wires: Sequence[bytes]) -> List[Optional[bytes]]:
-        """Return of each message its columns, each one's size before it; None: it is to be walked.
-
-        So are all that walk does not find to be exact.
-        """
-        found: List[Optional[bytes]] = [None] * len(wires)
-        for members, planes in by_size(wires):
-            if len(members) < MIN_ROWS or len(planes) > MAX_BYTES:
-                continue
-            for stack in self._stacker.stacks(planes, members)[0]:
-                permutation = self._permutation(stack)
-                if permutation is None or len(stack.members) < MIN_ROWS:
-                    continue
-                rows, good = permutation.rows(np.ascontiguousarray(stack.planes.T))
-                size, data = rows.shape[1], rows.tobytes()
-                for n, (at, fine) in enumerate(zip(stack.members.tolist(), good.tolist())):
-                    if fine:
-                        found[at] = data[n * size : (n + 1) * size]
-        return found
-
-    def _permutation(self, stack: Stack) -> Optional[Permutation]:
-        key = len(stack.planes), stack.layout.lengths.tobytes()
-        kept = self._kept  # other threads may begin a new one meanwhile
-        if key in kept:
-            return kept[key]
-        try:
-            made: Optional[Permutation] = Permutation(self._segments, stack.planes[:, 0].tobytes())
-        except (_Unfit, struct.error):
-            made = None
-        if len(kept) >= MAX_KEPT:
-            kept = self._kept = {}
-        kept[key] = made
-        return made
-
-
-permuter = lru_cache(maxsize=512)(Permuter)
-"""Returns the permuter of a definition, made once per type and md5."""

@@ -362,6 +362,12 @@ def as_planes(wires: Sequence[bytes]) -> Bytes:
     return joined.reshape(len(wires), len(joined) // len(wires)).T
 
 
+def windows(data: Bytes, size: int) -> Bytes:
+    """Return the views of so many bytes that begin at each byte; (places, size)."""
+    shape = max(0, len(data) - size + 1), size
+    return np.lib.stride_tricks.as_strided(data, shape, (1, 1), writeable=False)
+
+
 def by_size(wires: Sequence[bytes]) -> Iterable[Tuple[Places, Bytes]]:
     """Divide messages by their size: which they are, and their planes."""
     if len(set(map(len, wires))) == 1:

@@ -1,0 +1,168 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Many messages of one type to the columns of their rows, and back: not one by one."""
+
+from __future__ import annotations
+
+import struct
+from functools import lru_cache
+from typing import Dict, List, Optional, Sequence, Tuple
+
+import numpy as np
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.wire.layout import layout
+from cassandra_ros.messages.wire.permutation import Permutation, Unfit
+from cassandra_ros.messages.wire.pieces import Pieces, split_rows
+from cassandra_ros.messages.wire.plan import wire_plan
+from cassandra_ros.messages.wire.stacked import Places, Stack, by_size, stacker, windows
+
+MIN_ROWS = 8
+"""Of fewer messages of a layout each is quicker walked by itself, ..."""
+MAX_BYTES = 2048
+"""... and larger ones: most of those is an array, which is copied as quickly."""
+MAX_KEPT = 64
+"""Permutations of a type that are kept."""
+MAX_LAYOUTS = 8
+"""So many layouts are looked for among rows of one size."""
+
+
+class Permuter:
+    """Turns messages of one type into columns and back, those that share their layout with others.
+
+    Where only texts and arrays of numbers vary they need not.
+    """
+
+    def __init__(self, definition: Definition) -> None:
+        self._plan = wire_plan(definition)
+        self._stacker = stacker(definition)
+        self._segments = layout(definition.type, definition.specs)
+        try:
+            self._pieces: Optional[Pieces] = Pieces(self._segments)
+        except Unfit:
+            self._pieces = None
+        self._kept: Dict[Tuple[int, bytes], Optional[Permutation]] = {}
+        self._rows: Dict[Tuple[int, int], List[Permutation]] = {}
+        """Those of rows and messages of some sizes."""
+
+    def rows(self, wires: Sequence[bytes]) -> List[Optional[bytes]]:
+        """Return of each message its columns, each one's size before it; None: it is to be walked.
+
+        So are all that walk does not find to be exact.
+        """
+        found: List[Optional[bytes]] = [None] * len(wires)
+        if len(wires) < MIN_ROWS:
+            return found
+        if self._pieces is not None:
+            return self._pieces.rows(wires)
+        for members, planes in by_size(wires):
+            if len(members) < MIN_ROWS or len(planes) > MAX_BYTES:
+                continue
+            for stack in self._stacker.stacks(planes, members)[0]:
+                permutation = self._permutation(stack)
+                if permutation is None or len(stack.members) < MIN_ROWS:
+                    continue
+                rows, good = permutation.rows(np.ascontiguousarray(stack.planes.T))
+                every = zip(stack.members.tolist(), split_rows(rows), good.tolist())
+                for at, row, fine in every:
+                    if fine:
+                        found[at] = row
+        return found
+
+    def _permutation(self, stack: Stack) -> Optional[Permutation]:
+        key = len(stack.planes), stack.layout.lengths.tobytes()
+        kept = self._kept  # other threads may begin a new one meanwhile
+        if key in kept:
+            return kept[key]
+        made = self._made(stack.planes[:, 0].tobytes())
+        if len(kept) >= MAX_KEPT:
+            kept = self._kept = {}
+        kept[key] = made
+        return made
+
+    def _made(self, wire: bytes) -> Optional[Permutation]:
+        try:
+            return Permutation(self._segments, wire)
+        except (Unfit, struct.error):
+            return None
+
+    def wires(
+        self, data: bytes, starts: Places, ends: Places, sizes: Places
+    ) -> List[Optional[bytes]]:
+        """Return the messages of rows: of their columns, each one's size before it.
+
+        Args:
+            data: Where the rows lie, each from one of the starts to one of the ends.
+            sizes: Of the messages.
+
+        Returns:
+            None for each that is to be built by itself: it may be one or none.
+        """
+        found: List[Optional[bytes]] = [None] * len(starts)
+        if len(starts) < MIN_ROWS:
+            return found
+        if self._pieces is not None:
+            return self._pieces.wires(data, starts, ends)
+        lengths = ends - starts
+        order = np.lexsort((sizes, lengths))
+        changes = np.diff(lengths[order]).astype(bool) | np.diff(sizes[order]).astype(bool)
+        for members in np.split(order, np.flatnonzero(changes) + 1):
+            if len(members) >= MIN_ROWS and sizes[members[0]] <= MAX_BYTES:
+                self._built(data, starts, int(lengths[members[0]]), sizes, members, found)
+        return found
+
+    def _built(
+        self,
+        data: bytes,
+        starts: Places,
+        length: int,
+        sizes: Places,
+        members: Places,
+        found: List[Optional[bytes]],
+    ) -> None:
+        """Find the messages of rows that are equally long."""
+        key = length, int(sizes[members[0]])
+        known = self._rows.get(key, [])
+        rows = windows(np.frombuffer(data, np.uint8), length)[starts[members]]
+        for n in range(MAX_LAYOUTS):
+            if n == len(known):
+                if len(members) < MIN_ROWS or not self._learn(key, rows[0].tobytes()):
+                    return
+                known = self._rows[key]
+            wires, good = known[n].wires(rows)
+            for at, wire in zip(members[good].tolist(), split_rows(wires[good])):
+                found[at] = wire
+            members, rows = members[~good], rows[~good]
+            if not len(members):
+                return
+
+    def _learn(self, key: Tuple[int, int], row: bytes) -> bool:
+        """Note the layout of a row; say whether it has one."""
+        try:
+            made = self._made(self._plan.build(_columns(row)))
+        except (CorruptMessage, struct.error):
+            return False
+        if made is None or (made.row_size, made.wire_size) != key:
+            return False
+        if len(self._rows) >= MAX_KEPT:
+            self._rows = {}
+        self._rows[key] = [*self._rows.get(key, [])[: MAX_LAYOUTS - 1], made]
+        return True
+
+
+def _columns(row: bytes) -> List[Optional[bytes]]:
+    """Cut a row into its columns; raises struct.error."""
+    found: List[Optional[bytes]] = []
+    at = 0
+    while at < len(row):
+        (size,) = _size(row, at)
+        at += 4
+        found.append(row[at : at + size] if size >= 0 else None)
+        at += max(0, size)
+    return found
+
+
+_size = struct.Struct(">i").unpack_from
+permuter = lru_cache(maxsize=512)(Permuter)
+"""Returns the permuter of a definition, made once per type and md5."""

@@ -1,0 +1,129 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Messages of any sizes to rows and back at once, where only texts and arrays of numbers vary.
+
+Such a message is a few pieces of fixed size, each before something of any length that lies in the
+row as in the message. The pieces of all messages are permuted together, the rest is copied.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import List, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassandra_ros.messages.wire.layout import Segment
+from cassandra_ros.messages.wire.permutation import Permutation, Unfit
+from cassandra_ros.messages.wire.stacked import Bytes, Places, windows
+
+_Good = NDArray[np.bool_]
+
+
+class _Piece(NamedTuple):
+    """What has a fixed size, and what lies behind it."""
+
+    permutation: Optional[Permutation]
+    """None: there is nothing of a fixed size."""
+    unit: int
+    """Bytes of an element of what lies behind it; 0 = nothing does."""
+    is_text: bool
+
+    def turn(self, data: Bytes, ats: Places, back: bool) -> Tuple[Bytes, _Good, int]:
+        """Permute what begins at some places; return also how many bytes each of them takes."""
+        if self.permutation is None:
+            return np.zeros((len(ats), 0), np.uint8), np.ones(len(ats), np.bool_), 0
+        size = self.permutation.row_size if back else self.permutation.wire_size
+        found = windows(data, size)[ats]
+        return (*(self.permutation.wires if back else self.permutation.rows)(found), size)
+
+    def size(self, back: bool) -> int:
+        """Return how many bytes it takes up to what varies."""
+        fixed = self.permutation
+        own = 0 if fixed is None else fixed.row_size if back else fixed.wire_size
+        return own + (4 if self.unit else 0)
+
+
+class Pieces:
+    """Turns messages of one type into rows, and rows into messages.
+
+    Raises:
+        Unfit: Of the type other things vary, too.
+    """
+
+    def __init__(self, segments: Sequence[Segment]) -> None:
+        self._pieces: List[_Piece] = []
+        for fixed, tail in segments:
+            if tail is not None and (tail.kind not in ("text", "bytes") or not tail.has_count):
+                raise Unfit
+            size = sum(struct.calcsize("<" + each.little) for each in fixed)
+            permutation = Permutation((Segment(fixed, None),), bytes(size)) if fixed else None
+            unit = 0 if tail is None else tail.unit
+            self._pieces.append(_Piece(permutation, unit, tail is not None and tail.kind == "text"))
+        if not self._pieces:
+            raise Unfit
+
+    def rows(self, wires: Sequence[bytes]) -> List[Optional[bytes]]:
+        """Return of each message its columns, each behind its size; None: it is to be walked."""
+        sizes = np.fromiter(map(len, wires), np.int64, len(wires))
+        ends = np.cumsum(sizes)
+        return self._turned(b"".join(wires), ends - sizes, ends, back=False)
+
+    def wires(self, data: bytes, starts: Places, ends: Places) -> List[Optional[bytes]]:
+        """Return the messages of rows, each from one place to another; None: that is none."""
+        return self._turned(data, starts, ends, back=True)
+
+    def _turned(
+        self, data: bytes, starts: Places, ends: Places, back: bool
+    ) -> List[Optional[bytes]]:
+        every, ats, good = np.frombuffer(data, np.uint8), starts, np.ones(len(starts), np.bool_)
+        parts: List[List[bytes]] = []
+        for piece in self._pieces:
+            good &= ats + piece.size(back) <= ends
+            if not good.any():
+                return [None] * len(starts)
+            # What is no message is not looked at any more, but keeps its place.
+            ats = np.where(good, ats, ats[good][0])
+            turned, fine, size = piece.turn(every, ats, back)
+            good &= fine
+            ats = ats + size
+            if piece.unit:
+                prefixes, sizes, fine = _lengths(every, ats, piece.unit, back)
+                good &= fine
+                turned = np.concatenate((turned, prefixes), axis=1)
+                froms = ats + 4
+                ats = froms + sizes
+            if turned.shape[1]:
+                parts.append(split_rows(turned))
+            if piece.unit:
+                places = zip(froms.tolist(), np.minimum(ats, ends).tolist())
+                parts.append([data[at:to] for at, to in places])
+                if piece.is_text and not back:
+                    good &= np.fromiter(map(bytes.isascii, parts[-1]), np.bool_, len(good))
+        good &= ats == ends
+        found = map(b"".join, zip(*parts))
+        return [each if fine else None for each, fine in zip(found, good.tolist())]
+
+
+def _lengths(data: Bytes, ats: Places, unit: int, back: bool) -> Tuple[Bytes, Places, _Good]:
+    """Read how many bytes lie behind some places, and turn what says so.
+
+    On the wire that is a number of elements, in a row one of bytes.
+    """
+    found = np.ascontiguousarray(windows(data, 4)[ats])
+    if back:
+        sizes = found.view(">i4")[:, 0].astype(np.int64)
+        good = (sizes >= 0) & (sizes % unit == 0)
+        prefixes = (sizes // unit).astype("<u4")
+    else:
+        sizes = found.view("<u4")[:, 0].astype(np.int64) * unit
+        good = sizes < 2**31
+        prefixes = sizes.astype(">u4")
+    return prefixes.view(np.uint8).reshape(len(ats), 4), sizes, good
+
+
+def split_rows(rows: Bytes) -> List[bytes]:
+    """Return the bytes of each row."""
+    size, data = rows.shape[1], rows.tobytes()
+    return [data[at : at + size] for at in range(0, len(data), size)]
