@@ -10,7 +10,7 @@ import threading
 from functools import lru_cache
 from io import BytesIO
 from types import ModuleType
-from typing import Any, Callable, cast
+from typing import Any, Callable, List, Optional, Sequence, cast
 
 import genmsg
 import genmsg.msg_loader
@@ -18,10 +18,13 @@ import genpy
 import genpy.dynamic
 import genpy.generator
 import genpy.message
+import numpy as np
+from numpy.typing import NDArray
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError, TypeMismatch
 from cassandra_ros.messages.definition import Definition, attribute_name, definition_of, render_spec
 from cassandra_ros.messages.installed import installed_class
+from cassandra_ros.messages.wire.objects import MIN_TOGETHER, ObjectMaker, Unfit
 from cassandra_ros.messages.wire.skip import compile_object_check, compile_skip
 
 _lock = threading.RLock()  # genpy generates through global variables
@@ -158,6 +161,49 @@ def deserialize(cls: Any, wire: bytes) -> Any:
         raise CorruptMessage(f"{len(wire)} bytes are no {cls._type}: {why}") from exc
     except Exception as exc:
         raise CorruptMessage(f"{len(wire)} bytes are no {cls._type}: {str(exc)[:300]}") from exc
+
+
+def deserialize_all(cls: Any, wires: Sequence[bytes]) -> List[Any]:
+    """Make messages of many wire bytes, as deserialize does of each, in a fraction of the time."""
+    if len(wires) < MIN_TOGETHER:
+        return [deserialize(cls, wire) for wire in wires]
+    sizes = np.fromiter(map(len, wires), np.int64, len(wires))
+    return deserialize_at(cls, b"".join(wires), np.cumsum(sizes) - sizes, sizes)
+
+
+def deserialize_stack(cls: Any, matrix: NDArray[np.uint8]) -> List[Any]:
+    """Make messages of equal size, whose wire bytes are the rows of a matrix."""
+    count, size = matrix.shape
+    sizes = np.full(count, size)
+    return deserialize_at(cls, matrix.tobytes(), np.arange(count) * size, sizes)
+
+
+def deserialize_at(
+    cls: Any, data: bytes, starts: NDArray[np.int64], sizes: NDArray[np.int64]
+) -> List[Any]:
+    """Make messages of wire bytes that lie somewhere in a buffer, as deserialize does of each.
+
+    Raises:
+        CorruptMessage: Some are none; deserialize says which.
+    """
+    maker = _object_maker(cls) if len(starts) >= MIN_TOGETHER else None
+    if maker is not None:
+        try:
+            return maker.make(data, starts, sizes)
+        except Unfit:
+            pass
+    ends = starts + sizes
+    return [deserialize(cls, data[a:b]) for a, b in zip(starts.tolist(), ends.tolist())]
+
+
+@lru_cache(maxsize=1024)
+def _object_maker(cls: Any) -> Optional[ObjectMaker]:
+    if issubclass(cls, RawMessage):
+        return None
+    try:
+        return ObjectMaker(cls, definition_of(cls))
+    except Unfit:
+        return None
 
 
 @lru_cache(maxsize=1024)
