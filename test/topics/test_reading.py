@@ -101,7 +101,7 @@ def test_reading_outlasts_a_server_that_stumbles(filled, monkeypatch):
     from cassandra import OperationTimedOut
 
     rosCas, wanted = filled
-    send, calls = rosCas.cassandra.send_raw, []
+    send, calls = rosCas.cassandra.ask_raw, []
 
     def stumbling(statement, *rest):
         future = send(statement, *rest)
@@ -110,7 +110,7 @@ def test_reading_outlasts_a_server_that_stumbles(filled, monkeypatch):
             future.result = lambda: (_ for _ in ()).throw(OperationTimedOut())
         return future
 
-    monkeypatch.setattr(rosCas.cassandra, "send_raw", stumbling)
+    monkeypatch.setattr(rosCas.cassandra, "ask_raw", stumbling)
     monkeypatch.setattr("cassandra_ros.store.paging.FIRST_PAUSE_SEC", 0.001)
     assert found(rosCas.readMessages()) == wanted
     assert sum(i.count for i in rosCas.info()) == len(wanted)

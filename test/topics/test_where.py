@@ -357,13 +357,13 @@ def test_reading_is_lazy_and_its_memory_bounded(rosCas, monkeypatch):
         for number in range(6000):
             writer.write(handles[number % 3], T0 + number * SEC // 100, number, wire)
     conditions = dict.fromkeys(names[:2], "data LIKE 'x%'")
-    send, calls = rosCas.cassandra.send_raw, []
+    send, calls = rosCas.cassandra.ask_raw, []
 
     def counted(*arguments):
         calls.append(arguments)
         return send(*arguments)
 
-    monkeypatch.setattr(rosCas.cassandra, "send_raw", counted)
+    monkeypatch.setattr(rosCas.cassandra, "ask_raw", counted)
     rows = rosCas.readMessages(where=conditions)
     next(rows)
     at_first = len(calls)

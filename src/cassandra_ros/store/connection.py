@@ -43,7 +43,13 @@ from cassandra_ros.store.driver_errors import (
     translated,
 )
 from cassandra_ros.store.outage import Outage
-from cassandra_ros.store.paging import RETRY_SEC, Seconds, retried, sent_ahead
+from cassandra_ros.store.paging import (
+    REQUEST_TIMEOUT_SEC,
+    RETRY_SEC,
+    Seconds,
+    retried,
+    sent_ahead,
+)
 from cassandra_ros.store.protocol import (
     PROTOCOL_VERSION,
     LargeBuffers,
@@ -51,7 +57,6 @@ from cassandra_ros.store.protocol import (
 )
 
 CONNECT_TIMEOUT_SEC = 10.0
-REQUEST_TIMEOUT_SEC = 20.0
 NEW_TABLE_SEC = 1.0
 POOL_PAUSE_SEC = 0.05
 AT_ONCE = 16
@@ -341,6 +346,11 @@ class Cassandra:
         """Send a bound or batch statement; the rows of its answer are undecoded bytes."""
         self.require_open()
         return self._raw_session.execute_async(statement, timeout=REQUEST_TIMEOUT_SEC)
+
+    def ask_raw(self, statement: Statement) -> ResponseFuture:
+        """Send a statement as send_raw does, for somebody who waits for its answer by answered."""
+        self.require_open()
+        return self._raw_session.execute_async(statement, timeout=None)
 
     def server_time_us(self) -> int:
         """Tell the time of a server, microseconds since 1970: what it stamps writes with."""

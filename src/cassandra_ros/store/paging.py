@@ -9,7 +9,7 @@ import time
 from collections import deque
 from typing import Callable, Deque, Iterable, Iterator, List, Optional, Tuple, TypeVar, Union
 
-from cassandra.cluster import ResponseFuture
+from cassandra.cluster import ResponseFuture, ResultSet
 from cassandra.query import Statement
 
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_busy, is_passing, translate
@@ -17,6 +17,7 @@ from cassandra_ros.store.outage import Outage
 
 _log = logging.getLogger(__name__)
 
+REQUEST_TIMEOUT_SEC = 20.0
 RETRY_SEC = 30.0
 BUSY_PAUSE_SEC = 0.002
 FIRST_PAUSE_SEC = 0.1
@@ -119,6 +120,16 @@ def sent_ahead(requests: Iterable[_T], count: int) -> Iterator[_T]:
     yield from sent
 
 
+def answered(future: ResponseFuture) -> ResultSet:
+    """Wait for the answer of a request that was sent without a time limit, as if it had one.
+
+    The driver's own limit is a timer, for which each request wakes the driver's thread.
+    """
+    if not future._event.wait(REQUEST_TIMEOUT_SEC):
+        future._on_timeout()
+    return future.result()
+
+
 class Asked:
     """A request that is on its way from the start, of raw rows in one page or many.
 
@@ -167,7 +178,7 @@ class Asked:
         if self._failed:
             self._future, self._failed = self._ask(), False
         try:
-            rows: list[RawRow] = self._future.result().current_rows
+            rows: list[RawRow] = answered(self._future).current_rows
             self.more = self._future.has_more_pages
             return rows
         except DRIVER_ERRORS:

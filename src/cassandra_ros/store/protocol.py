@@ -10,6 +10,7 @@ of its own hands out each column as the bytes that Cassandra stores.
 from __future__ import annotations
 
 import io
+import socket
 import struct
 from typing import Any, Sequence, Tuple
 
@@ -24,6 +25,8 @@ besides we use nothing."""
 BUFFER_BYTES = 1024 * 1024
 """What one call of the system takes or gives. With the driver's own 4,096 bytes an answer takes
 hundreds of calls."""
+DIRECT_BYTES = 16 * 1024
+"""A request up to this is sent by the thread that makes it."""
 
 _Column = Tuple[Any, ...]
 """Keyspace, table, name and type of a column, as the driver tells them."""
@@ -81,8 +84,31 @@ class LargeBuffers(DefaultConnection):
     out_buffer_size = BUFFER_BYTES
 
     def push(self, data: bytes) -> None:
-        """Queue what is to be sent; what a send has left over is cut off without a copy."""
-        super().push(memoryview(data))
+        """Send a small request, queue a large one; what is left over is cut off without a copy."""
+        rest = self._send_now(data) if len(data) <= DIRECT_BYTES else data
+        if rest is not None:
+            super().push(memoryview(rest))
+
+    def _send_now(self, data: bytes) -> bytes | None:
+        """Send at once what may be; None = nothing is left to be queued.
+
+        To wake the driver's thread for it takes as long as a third of a lookup. While its watcher
+        is active (of libev's loop; another has none) it may be in the middle of a request.
+        """
+        plain = type(self._socket) is socket.socket  # TLS is of one thread
+        if not plain or getattr(self, "_write_watcher_is_active", True):
+            return data
+        with self._deque_lock:
+            if self.deque or self._write_watcher_is_active:
+                return data
+            try:
+                sent = self._socket.send(data)
+            except OSError:  # if it is more than a full buffer, the driver's thread meets it again
+                return data
+            if sent == len(data):
+                return None
+            self.deque.append(data[sent:])
+        return b""  # wakes the driver's thread
 
 
 class _RawResultMessage(_Decoding):  # type: ignore[misc, valid-type]

@@ -339,12 +339,12 @@ class RowTable:
             left = _encode_ends(ends, read or last, reverse)
             return bind(statement, (*place, *left, *values), page_rows)
 
-        send, doing = self._cassandra.send_raw, self._doing(what)
+        send, doing = self._cassandra.ask_raw, self._doing(what)
         return Asked(send, rest, doing, refused, on_page, first_rows)
 
     def send(self, statement: Statement, what: str = "reading") -> Asked:
         """Send a statement whose answer is one page, or of which only one is wanted."""
-        return Asked(self._cassandra.send_raw, lambda last: statement, self._doing(what))
+        return Asked(self._cassandra.ask_raw, lambda last: statement, self._doing(what))
 
     def collect(
         self,

@@ -159,7 +159,7 @@ class Counted:
 
     def __init__(self, rosCas, patch):
         self.requests = self.blocks = 0
-        send, unpack = rosCas.cassandra.send_raw, block_row.unpack_block
+        send, unpack = rosCas.cassandra.ask_raw, block_row.unpack_block
 
         def sent(*args):
             self.requests += 1
@@ -169,7 +169,7 @@ class Counted:
             self.blocks += 1
             return unpack(*args)
 
-        patch.setattr(rosCas.cassandra, "send_raw", sent)
+        patch.setattr(rosCas.cassandra, "ask_raw", sent)
         patch.setattr(block_row, "unpack_block", unpacked)
 
     def of(self, call):
