@@ -62,12 +62,17 @@ def fetch_rows(wanted: Iterable[Wanted], ahead: int = AHEAD) -> Iterator[TableRo
 
     for key, asked in sent_ahead(map(sent, wanted), ahead):
         if asked is not None:
-            yield from _answer(key, asked)
-            continue
-        finder = finders.setdefault(key.table.name, Finder(key.table))
-        row = finder.find(key.position)
+            row = _answer(key, asked)
+        else:
+            row = finders.setdefault(key.table.name, Finder(key.table)).find(key.position)
         if row is not None:
             yield row
+
+
+def fetch_row(table: RowTable, position: Position) -> TableRow | None:
+    """Read one row by its place, None where there is none: one SELECT."""
+    key = Wanted(table, position)
+    return _answer(key, _ask(key))
 
 
 def first_at(
@@ -95,8 +100,9 @@ def first_at(
 def _best(places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
     keys = [Wanted(table, Position(t, node, 0, table.name)) for table, node in places]
     asked = [(key, _ask(key, any_seq=True)) for key in keys]
-    rows = [row for each in asked for row in _answer(*each, any_seq=True)]
-    return min(rows, key=lambda row: row[:4], default=None)
+    rows = [_answer(*each, any_seq=True) for each in asked]
+    found = [row for row in rows if row is not None]
+    return min(found, key=lambda row: row[:4], default=None)
 
 
 def beside(
@@ -173,22 +179,20 @@ def _ask(key: Wanted, *, any_seq: bool = False) -> Asked:
     table, (t, node, seq, _, name) = key
     if table.packed:
         return ask_one(table, key.position, any_seq=any_seq)
-    order = table.stored_order(t, seq)
-    ends = ((t, FIRST[1]), (t, LAST[1])) if any_seq else (order, order)
-    place, page_rows = table.place_of(node, t, name), 1 if any_seq else None
-    return table.stretch(table.listing(), place, ends, page_rows=page_rows)
+    place = table.place_of(node, t, name)
+    if any_seq:
+        return table.ask_row(place, t, None)
+    return table.ask_row(place, *table.stored_order(t, seq))
 
 
-def _answer(key: Wanted, asked: Asked, *, any_seq: bool = False) -> Iterator[TableRow]:
+def _answer(key: Wanted, asked: Asked, *, any_seq: bool = False) -> TableRow | None:
     table, position = key
     if table.packed:
-        row = answer_one(table, position, asked, any_seq=any_seq)
-        if row is not None:
-            yield row
-        return
+        return answer_one(table, position, asked, any_seq=any_seq)
     for values in asked.page()[:1]:
         if not table.is_rest(values):
-            yield table.row_from_values(position.node, values, position.name)
+            return table.row_from_values(position.node, values, position.name)
+    return None
 
 
 def _select_chunks(table: RowTable, row: TableRow) -> BoundStatement:

@@ -11,12 +11,12 @@ from cassandra_ros.errors import CassandraRosError, CorruptMessage, WriteFailed
 from cassandra_ros.keys import split_seq
 from cassandra_ros.store.blocks.limits import limits_for
 from cassandra_ros.store.expiry import left_by_name, left_in_bucket, rounded, set_lifetime
-from cassandra_ros.store.fetch import Wanted, fetch_rows, list_names
+from cassandra_ros.store.fetch import Wanted, fetch_row, fetch_rows, list_names
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.reading import RowReader
 from cassandra_ros.topics.selection import LAST_NS, Stretch, Whose
-from cassandra_ros.topics.stored_row import StoredRow, fetch_row
+from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.totals import buckets_of, count_rows
 

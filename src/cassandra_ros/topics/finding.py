@@ -112,7 +112,7 @@ class Finder:
             return self._remove(self.several(key, to_key))
         if _is_ours(key):
             # It and no other of the same time, whosever that is.
-            row = self._exact(key) if self.whose.has(key) else None
+            row = self._exact(key, self._table_of(key)) if self.whose.has(key) else None
             count = 0 if row is None else delete_rows(self.keyspace, [row])
         else:
             count = self._remove(self.one(key))
@@ -129,8 +129,9 @@ class Finder:
         """Find the one row that getData means by a key; None where there is none."""
         if nearest is not None:
             return self._near(key, nearest)
-        if self._is_exact(key) and self._table_of(key) is not None:
-            return self._exact(key)
+        table = self._table_of(key) if self._is_exact(key) else None
+        if table is not None:
+            return self._exact(key, table)
         wanted = self.one(key)
         if isinstance(wanted, Stretch):
             return self._at(wanted.low)
@@ -148,8 +149,7 @@ class Finder:
         table = self.keyspace.tables.holding(key.table)
         return table if table is not None and table.metadata.topic == self.topic else None
 
-    def _exact(self, key: AnyKey) -> Optional[StoredRow]:
-        table = self._table_of(key)
+    def _exact(self, key: AnyKey, table: Optional[TopicTable]) -> Optional[StoredRow]:
         row = None if table is None else self.keyspace.rows.exact(table, key)
         passes = row is None or self.where is None or self.where.test(row)
         return row if passes else None

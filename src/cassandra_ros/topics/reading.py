@@ -17,6 +17,7 @@ from cassandra_ros.store.directory import Directory
 from cassandra_ros.store.fetch import (
     Wanted,
     beside,
+    fetch_row,
     fetch_rows,
     first_at,
     keys_by_shadow,
@@ -36,7 +37,7 @@ from cassandra_ros.topics.selection import (
     Valued,
     Whose,
 )
-from cassandra_ros.topics.stored_row import StoredRow, fetch_row
+from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 Columns = Callable[[TopicTable], Optional[Sequence[str]]]
@@ -194,14 +195,16 @@ class RowReader:
         """Read one row by the key that the store gave: one SELECT."""
         t, name = (key.t, str(key)) if isinstance(key, RowName) else (key.ns, "")
         position = Position(t, key.node or "", key.seq or 0, table.name, name)
-        return self._single(fetch_row(table, position), [table])
+        row = fetch_row(table, position)
+        return None if row is None else StoredRow(row, table)
 
     def at(self, tables: Sequence[TopicTable], t: int, whose: Whose) -> Optional[StoredRow]:
         """Read the first row with exactly this time."""
         timed = [table for table in tables if not table.named]
         if whose.writers is not None:  # the first of a partition may be another's
             return next(self.read(timed, Stretch(t, t), whose=whose, wanted=1), None)
-        return self._single(first_at(self._directory, timed, t, whose.nodes), tables)
+        row = first_at(self._directory, timed, t, whose.nodes)
+        return next(self._stored([] if row is None else [row], tables), None)
 
     def beside(
         self, tables: Sequence[TopicTable], t: int, whose: Whose, ways: Sequence[bool]
@@ -211,6 +214,3 @@ class RowReader:
             return None
         rows = beside(self._directory, tables, t, whose.nodes, ways) if tables else None
         return None if rows is None else list(self._stored(rows, tables))
-
-    def _single(self, row: Optional[TableRow], tables: Sequence[TopicTable]) -> Optional[StoredRow]:
-        return next(self._stored([] if row is None else [row], tables), None)

@@ -17,7 +17,7 @@ from cassandra_ros.keys import Position, RowName, writer_of
 from cassandra_ros.messages.classes import deserialize
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.store.fetch import Wanted, ask_chunks, fetch_rows, read_chunks
+from cassandra_ros.store.fetch import ask_chunks, fetch_row, read_chunks
 from cassandra_ros.store.row_table import BlockKey, Sent, TableRow
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -159,11 +159,6 @@ class StoredRow:
             CorruptMessage: The bytes are not a message of the type.
         """
         return deserialize(self.message_class(), self.wire)
-
-
-def fetch_row(table: TopicTable, position: Position) -> Optional[TableRow]:
-    """Read one row by its place, None where there is none: one SELECT."""
-    return next(fetch_rows([Wanted(table, position)], ahead=1), None)
 
 
 def read_wire(table: TopicTable, row: TableRow, sent: Optional[Sent] = None) -> bytes:

@@ -30,7 +30,7 @@ LEVEL = 1
 """Of zstd: higher ones take more time than the store."""
 MIN_PLANES = 16
 """Fewer messages of a size stand as they are: text is not torn apart for nothing."""
-FEW_SHARE = 8
+FEW_SHARE = 64
 """Where less than one in so many messages is wanted, each is cut out by itself."""
 _RECEIVED = 1
 _HEAD = 2
@@ -80,15 +80,6 @@ class Unpacked:
         return tuple(found)
 
     @cached_property
-    def _places(self) -> Tuple[Longs, Longs]:
-        """For each message the number of its group, and its place in that."""
-        group, place = np.empty(len(self), np.int64), np.empty(len(self), np.int64)
-        for number, found in enumerate(self.groups):
-            group[found.members] = number
-            place[found.members] = np.arange(len(found.members))
-        return group, place
-
-    @cached_property
     def _turned(self) -> Tuple[bytes, Longs]:
         """All messages, those of a group one behind the other, and where each begins."""
         parts = [_turn(group.planes) for group in self.groups]
@@ -100,9 +91,13 @@ class Unpacked:
 
     def wire(self, position: int) -> bytes:
         """Return one message, serialised."""
-        group, place = self._places
-        # To turn the others, too, would be most of the work.
-        return self.groups[int(group[position])].planes[:, int(place[position])].tobytes()
+        # To look at the others, too, would be most of the work.
+        size, alike = int(self.sizes[position]), self.sizes == self.sizes[position]
+        count, place = np.count_nonzero(alike), np.count_nonzero(alike[:position])
+        at = int(self.sizes[self.sizes < size].sum())
+        if not _as_planes(count):
+            return bytes(self._body[at + place * size : at + (place + 1) * size])
+        return bytes(self._body[at + place : at + size * count : count])
 
     def wires(self, positions: Optional[Longs] = None) -> List[bytes]:
         """Return messages, serialised: those at some positions, None = all."""
