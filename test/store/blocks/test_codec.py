@@ -68,7 +68,7 @@ def test_what_is_no_block_is_refused(spoil):
     elif spoil == "version":
         data = b"\x02" + data[1:]
     elif spoil == "flags":
-        data = data[:1] + b"\x02" + data[2:]
+        data = data[:1] + b"\x04" + data[2:]
     elif spoil == "frame":
         data = data[:2] + b"nonsense"
     elif spoil == "cut":

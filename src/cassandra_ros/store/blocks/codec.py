@@ -7,7 +7,8 @@ Behind a byte for the version and one for flags stands a zstd frame. In it come,
 ``_seq``, the sizes, and where flag 1 is set the times of reception less the key times. Then come
 the messages, those of equal size together, the smallest first, each group in the order of the
 block; a group of at least 16 as planes too: what changes little from message to message lies side
-by side, and a field at a fixed offset is some whole rows of a matrix.
+by side, and a field at a fixed offset is some whole rows of a matrix. Where flag 2 is set, those of
+at least 512 bytes, which are the last, are coded as words instead (words.py): scans take half.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.store.blocks.words import code_words, decode_words, most_bytes
 
 Longs = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
@@ -32,7 +34,9 @@ MIN_PLANES = 16
 """Fewer messages of a size stand as they are: text is not torn apart for nothing."""
 FEW_SHARE = 64
 """Where less than one in so many messages is wanted, each is cut out by itself."""
-_RECEIVED = 1
+LONG = 512
+"""Bytes of a message that may be full of measured numbers."""
+_RECEIVED, _WORDS = 1, 2
 _HEAD = 2
 
 
@@ -58,10 +62,16 @@ class Unpacked:
     """
 
     def __init__(
-        self, times: Longs, seqs: Longs, sizes: Longs, received: Optional[Longs], body: memoryview
+        self,
+        times: Longs,
+        seqs: Longs,
+        sizes: Longs,
+        received: Optional[Longs],
+        body: memoryview,
+        words: bool = False,
     ) -> None:
         self.times, self.seqs, self.sizes, self.received = times, seqs, sizes, received
-        self._body = body
+        self._body, self._words = body, words
 
     def __len__(self) -> int:
         return len(self.times)
@@ -75,7 +85,8 @@ class Unpacked:
             size, count = int(self.sizes[members[0]]), len(members)
             flat = np.frombuffer(self._body, np.uint8, size * count, at)
             at += size * count
-            planes = flat.reshape(size, count) if _as_planes(count) else flat.reshape(count, size).T
+            as_planes = _as_planes(size, count, self._words)
+            planes = flat.reshape(size, count) if as_planes else flat.reshape(count, size).T
             found.append(Group(size, members, planes))
         return tuple(found)
 
@@ -95,7 +106,7 @@ class Unpacked:
         size, alike = int(self.sizes[position]), self.sizes == self.sizes[position]
         count, place = np.count_nonzero(alike), np.count_nonzero(alike[:position])
         at = int(self.sizes[self.sizes < size].sum())
-        if not _as_planes(count):
+        if not _as_planes(size, int(count), self._words):
             return bytes(self._body[at + place * size : at + (place + 1) * size])
         return bytes(self._body[at + place : at + size * count : count])
 
@@ -131,14 +142,21 @@ def pack_block(
     parts.append(_planes(sizes.astype("<u4")))
     if received is not None:
         parts.append(_planes(np.array(received, np.int64) - t))
-    for members in _members(sizes):
-        rows = wires if len(members) == len(wires) else [wires[n] for n in members.tolist()]
-        joined = b"".join(rows)
-        if _as_planes(len(rows)):
-            joined = _turn(np.frombuffer(joined, np.uint8).reshape(len(rows), -1))
-        parts.append(joined)
-    head = bytes((VERSION, 0 if received is None else _RECEIVED))
-    return head + _compressor().compress(b"".join(parts))
+    groups = [
+        wires if len(members) == len(wires) else [wires[n] for n in members.tolist()]
+        for members in _members(sizes)
+    ]
+    long = [wire for rows in groups if len(rows[0]) >= LONG for wire in rows]
+    words = code_words(long) if long else None
+    for rows in groups:
+        if words is None or len(rows[0]) < LONG:
+            joined = b"".join(rows)
+            if _as_planes(len(rows[0]), len(rows), words is not None):
+                joined = _turn(np.frombuffer(joined, np.uint8).reshape(len(rows), -1))
+            parts.append(joined)
+    flags = (_RECEIVED if received is not None else 0) | (_WORDS if words is not None else 0)
+    parts.append(words or b"")
+    return bytes((VERSION, flags)) + _compressor().compress(b"".join(parts))
 
 
 def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
@@ -152,24 +170,32 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
     Raises:
         CorruptMessage: The bytes are no such block.
     """
-    if len(data) < _HEAD or data[0] != VERSION or data[1] & ~_RECEIVED:
+    if len(data) < _HEAD or data[0] != VERSION or data[1] & ~(_RECEIVED | _WORDS):
         raise CorruptMessage(f"a block of {len(data)} bytes is of no version that is known here")
-    received = bool(data[1] & _RECEIVED)
-    expected = count * (20 + 8 * received) + size
+    received, words = bool(data[1] & _RECEIVED), bool(data[1] & _WORDS)
+    begin = count * (20 + 8 * received)
     try:
         # Before anything is made room for: the frame itself says how long it is.
-        if zstandard.frame_content_size(data[_HEAD:]) != expected:
+        length = zstandard.frame_content_size(data[_HEAD:])
+        if not begin <= length <= begin + most_bytes(size) if words else length != begin + size:
             raise CorruptMessage(f"a block does not hold {count} messages of {size} bytes")
-        body = _decompressor().decompress(data[_HEAD:])
+        view = memoryview(_decompressor().decompress(data[_HEAD:]))
     except zstandard.ZstdError as exc:
         raise CorruptMessage(f"a block cannot be unpacked: {exc}") from exc
-    view = memoryview(body)
     times, seqs = (np.cumsum(_numbers(view, n * 8 * count, count, "<i8")) for n in (0, 1))
     sizes = _numbers(view, 16 * count, count, "<u4").astype(np.int64)
     if int(sizes.sum()) != size:
         raise CorruptMessage(f"the messages of a block have {int(sizes.sum())} bytes, not {size}")
     arrivals = times + _numbers(view, 20 * count, count, "<i8") if received else None
-    return Unpacked(times, seqs, sizes, arrivals, view[len(body) - size :])
+    body = _without_words(view[begin:], sizes) if words else view[begin:]
+    return Unpacked(times, seqs, sizes, arrivals, body, words)
+
+
+def _without_words(body: memoryview, sizes: Longs) -> memoryview:
+    """Return the messages of a block of which the long ones are coded, with those as they stand."""
+    short, long = sizes[sizes < LONG], sizes[sizes >= LONG]
+    at = int(short.sum())
+    return memoryview(b"".join((body[:at], decode_words(body[at:], np.sort(long).tolist()))))
 
 
 def _members(sizes: Longs) -> List[Longs]:
@@ -181,8 +207,8 @@ def _members(sizes: Longs) -> List[Longs]:
     return np.split(order, ends) if len(sizes) else []
 
 
-def _as_planes(count: int) -> bool:
-    return count >= MIN_PLANES
+def _as_planes(size: int, count: int, words: bool) -> bool:
+    return count >= MIN_PLANES and not (words and size >= LONG)
 
 
 def _differences(values: Longs) -> Longs:
