@@ -6,9 +6,14 @@ from __future__ import annotations
 
 import bz2
 import struct
+from itertools import permutations
 from struct import Struct
 from types import ModuleType
-from typing import Callable, Tuple, cast
+from typing import Callable, List, NamedTuple, Optional, Sequence, Tuple, cast
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.errors import BagError, MissingDependency
@@ -76,9 +81,27 @@ def _roslz4() -> ModuleType:
     return cast(ModuleType, roslz4)
 
 
-ChunkMessage = Tuple[int, int, int, int]
-"""Place of one message in the content of its chunk: the number of the connection as the file has
-it, the time, ns, and start and stop of the serialised message. Plain: there is one for each."""
+Longs = NDArray[np.int64]
+
+
+class Places(NamedTuple):
+    """Where the messages of a chunk lie in its content, in its order; a number of each."""
+
+    ids: Longs
+    """Of their connections, as the file has them."""
+    times: Longs
+    """ns."""
+    starts: Longs
+    stops: Longs
+    """Of the serialised message."""
+
+    @property
+    def sizes(self) -> Longs:
+        """Serialised bytes of each."""
+        return self.stops - self.starts
+
+
+_Found = List[Tuple[int, int, int, int]]
 
 # Both known writers of bags give the header of a message always the same layout, so one unpack
 # and two comparisons read it; every other order of the fields is read field by field.
@@ -96,9 +119,45 @@ _PYTHON = (
 _FIXED_BYTES = _MESSAGE_HEAD.size
 
 
-def find_messages(content: bytes, where: str) -> list[ChunkMessage]:
-    """List the messages of a chunk's unpacked content, which its records must fill exactly."""
-    found: list[ChunkMessage] = []
+class _Layout(NamedTuple):
+    """What stands before the bytes of a message, its fields in some order."""
+
+    head: NDArray[np.uint8]
+    mask: NDArray[np.uint8]
+    """0 at its numbers."""
+    numbers: list[slice]
+    """Where those are: of the connection, seconds and nanoseconds, the size."""
+
+
+def _layout(order: Sequence[bytes]) -> _Layout:
+    header = bagformat.pack_fields((name, bagformat.OP_MESSAGE * (name == b"op")) for name in order)
+    head = bagformat.U32.pack(len(header)) + header + bagformat.U32.pack(0)
+    ends = [head.index(name) + len(name) for name in (b"conn=", b"time=")]
+    numbers = [slice(end, end + size) for end, size in zip((*ends, len(head) - 4), (4, 8, 4))]
+    mask = np.full(len(head), 255, np.uint8)
+    for place in numbers:
+        mask[place] = 0
+    return _Layout(np.frombuffer(head, np.uint8), mask, numbers)
+
+
+_LAYOUTS = [_layout(order) for order in permutations((b"op", b"conn", b"time"))]
+"""All there are: Python 2 wrote another one than the two above."""
+MIN_AT_ONCE = 16
+"""Fewer are read one by one."""
+
+
+def find_messages(content: bytes, where: str, offsets: Optional[Longs] = None) -> Places:
+    """List the messages of a chunk's unpacked content, which its records must fill exactly.
+
+    Args:
+        offsets: Where the index says that records of messages begin, ascending. It is believed
+            where the records there fill the content; then they are read all at once.
+    """
+    if offsets is not None and len(offsets) >= MIN_AT_ONCE:
+        places = _messages_at(content, where, offsets)
+        if places is not None:
+            return places
+    found: _Found = []
     position, end = 0, len(content)
     last_fixed = end - _FIXED_BYTES
     (read, head, middle), other = _PYTHON, _CPP
@@ -119,10 +178,42 @@ def find_messages(content: bytes, where: str) -> list[ChunkMessage]:
                 position = stop
                 continue
         position = _other_record(content, position, where, found)
-    return found
+    columns = np.array(found, np.int64).reshape(-1, 4).T
+    return Places(*columns)
 
 
-def _other_record(content: bytes, position: int, where: str, found: list[ChunkMessage]) -> int:
+def _messages_at(content: bytes, where: str, offsets: Longs) -> Optional[Places]:
+    """Read the messages whose records begin at some bytes; None: that is not all there is."""
+    if offsets[0] < 0 or offsets[-1] > len(content) - _FIXED_BYTES:
+        return None
+    heads = sliding_window_view(np.frombuffer(content, np.uint8), _FIXED_BYTES)[offsets]
+    for layout in _LAYOUTS:
+        if not ((heads ^ layout.head) & layout.mask).any():
+            break
+    else:
+        return None
+    numbers = np.hstack([heads[:, place] for place in layout.numbers])
+    ids, secs, nsecs, sizes = numbers.view("<u4").astype(np.int64).T
+    starts, times = offsets + _FIXED_BYTES, secs * SECOND_NS + nsecs
+    if times.max() > MAX_NS or not _fill(content, where, offsets, starts + sizes):
+        return None
+    return Places(ids, times, starts, starts + sizes)
+
+
+def _fill(content: bytes, where: str, begins: Longs, ends: Longs) -> bool:
+    """Say whether records from some bytes to some others, and connections, fill a content."""
+    begins, ends = np.append(begins, len(content)), np.insert(ends, 0, 0)
+    more: _Found = []
+    for gap in np.flatnonzero(begins != ends).tolist():
+        position, end = int(ends[gap]), int(begins[gap])
+        while position < end and not more:
+            position = _other_record(content, position, where, more)
+        if position != end or more:
+            return False
+    return True
+
+
+def _other_record(content: bytes, position: int, where: str, found: _Found) -> int:
     """Read a connection record, or a message in another layout; return where it ends."""
     place = f"{where} (byte {position} of its content)"
     try:

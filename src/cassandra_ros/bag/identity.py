@@ -11,9 +11,12 @@ from __future__ import annotations
 import hashlib
 from itertools import chain, takewhile
 from struct import Struct
-from typing import AbstractSet, NamedTuple
+from typing import AbstractSet, Mapping, NamedTuple
 
-from cassandra_ros.bag.chunk import ChunkMessage
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from cassandra_ros.bag.chunk import Places
 from cassandra_ros.bag.reader import BagReader, Progress
 from cassandra_ros.errors import BagError
 from cassandra_ros.keys import MAX_WRITER
@@ -27,7 +30,11 @@ CONTENT = "content"
 
 _SUMMARY = Struct("<QQQ")
 _MESSAGE = Struct("<IQQ")
-_AT_ONCE_BYTES = 1 << 20
+_HEAD = np.dtype([("rank", "<u4"), ("time", "<u8"), ("size", "<u8")])
+"""The same, for many messages at once."""
+_LARGE_BYTES = 4096
+"""Messages of this size are hashed where they lie."""
+_NOTHING = Places(*(np.zeros(0, np.int64) for _ in Places._fields))
 _DAMAGED_CHUNK = _MESSAGE.pack(2**32 - 1, 2**64 - 1, 2**64 - 1)
 """No message has this time."""
 
@@ -60,52 +67,57 @@ def read_content(reader: BagReader, reading: Progress | None = None) -> BagConte
     fails, and says where. ``reading`` is told how far it is, after each chunk.
     """
     digest, rank = _begin(b"cassandra_ros bag 2", reader)
-    sizes, latest, unordered = dict.fromkeys(rank, 0), dict.fromkeys(rank, 0), set()
+    sizes, latest = dict.fromkeys(rank, 0), dict.fromkeys(rank, 0)
+    unordered: set[int] = set()
     for chunk in range(reader.chunk_count):
-        before = sum(sizes.values())
         try:
-            found = _add_chunk(digest, reader, chunk, rank, sizes)
-            count, (start_ns, end_ns) = len(found), reader.chunk_times(chunk)
-            for file_id, t_ns, _, _ in found:
-                number = reader.numbers[file_id]
-                if t_ns < latest[number] or not start_ns <= t_ns <= end_ns:
-                    unordered.add(number)
-                latest[number] = t_ns
+            content, places = reader.chunk_content(chunk)
         except BagError:
             digest.update(_DAMAGED_CHUNK)
-            count = 0
+            places = _NOTHING
+        else:
+            _add_messages(digest, content, places, rank)
+            _add_times(places, reader.chunk_times(chunk), latest, unordered)
+            for number in np.unique(places.ids).tolist():
+                sizes[number] += int(places.sizes[places.ids == number].sum())
         if reading is not None:
-            reading(count, sum(sizes.values()) - before)
+            reading(len(places.ids), int(places.sizes.sum()))
     return BagContent(digest.hexdigest(), sizes, unordered)
 
 
-def _add_chunk(
-    digest: hashlib._Hash,
-    reader: BagReader,
-    chunk: int,
-    rank: dict[int, int],
-    sizes: dict[int, int],
-) -> list[ChunkMessage]:
-    """Hash the messages of a chunk, add up their sizes, and return where they lie."""
-    content, found = reader.chunk_content(chunk)
-    numbers, pack = reader.numbers, _MESSAGE.pack
-    # Of many small ones at once: each update costs as much as some hundred bytes.
-    parts: list[bytes] = []
-    waiting = 0
-    for file_id, t_ns, start, stop in found:
-        number, size = numbers[file_id], stop - start
-        sizes[number] += size
-        parts.append(pack(rank[number], t_ns, size))
-        waiting += size
-        if waiting <= _AT_ONCE_BYTES:
-            parts.append(content[start:stop])
-        else:
-            digest.update(b"".join(parts))
+def _add_messages(
+    digest: hashlib._Hash, content: bytes, places: Places, rank: Mapping[int, int]
+) -> None:
+    """Hash the messages of a chunk: of each its connection, time and size before its bytes."""
+    heads = np.empty(len(places.ids), _HEAD)
+    heads["rank"] = [rank[number] for number in places.ids.tolist()]
+    heads["time"], heads["size"] = places.times, places.sizes
+    raw = heads.view(np.uint8).reshape(len(heads), -1)
+    if len(content) > _LARGE_BYTES * len(heads):
+        for head, start, stop in zip(raw, places.starts.tolist(), places.stops.tolist()):
+            digest.update(head)
             digest.update(memoryview(content)[start:stop])
-            parts.clear()
-            waiting = 0
-    digest.update(b"".join(parts))
-    return found
+        return
+    # Of small ones at once: each update costs as much as some hundred bytes. What a record of the
+    # bag has before its message is longer than what is to stand there.
+    changed, begins = np.frombuffer(content, np.uint8).copy(), places.starts - _HEAD.itemsize
+    sliding_window_view(changed, _HEAD.itemsize, writeable=True)[begins] = raw
+    data = changed.tobytes()
+    spans = zip(begins.tolist(), places.stops.tolist())
+    digest.update(b"".join([data[begin:stop] for begin, stop in spans]))
+
+
+def _add_times(
+    places: Places, ends: tuple[int, int], latest: dict[int, int], unordered: set[int]
+) -> None:
+    """Note the connections of a chunk of which messages are not in the order of their times."""
+    for number in np.unique(places.ids).tolist():
+        times = places.times[places.ids == number]
+        if (np.diff(times, prepend=latest[number]) < 0).any() or not (
+            ends[0] <= times.min() and times.max() <= ends[1]
+        ):
+            unordered.add(number)
+        latest[number] = int(times[-1])
 
 
 def is_earlier(run: Run) -> bool:

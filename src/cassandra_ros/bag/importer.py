@@ -31,7 +31,6 @@ from cassandra_ros.topics.totals import holds_any
 
 _log = logging.getLogger(__name__)
 
-_TELL_MESSAGES, _TELL_BYTES = 64, 64 * 1024
 _WINDOW_NS = 10 * SECOND_NS
 _REPAIRED = (
     "A repaired copy counts as another bag: import it into another keyspace, or remove these "
@@ -242,23 +241,15 @@ def _write_messages(
     report: ImportReport,
     progress: Progress | None,
 ) -> None:
-    each = {n: (handle, report.topics[handle.topic]) for n, handle in handles.items()}
-    write, untold, untold_bytes = writer.write, 0, 0
     try:
-        for position, number, t_ns, data in reader.messages(handles.keys()):
-            handle, topic = each[number]
-            write(handle, t_ns, position, data)
-            size = len(data)
-            topic.messages += 1
+        for number, positions, times, wires in reader.stretches(handles.keys()):
+            handle, size = handles[number], sum(map(len, wires))
+            writer.write_run(handle, times, positions, wires)
+            topic = report.topics[handle.topic]
+            topic.messages += len(wires)
             topic.bytes += size
-            untold += 1
-            untold_bytes += size
-            # Not of each: who is told may take longer than the message.
-            if progress is not None and (untold >= _TELL_MESSAGES or size > _TELL_BYTES):
-                progress(untold, untold_bytes)
-                untold = untold_bytes = 0
-        if progress is not None:
-            progress(untold, untold_bytes)
+            if progress is not None:
+                progress(len(wires), size)
     except BagError as exc:
         writer.flush()
         raise type(exc)(

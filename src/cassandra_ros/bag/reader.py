@@ -9,11 +9,12 @@ from bisect import bisect_left, bisect_right
 from collections import Counter
 from contextlib import ExitStack
 from difflib import get_close_matches
-from operator import itemgetter
-from typing import AbstractSet, Callable, Iterable, Iterator, NamedTuple
+from typing import AbstractSet, Callable, Iterable, Iterator, Mapping, NamedTuple
+
+import numpy as np
 
 from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.chunk import ChunkMessage, decompress_chunk, find_messages
+from cassandra_ros.bag.chunk import MIN_AT_ONCE, Longs, Places, decompress_chunk, find_messages
 from cassandra_ros.bag.index import BagIndex
 from cassandra_ros.errors import BagError, TopicNotFound
 from cassandra_ros.keys import MAX_NS
@@ -36,11 +37,23 @@ class RawMessage(NamedTuple):
     data: bytes
 
 
+class Stretch(NamedTuple):
+    """The messages of one connection in one chunk, in its order."""
+
+    number: int
+    """Key of BagReader.connections."""
+    positions: Longs
+    """Their places among all messages of the bag, in the order of the file, from 0."""
+    times: Longs
+    """ns."""
+    wires: list[bytes]
+
+
 class BagReader(BagIndex):
     """A bag that is open for reading; also a context manager.
 
     Memory: 40 bytes for each chunk of the bag, and while reading the largest chunk, packed and
-    unpacked, with about 150 bytes for each of its messages.
+    unpacked, with about 200 bytes for each of its messages.
 
     Attributes:
         connections: By number, in the order of the index. Like rosbag, we leave out those that
@@ -105,17 +118,33 @@ class BagReader(BagIndex):
         info = self.chunk_info(chunk)
         if numbers is not None and numbers.isdisjoint(info.counts):
             return
-        content, found = self.chunk_content(chunk)
-        mapping = self.numbers
-        for position, (file_id, t_ns, start, stop) in enumerate(found, info.first):
-            number = mapping[file_id]
+        content, places = self.chunk_content(chunk)
+        columns = zip(*(column.tolist() for column in places))
+        for position, (number, t_ns, start, stop) in enumerate(columns, info.first):
             if numbers is None or number in numbers:
                 yield RawMessage(position, number, t_ns, content[start:stop])
 
-    def chunk_content(self, chunk: int) -> tuple[bytes, list[ChunkMessage]]:
-        """Read what a chunk holds, and where its messages lie in it; see messages."""
+    def stretches(self, numbers: AbstractSet[int]) -> Iterator[Stretch]:
+        """Read the messages of some connections chunk by chunk; see messages."""
+        for chunk in range(self.chunk_count):
+            info = self.chunk_info(chunk)
+            wanted = [number for number in info.counts if number in numbers]
+            if not wanted:
+                continue
+            content, places = self.chunk_content(chunk)
+            for number in wanted:
+                chosen = np.flatnonzero(places.ids == number)
+                ends = zip(places.starts[chosen].tolist(), places.stops[chosen].tolist())
+                wires = [content[start:stop] for start, stop in ends]
+                yield Stretch(number, info.first + chosen, places.times[chosen], wires)
+
+    def chunk_content(self, chunk: int) -> tuple[bytes, Places]:
+        """Read what a chunk holds, and where its messages lie in it; see messages.
+
+        Their ids are those of ``connections``.
+        """
+        where, counts = self._where(chunk), self.chunk_info(chunk).counts
         compression, size, data_bytes = self._chunk_header(chunk)
-        where = self._where(chunk)
         if compression == "none" and size != data_bytes:
             raise BagError(f"{where} is damaged: it states both {size} and {data_bytes} bytes")
         try:
@@ -123,15 +152,35 @@ class BagReader(BagIndex):
         except OSError as exc:
             raise BagError(f"{where} cannot be read: {exc.strerror}") from exc
         content = decompress_chunk(compression, data, size, where)
-        found = find_messages(content, where)
-        counted = Counter(map(itemgetter(0), found))
-        counts = {self.numbers.get(file_id, -1): n for file_id, n in counted.items()}
-        if counts != self.chunk_info(chunk).counts:
+        places = find_messages(content, where, self._offsets(counts))
+        present, inverse, each = np.unique(places.ids, return_inverse=True, return_counts=True)
+        numbers = [self.numbers.get(file_id, -1) for file_id in present.tolist()]
+        ids = np.array(numbers, np.int64)[inverse]
+        if dict(zip(numbers, each.tolist())) != counts:
             raise BagError(
-                f"{where} is damaged: its {len(found)} messages are not those that the index "
+                f"{where} is damaged: its {len(ids)} messages are not those that the index "
                 f"lists; repair it with: rosbag reindex {self.path}"
             )
-        return content, found
+        return content, places._replace(ids=ids)
+
+    def _offsets(self, counts: Mapping[int, int]) -> Longs | None:
+        """Read where the index of the chunk before the file's position says that messages begin.
+
+        None: it does not say so of all, or it takes longer than to look for them.
+        """
+        count = sum(counts.values())
+        if count < MIN_AT_ONCE * max(1, len(counts)):
+            return None
+        found: list[Longs] = []
+        try:
+            for _ in counts:
+                record = bagformat.read_record(self._file, bagformat.OP_INDEX, self.path)
+                entries = np.frombuffer(self._file.read(record.data_bytes), "<u4")
+                found.append(entries[2::3].astype(np.int64))
+        except (BagError, OSError, ValueError):
+            return None
+        offsets = np.concatenate(found)
+        return np.sort(offsets) if len(offsets) == count else None
 
     def _chunk_header(self, chunk: int) -> tuple[str, int, int]:
         where = self._where(chunk)

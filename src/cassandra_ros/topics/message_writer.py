@@ -10,7 +10,10 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Mapping, Optional
+from typing import Mapping, Optional, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cassandra_ros.arguments import (
     check_integer,
@@ -46,6 +49,9 @@ from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.topic_table import TopicTable
 
 _log = logging.getLogger(__name__)
+
+Longs = NDArray[np.int64]
+Wires = Sequence[bytes]
 
 MAX_COUNTER = (1 << COUNTER_BITS) - 1
 MAX_REMOVALS = 5
@@ -297,6 +303,16 @@ class MessageWriter:
                 stats.reason = stats.reason or str(exc)
             self._on_loss(handle.topic, 1, exc)
             return None
+
+    def write_run(self, handle: Handle, times: Longs, counters: Longs, wires: Wires) -> None:
+        """Take several messages in this order, as write does but quicker where they join blocks."""
+        taken, blocks = 0, handle.blocks
+        known = len(wires) and min(times.min(), counters.min()) >= 0 and times.max() <= MAX_NS
+        if blocks is not None and self._on_loss is None and known and counters.max() <= MAX_COUNTER:
+            taken = blocks.take_run(times, self._high | counters, wires)
+        rest = zip(times[taken:].tolist(), counters[taken:].tolist(), wires[taken:])
+        for t_ns, counter, wire in rest:
+            self.write(handle, t_ns, counter, wire)
 
     def _current(self, handle: Handle) -> Handle:
         """Return the handle as current does, waiting for a store that is away as for a row."""

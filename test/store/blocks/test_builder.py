@@ -8,6 +8,7 @@ import itertools
 import threading
 import zlib
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -100,6 +101,21 @@ def test_every_message_is_in_one_block_and_the_rules_hold(steps):
     assert sorted(found) == sorted(every)
     # Blocks have keys of their own: none is written over another.
     assert len({(block.t, block.seq) for _, block in cutter.blocks}) == len(cutter.blocks)
+
+
+@given(messages, st.lists(st.integers(1, 60), max_size=60))
+def test_messages_that_are_taken_together_end_in_the_same_blocks(steps, lengths):
+    every, one, many = made(steps), Cutter(), Cutter()
+    one.take(every)
+    builder = many.builders.get(Table(), "", 1)
+    for length in [*lengths, len(every)]:
+        run, every = every[:length], every[length:]
+        if run:
+            times, seqs = (np.array(column, np.int64) for column in list(zip(*run))[:2])
+            assert builder.take_run(times, seqs, [wire for _, _, wire in run]) == len(run)
+    assert rows(many.blocks) == rows(one.blocks) and many.builders.nbytes == one.builders.nbytes
+    many.gone.add("t_1")
+    assert builder.take_run(np.array([10**9]), np.array([1 << 32]), [b""]) == 0
 
 
 @given(messages, messages, st.data())

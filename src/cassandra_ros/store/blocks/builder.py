@@ -19,7 +19,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from cassandra_ros.store.blocks.codec import pack_block
+from cassandra_ros.store.blocks.codec import Longs, pack_block
 from cassandra_ros.store.blocks.limits import ALONE_BYTES, Limits
 from cassandra_ros.store.row_table import CHUNK_BYTES, RowTable
 
@@ -179,6 +179,43 @@ class BlockBuilder:
             if len(times) >= self._most or size > ALONE_BYTES:
                 self.seal()
         return True
+
+    def take_run(self, received: Longs, seqs: Longs, wires: Sequence[bytes]) -> int:
+        """Take messages as if one by one; return how many: fewer where the table is gone."""
+        nbytes = np.cumsum(np.fromiter(map(len, wires), np.int64, len(wires)))
+        alone = np.diff(nbytes, prepend=0).max(initial=0) > ALONE_BYTES
+        times, numbers = received.tolist(), seqs.tolist()
+        if alone or self.key_time is not None:
+            every = zip(times, numbers, wires)
+            return next((n for n, each in enumerate(every) if not self.take(*each)), len(wires))
+        at = 0
+        with self._lock:
+            while at < len(wires):
+                stop = self._room(received, nbytes, at)
+                if stop == at:
+                    if not self._begin(times[at]):
+                        return at
+                    stop = max(at + 1, self._room(received, nbytes, at))
+                self.nbytes += int(nbytes[stop - 1] - (nbytes[at - 1] if at else 0))
+                self._times += times[at:stop]
+                self._seqs += numbers[at:stop]
+                self._wires += wires[at:stop]
+                at = stop
+                if len(self._times) >= self._most:
+                    self.seal()
+        return at
+
+    def _room(self, times: Longs, nbytes: Longs, at: int) -> int:
+        """Return before which message, of those from one on, the block that is filled must end.
+
+        Args:
+            nbytes: Serialised bytes of all messages up to and with each.
+        """
+        most = self._most_bytes - self.nbytes + (int(nbytes[at - 1]) if at else 0)
+        room = int(np.searchsorted(nbytes, most, "right"))
+        stop = max(at, min(room, at + self._most - len(self._times)))
+        beyond = (times[at:stop] < self._first) | (times[at:stop] > self._latest)
+        return at + int(beyond.argmax()) if beyond.any() else stop
 
     def _begin(self, t: int) -> bool:
         """Seal what is here, and begin a block with a message of this time; False: it may not."""
