@@ -10,6 +10,8 @@ export LC_ALL := C.UTF-8
 # Nodes of demo and tests find each other without a resolvable host name.
 unexport ROS_HOSTNAME
 export ROS_IP := 127.0.0.1
+# Each of the many processes of the tests would compile all of the package anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&

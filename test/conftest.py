@@ -34,16 +34,14 @@ SERVER_VARIABLE = "CASSANDRA_ROS_TEST_SERVER"
 """Names a running server, host:port, that the tests use instead of one of their own."""
 
 # The servers of single tests live for seconds: the second compiler would take more time than it
-# saves, at a start more than half. The one that all share lives long enough for it.
+# saves, at a start more than half.
 ONE_COMPILER = "-XX:TieredStopAtLevel=1"
 
 # Nothing is synced to the disk of the server that all share: it is never killed, those that are
-# have their own. A table is made in a third of the time. And the second compiler takes only what
-# is run very often: it would work a sixth of the time for a server that lives ten minutes.
+# have their own. A table is made in a third of the time. And what the second compiler makes of ten
+# minutes of many kinds of work would not pay for it, nor for what the first counts for it.
 SHARED = (
-    "-XX:+UseTransparentHugePages "
-    "-XX:Tier4InvocationThreshold=20000 -XX:Tier4MinInvocationThreshold=2400 "
-    "-XX:Tier4CompileThreshold=60000 -XX:Tier4BackEdgeThreshold=160000 "
+    f"-XX:+UseTransparentHugePages {ONE_COMPILER} "
     "-Dcassandra.unsafesystem=true -Dcassandra.config.allow_system_properties=true "
     "-Dcassandra.settings.commitlog_sync=periodic "
     "-Dcassandra.settings.commitlog_sync_period=10000ms"

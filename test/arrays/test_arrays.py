@@ -12,7 +12,7 @@ from collections import namedtuple
 import numpy as np
 import pytest
 from campaign import campaign
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import PRIMITIVES, DefinitionMaker, WireMaker, installedTypes
 from query.rows import attribute, plain
@@ -132,7 +132,7 @@ def check(definition, wires, fmt):
 
 
 @pytest.mark.parametrize("fmt", FORMATS)
-@settings(deadline=None, max_examples=60)
+@campaign(100)
 @given(seed=SEEDS, odd=st.booleans())
 def test_every_kind_of_field(fmt, seed, odd):
     definition = parse_definition("pkg/Every", EVERY, None)
@@ -149,7 +149,7 @@ def test_every_kind_of_field(fmt, seed, odd):
 
 
 @pytest.mark.parametrize("fmt", ["ros", "binary"])
-@settings(deadline=None, max_examples=150)
+@campaign(200)
 @given(seed=SEEDS, odd=st.booleans())
 def test_random_types(fmt, seed, odd):
     definition = parse_definition(*DefinitionMaker(seed, depth=3).make())

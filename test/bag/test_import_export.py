@@ -81,8 +81,8 @@ def beginning(path, target, part):
 
 # Every bag in every format; what make test leaves to the campaign costs more than all the others.
 LONG = {
-    "backpack_multiecho_bz2": ("string", "json"),
-    "husky_gps_data": ("string", "json", "yaml"),
+    "backpack_multiecho_bz2": ("binary", "string", "json", "ros"),
+    "husky_gps_data": ("binary", "string", "json", "yaml"),
     "turtlesim_tf": ("yaml",),
 }
 

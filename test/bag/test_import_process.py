@@ -75,7 +75,7 @@ def write_bag(path, count, size, topics=4):
 def test_an_import_that_was_killed_is_completed_by_the_next(
     rosCas, cassandra, keyspace, cql, tmp_path
 ):
-    count = 40_000
+    count = 20_000
     path = write_bag(tmp_path / "a.bag", count, 100)
     for killed_at in (0.3, 0.6):
         child = spawn_import(cassandra, keyspace, path, killed_at * count)

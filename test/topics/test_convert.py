@@ -106,7 +106,7 @@ def test_each_format_becomes_each_other(rosCas, source, target):
 
 
 def test_keys_and_cursors_of_the_old_table_stay_good(rosCas):
-    fill(rosCas, "ros")
+    fill(rosCas, "ros", 120)
     topic = rosCas.getTopic("/t")
     rows = list(topic.rows())
     keys = [(row.key, row.wire) for row in rows]

@@ -22,7 +22,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.store import replacement, schema
 from cassandra_ros.topics import convert, copying
 
-TARGETS = {"": ["packed", "ros", "json"], "short": ["binary", "packed", "yaml", "ros"]}
+TARGETS = {"": ["packed", "ros"], "short": ["binary", "packed", "yaml", "ros"]}
 TARGETS["long"] = TARGETS["short"] * 3
 
 

@@ -25,6 +25,8 @@ VALUES = ("a", "b", "", "grün", "x" * 2000)
 class Writing:
     """Message after message on a thread, number by number, until it is stopped."""
 
+    PAUSE_SEC = 0.001
+
     def __init__(self, rosCas, topic):
         self.rosCas, self.topic = rosCas, topic
         self.written = []
@@ -36,7 +38,7 @@ class Writing:
 
     def _run(self):
         try:
-            while not self._stopping.wait(0.001):
+            while not self._stopping.wait(self.PAUSE_SEC):
                 self.one()
         except BaseException as exc:  # noqa: BLE001 - handed to the test, which fails by it
             self.failure = f"{type(exc).__name__}: {exc}"
@@ -100,7 +102,12 @@ class ByWriter(Writing):
 
 
 class ByValues(ByWriter):
-    """Texts that come again and again; some an index cannot hold."""
+    """Texts that come again and again; some an index cannot hold.
+
+    Seldom enough that a busy machine fills an index faster than there is more to fill.
+    """
+
+    PAUSE_SEC = 0.004
 
     def text(self, number):
         return VALUES[number % len(VALUES)]
