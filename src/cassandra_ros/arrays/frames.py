@@ -9,12 +9,19 @@ from __future__ import annotations
 
 import importlib
 import sys
-from typing import Any
+from typing import Any, Optional
 
 import numpy as np
 
 from cassandra_ros.arguments import check_list
-from cassandra_ros.arrays.gather import FieldArray, Fields, ReadRows, Where, gather_fields
+from cassandra_ros.arrays.gather import (
+    FieldArray,
+    Fields,
+    ReadBlocks,
+    ReadRows,
+    Where,
+    gather_fields,
+)
 from cassandra_ros.arrays.values import rows_of
 from cassandra_ros.errors import MissingDependency
 from cassandra_ros.query.protocols import Row
@@ -28,11 +35,17 @@ VERSIONS = {
 _UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}
 
 
-def read_frame(topic: Source[Row], fields: Fields, where: Where, read: ReadRows) -> Any:
+def read_frame(
+    topic: Source[Row],
+    fields: Fields,
+    where: Where,
+    read: ReadRows,
+    blocks: Optional[ReadBlocks] = None,
+) -> Any:
     """Return fields as a DataFrame, whose index is KEY; arguments and errors as gather_fields."""
     pandas = optional_module("pandas", "toDataFrame")
     asked = None if fields is None else ["KEY", *check_list("fields", fields, "['linear.x']")]
-    found = gather_fields(topic, asked, where, read)
+    found = gather_fields(topic, asked, where, read, blocks)
     key = found.pop("KEY")
     times = key.kind.kind == "time"
     index = pandas.Index(key.values.view("M8[ns]") if times else key.values, name="KEY")

@@ -5,15 +5,16 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Callable, Iterator, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterator, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
 from cassandra_ros.arguments import check_list
 from cassandra_ros.arrays.array_types import MIXED, AnyArray, ArrayType, unite_columns
+from cassandra_ros.arrays.stacked_values import MessageBlock
 from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.arrays.values import empty_values, join_values
-from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.errors import InvalidQuery, TopicNotFound
 from cassandra_ros.query.names import Findings
 from cassandra_ros.query.parse import parse_condition, parse_select
 from cassandra_ros.query.protocols import Row, Table
@@ -29,6 +30,10 @@ Columns = Callable[[Table], Sequence[str]]
 ReadRows = Callable[[Columns], Iterator[Row]]
 """Reads the stored rows that satisfy the condition."""
 
+ReadBlocks = Callable[[], Optional[Iterator[MessageBlock]]]
+"""Reads the same as whole blocks, where all of it lies in such, in any order; else gives None.
+TopicNotFound: a table was replaced meanwhile."""
+
 _PLAIN_TOPIC = re.compile(r"/[A-Za-z][A-Za-z0-9_/]*")
 
 
@@ -42,13 +47,18 @@ class FieldArray(NamedTuple):
 
 
 def gather_fields(
-    topic: Source[Row], fields: Fields, where: Where, read: ReadRows
+    topic: Source[Row],
+    fields: Fields,
+    where: Where,
+    read: ReadRows,
+    blocks: Optional[ReadBlocks] = None,
 ) -> dict[str, FieldArray]:
     """Gather fields from the rows of a topic.
 
     Args:
         fields: As a SELECT statement names them, KEY, NODE and RUN included; None = all fields.
         where: Which messages ``read`` gives, and which elements of the arrays that are unnested.
+        read, blocks: How they are read; by blocks no object is made of a message.
 
     Raises:
         InvalidName: fields is no list of names.
@@ -64,6 +74,11 @@ def gather_fields(
     findings = Findings(select.text)
     tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
     findings.check()
+    if blocks is not None and tables and all(t.takes_blocks for t in tables.values()):
+        found = _from_blocks(select, tables, blocks)
+        if found is not None:
+            return found
+        tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
 
     def columns(table: Table) -> Sequence[str]:
         known = tables.get(table.name)
@@ -83,14 +98,37 @@ def gather_fields(
     return _united(select, list(tables.values()))
 
 
+def _from_blocks(
+    select: Select, tables: Mapping[str, TableValues], blocks: ReadBlocks
+) -> Optional[dict[str, FieldArray]]:
+    """Gather fields from blocks; None where they have to be read as rows."""
+    read = blocks()
+    if read is None:
+        return None
+    try:
+        for block in read:
+            if block.table.name not in tables:  # made since
+                return None
+            tables[block.table.name].add_block(block)
+    except TopicNotFound:
+        return None
+    for table in tables.values():
+        table.flush()
+    return _united(select, list(tables.values()))
+
+
 def read_arrays(
-    topic: Source[Row], fields: Fields, where: Where, read: ReadRows
+    topic: Source[Row],
+    fields: Fields,
+    where: Where,
+    read: ReadRows,
+    blocks: Optional[ReadBlocks] = None,
 ) -> dict[str, AnyArray]:
     """Return fields as arrays, those of which values are missing as masked ones.
 
     Arguments and errors are those of gather_fields.
     """
-    found = gather_fields(topic, fields, where, read)
+    found = gather_fields(topic, fields, where, read, blocks)
     return {name: _masked(values, missing) for name, (_, values, missing) in found.items()}
 
 
@@ -136,8 +174,9 @@ def _united(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArr
             n: FieldArray(ArrayType(k), *empty_values(ArrayType(k), 0)) for n, k in kinds.items()
         }
     filled = [table for table in tables if table.count]
-    order = None
-    if len(filled) > 1:
+    places = [place for table in filled for place in table.places]
+    order = _order_of(places) if places else None
+    if len(filled) > 1 and not places:
         order = np.argsort(np.concatenate([table.order for table in filled]), kind="stable")
     found = {}
     for name, kind in dict(unite_columns([table.groups for table in tables])).items():
@@ -146,3 +185,17 @@ def _united(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArr
             values, missing = values[order], missing[order]
         found[name] = FieldArray(kind, values, missing)
     return found
+
+
+def _order_of(places: Sequence[MessageBlock]) -> Optional[AnyArray]:
+    """Return the order of all reads, by time, node, _seq and table; None where they have it."""
+    times = np.concatenate([place.times for place in places])
+    if (times[1:] > times[:-1]).all():
+        return None
+    counts = [len(place.times) for place in places]
+    nodes, tables = (
+        np.repeat(np.unique(names, return_inverse=True)[1], counts)
+        for names in ([p.node for p in places], [p.table.name for p in places])
+    )
+    order: AnyArray = np.lexsort((tables, np.concatenate([p.seqs for p in places]), nodes, times))
+    return order

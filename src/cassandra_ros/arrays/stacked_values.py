@@ -8,7 +8,7 @@ in common with others is left to whoever cuts one message after the other.
 
 from __future__ import annotations
 
-from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -17,10 +17,46 @@ from cassandra_ros.arrays.values import Values, empty_values
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.layout import FieldColumn
-from cassandra_ros.messages.wire.stacked import Stack, by_size, stacker
+from cassandra_ros.messages.wire.stacked import Bytes, Places, Stack, by_size, stacker
 from cassandra_ros.query.names import FieldRef
+from cassandra_ros.query.protocols import Table
 
 _NUMBERS = ("int", "float", "bool", "time", "duration")
+
+Grouped = Iterable[Tuple[Places, Bytes]]
+"""Messages by their size: which they are, ascending, and their planes."""
+Left = Sequence[Tuple[int, bytes]]
+"""Messages that share no layout with others: which they are, and their bytes."""
+
+
+class MessageBlock(NamedTuple):
+    """Messages of one writer that lie in one table, in order."""
+
+    table: Table
+    node: str
+    run: Callable[[], str]
+    """What RUN says of them."""
+    times: Places
+    """Their keys, ns."""
+    seqs: Places
+    groups: Grouped
+    """What is in none cannot be read."""
+
+
+def together(blocks: Sequence[MessageBlock]) -> Grouped:
+    """Return the messages of blocks by their size: of many sizes each block has few of one."""
+    found: Dict[int, List[Tuple[Places, Bytes]]] = {}
+    first = 0
+    for block in blocks:
+        for members, planes in block.groups:
+            found.setdefault(len(planes), []).append((members + first, planes))
+        first += len(block.times)
+    for parts in found.values():
+        if len(parts) == 1:
+            yield parts[0]
+        else:
+            planes = np.concatenate([planes for _, planes in parts], axis=1)
+            yield np.concatenate([members for members, _ in parts]), planes
 
 
 class StackedField(NamedTuple):
@@ -86,21 +122,27 @@ def _texts(stack: Stack, path: str) -> AnyArray:
     return values  # type: ignore[no-any-return]
 
 
+def grouped(wires: Sequence[Optional[bytes]]) -> Grouped:
+    """Divide messages by their size; None for one is missing."""
+    places = np.array([n for n, wire in enumerate(wires) if wire is not None], np.int64)
+    for members, planes in by_size([wire for wire in wires if wire is not None]):
+        yield places[members], planes
+
+
 def read_stacked(
-    definition: Definition, fields: Sequence[StackedField], wires: Sequence[Optional[bytes]]
-) -> Tuple[List[Values], List[int]]:
-    """Read fields out of messages; None for one is missing.
+    definition: Definition, fields: Sequence[StackedField], count: int, groups: Grouped
+) -> Tuple[List[Values], Left]:
+    """Read fields out of so many messages.
 
     Returns:
         The values of each field, all of them missing in the messages that were not read; and
-        which these are, without those that are None.
+        these, without those that are in no group.
     """
-    found = [empty_values(field.kind, len(wires)) for field in fields]
-    present = [n for n, wire in enumerate(wires) if wire is not None]
-    places, rest = np.array(present, np.int64), []
-    for members, planes in by_size([wire for wire in wires if wire is not None]):
-        stacks, others = stacker(definition).stacks(planes, places[members])
-        rest += others.tolist()
+    found = [empty_values(field.kind, count) for field in fields]
+    rest: List[Tuple[int, bytes]] = []
+    for members, planes in groups:
+        stacks, others = stacker(definition).stacks(planes, members)
+        rest += [(n, planes[:, np.searchsorted(members, n)].tobytes()) for n in others.tolist()]
         for stack in stacks:
             for field, values in zip(fields, found):
                 field.put(stack, values)

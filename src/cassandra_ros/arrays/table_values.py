@@ -17,7 +17,13 @@ from typing import Callable, Mapping, NamedTuple, Optional, Sequence, Union
 import numpy as np
 
 from cassandra_ros.arrays.array_types import AnyArray, ArrayType, group_types
-from cassandra_ros.arrays.stacked_values import StackedField, read_stacked
+from cassandra_ros.arrays.stacked_values import (
+    MessageBlock,
+    StackedField,
+    grouped,
+    read_stacked,
+    together,
+)
 from cassandra_ros.arrays.values import (
     Convert,
     Values,
@@ -34,7 +40,7 @@ from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFo
 from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.plan import wire_plan
 from cassandra_ros.query.names import FieldRef, Findings
-from cassandra_ros.query.projection import Projection
+from cassandra_ros.query.projection import KEY_PLACE, NODE_PLACE, Projection
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.syntax import Select
 
@@ -42,6 +48,9 @@ _log = logging.getLogger(__name__)
 
 BATCH_ROWS = 4096
 BATCH_BYTES = 8 * 1024 * 1024
+BLOCKS_BYTES = 2 * 1024 * 1024
+BATCH_MESSAGES = 16384
+"""Of blocks: then also those of many sizes share theirs with others."""
 
 
 Cut = Callable[[bytes], Sequence[Optional[bytes]]]
@@ -93,6 +102,9 @@ class TableValues:
         """All fields, where they are read out of many messages at once; else none."""
         self._chunks: list[list[Values]] = [[] for _ in self._outputs]
         self._orders: list[AnyArray] = []
+        self._blocks: list[MessageBlock] = []
+        self.places: list[MessageBlock] = []
+        """Times, nodes and _seq of what came in blocks."""
         self._clear()
 
     def _stacked_fields(self, known: Mapping[str, FieldColumn]) -> list[StackedField]:
@@ -104,6 +116,11 @@ class TableValues:
             if output.ref is not None
         ]
         return fields if all(field.is_able for field in fields) else []
+
+    @property
+    def takes_blocks(self) -> bool:
+        """Whether add_block may be called."""
+        return bool(self._stacked) and self._tester is None
 
     def _origin(
         self, ref: FieldRef, kind: ArrayType, known: Mapping[str, FieldColumn]
@@ -167,6 +184,7 @@ class TableValues:
         self._raws: list[Sequence[Optional[bytes]]] = []
         self._hits: list[list[bool]] = []
         self._decoded: list[Sequence[object]] = []
+        self._blocks = []
         self._bytes = 0
 
     def add(self, row: Row, number: int) -> None:
@@ -192,6 +210,15 @@ class TableValues:
         if len(self._numbers) >= BATCH_ROWS or self._bytes >= BATCH_BYTES:
             self.flush()
 
+    def add_block(self, block: MessageBlock) -> None:
+        """Take messages, of which all are wanted; ``places`` order them."""
+        self._blocks.append(block)
+        self.places.append(block._replace(groups=()))
+        self._numbers += [0] * len(block.times)
+        self._bytes += sum(planes.size for _, planes in block.groups)
+        if len(self._numbers) >= BATCH_MESSAGES or self._bytes >= BLOCKS_BYTES:
+            self.flush()
+
     def flush(self) -> None:
         """Turn the rows of the batch into arrays."""
         if not self._numbers:
@@ -213,21 +240,23 @@ class TableValues:
         definition, cut = self._table.definition, self._cut
         if definition is None or cut is None:
             raise AssertionError("only fields of a definition are stacked")
-        wires = [raw for (raw,) in self._raws]
-        found, rest = read_stacked(definition, self._stacked, wires)
-        raws = [self._cut_one(n, wires[n] or b"", cut) for n in rest]
-        columns, fields, places = list(zip(*raws)), iter(found), np.array(rest, np.int64)
+        count = len(self._numbers)
+        groups = together(self._blocks) if self._blocks else grouped([r for (r,) in self._raws])
+        found, rest = read_stacked(definition, self._stacked, count, groups)
+        columns = list(zip(*[self._cut_one(n, wire, cut) for n, wire in rest]))
+        fields, places = iter(found), np.array([n for n, _ in rest], np.int64)
         chunks = []
         for output, kind, origin in zip(self._outputs, self._kinds, self._origins):
             if origin is None:
-                chunks.append(self._own_values(output.place, kind))
+                own = self._of_blocks if self._blocks else self._own_values
+                chunks.append(own(output.place, kind))
                 continue
             chunk = next(fields)
             if rest:
                 values, missing = origin.convert(columns[origin.place])
                 chunk.values[places], chunk.missing[places] = values, missing
             if not chunk.missing.any():
-                chunk = chunk._replace(missing=none_missing(len(wires)))
+                chunk = chunk._replace(missing=none_missing(count))
             chunks.append(chunk)
         self._orders.append(_order(self._numbers))
         return chunks
@@ -236,8 +265,10 @@ class TableValues:
         try:
             return cut(wire)
         except CorruptMessage as exc:
-            topic, key = self._table.msg_type, self._own[n][0]
-            _log.warning("a message of type %s at %s cannot be read: %s", topic, key, exc)
+            own = self._of_blocks if self._blocks else self._own_values
+            key = own(KEY_PLACE, ArrayType("time")).values[n]
+            kind = self._table.msg_type
+            _log.warning("a message of type %s at %s cannot be read: %s", kind, key, exc)
             return [None] * len(self._names)
 
     def _value_by_value(self) -> list[Values]:
@@ -272,6 +303,16 @@ class TableValues:
         own = [pair[place] for pair in self._own]
         values = objects_of(own) if kind.dtype.kind == "O" else np.array(own, np.int64)
         return Values(values, none_missing(len(own)))
+
+    def _of_blocks(self, place: int, kind: ArrayType) -> Values:
+        blocks = self._blocks
+        counts = [len(block.times) for block in blocks]
+        if place == KEY_PLACE:
+            values = np.concatenate([block.times for block in blocks])
+        else:
+            texts = [block.node if place == NODE_PLACE else block.run() for block in blocks]
+            values = np.repeat(objects_of(texts), counts)
+        return Values(values, none_missing(sum(counts)))
 
     @property
     def count(self) -> int:

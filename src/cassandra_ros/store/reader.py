@@ -11,19 +11,23 @@ import heapq
 import logging
 from collections import deque
 from functools import partial
+from itertools import repeat
 from typing import (
+    Callable,
+    Generic,
     Iterable,
     Iterator,
     Optional,
     Sequence,
     Tuple,
+    TypeVar,
 )
 
 from cassandra.query import PreparedStatement
 
 from cassandra_ros.errors import SchemaConflict
-from cassandra_ros.store.blocks.part import Part
-from cassandra_ros.store.blocks.stream import stream
+from cassandra_ros.store.blocks.part import Opened, Part
+from cassandra_ros.store.blocks.stream import opened, stream
 from cassandra_ros.store.directory import BucketRow, Directory
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_refused
 from cassandra_ros.store.paging import GROWTH, Asked, RawRow
@@ -57,6 +61,7 @@ KEYED_SHARE = 0.04
 TURNED_PAGES = 2
 """So many pages of what an index finds are held to be turned."""
 _Order = Tuple[object, ...]
+_T = TypeVar("_T")
 
 _ALL: Query = ((), False)
 
@@ -77,22 +82,31 @@ def _blocks(piece: Piece, scan: Scan, chosen: Optional[Sequence[Query]]) -> Iter
     """Ask for the first blocks of a bucket; return their messages."""
     table, chooser = piece.table, scan.chooser
     columns = None if scan.columns is None else scan.columns(table)
-    part = Part(
-        table,
+    part = _part(piece, scan)
+    part.bare = columns is not None and not columns
+    part.filters = None if chosen is None else [terms for terms, _ in chosen]
+    if chooser is None:
+        return stream(part)
+    part.sift, part.opened = chooser.sift(table), partial(chooser.opened, table)
+    return _counted(piece, chooser, stream(part)) if chosen is not None else stream(part)
+
+
+def _part(piece: Piece, scan: Scan) -> Part:
+    return Part(
+        piece.table,
         piece.node,
         piece.bucket,
         ends_of(piece, scan),
         scan.reverse,
         scan.writers,
-        bare=columns is not None and not columns,
-        filters=None if chosen is None else [terms for terms, _ in chosen],
         wanted=piece.first_rows,
         page_bytes=piece.page_bytes,
     )
-    if chooser is None:
-        return stream(part)
-    part.sift, part.opened = chooser.sift(table), partial(chooser.opened, table)
-    return _counted(piece, chooser, stream(part)) if chosen is not None else stream(part)
+
+
+def _open_blocks(piece: Piece, scan: Scan) -> tuple[Iterator[tuple[Part, Opened]], bool]:
+    part = _part(piece, scan)
+    return zip(repeat(part), opened(part)), False
 
 
 def _counted(piece: Piece, chooser: Chooser, rows: Iterator[TableRow]) -> Iterator[TableRow]:
@@ -263,7 +277,7 @@ def read_rows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> I
     """
     sign = -1 if scan.reverse else 1
     heap: list[tuple[_Order, int, TableRow, Iterator[TableRow]]] = []
-    waiting = _Prefetched(directory, tables, scan)
+    waiting = _Prefetched(directory, tables, scan, _open)
     count = 0
     while heap or waiting.left:
         while waiting.left and (not heap or waiting.opens_before(heap[0][2].t, sign)):
@@ -287,6 +301,19 @@ def read_rows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> I
                 heapq.heappush(heap, (_order(row, sign), number, row, stream))
                 break
             yield row
+
+
+def read_blocks(
+    directory: Directory, tables: Sequence[RowTable], scan: Scan
+) -> Iterator[tuple[Part, Opened]]:
+    """Yield the blocks of several packed tables, bucket by bucket, whatever their order.
+
+    Each comes with what is read of its bucket. Columns and chooser of the scan are not
+    looked at.
+    """
+    waiting = _Prefetched(directory, tables, scan, _open_blocks)
+    while waiting.left:
+        yield from waiting.take()
 
 
 def _order(row: TableRow, sign: int) -> _Order:
@@ -339,7 +366,7 @@ def _page_rows(group: Sequence[BucketRow], page_bytes: int) -> int:
     return max(1, min(MAX_PAGE_ROWS, int(rows)))
 
 
-class _Prefetched:
+class _Prefetched(Generic[_T]):
     """The buckets still to be read, the next ones asked for before their turn comes.
 
     Where whole buckets are read, one is asked for ahead. Where the server filters them, little
@@ -347,18 +374,28 @@ class _Prefetched:
     the first row. Where few rows are wanted, so many are asked for: of one bucket, of those that
     begin with it, and of more where these list less. Who goes on is given more and more.
 
+    Args:
+        open_piece: Asks for what is read of a bucket; says besides whether some is left out.
+
     Attributes:
         left: There are buckets to be read.
         start: Where the next one begins.
     """
 
-    def __init__(self, directory: Directory, tables: Sequence[RowTable], scan: Scan) -> None:
+    def __init__(
+        self,
+        directory: Directory,
+        tables: Sequence[RowTable],
+        scan: Scan,
+        open_piece: Callable[[Piece, Scan], tuple[Iterator[_T], bool]],
+    ) -> None:
         self._scan = scan
+        self._open = open_piece
         walks = [(table, _walk(directory, table, scan)) for table in tables]
         pieces = [_pieces(table, walk, scan) for table, walk in walks]
         self._pieces = heapq.merge(*pieces, key=_begins, reverse=scan.reverse)
         self._next = next(self._pieces, None)
-        self._asked: deque[tuple[Piece, Iterator[TableRow], bool]] = deque()
+        self._asked: deque[tuple[Piece, Iterator[_T], bool]] = deque()
         self._ahead = 0 if scan.few else 1
         self._rows = max(1, scan.wanted or 1)
         self._listed = 0
@@ -376,8 +413,8 @@ class _Prefetched:
         """Say whether the next bucket may hold rows that come before or at t."""
         return (self.start - t) * sign <= 0
 
-    def take(self) -> Iterator[TableRow]:
-        """Return the rows of the next bucket; ask for some behind it."""
+    def take(self) -> Iterator[_T]:
+        """Return what is read of the next bucket; ask for some behind it."""
         while self._next is not None and self._asks(self._next):
             self._ask(self._next)
             self._next = next(self._pieces, None)
@@ -408,4 +445,4 @@ class _Prefetched:
             page_bytes=self._page_bytes,
             first_rows=rows if self._scan.few else 0,
         )
-        self._asked.append((piece, *_open(piece, self._scan)))
+        self._asked.append((piece, *self._open(piece, self._scan)))

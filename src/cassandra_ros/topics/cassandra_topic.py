@@ -421,8 +421,8 @@ class CassandraTopic:
             InvalidQuery: A field or the condition is not one of this topic; shows the spot.
             InvalidKey: key or to_key cannot be one.
         """
-        read = partial(self._finder(nodeID, where, run).columns, key, to_key)
-        return read_arrays(self, fields, where, read)
+        reads = self._finder(nodeID, where, run).reads(key, to_key)
+        return read_arrays(self, fields, where, *reads)
 
     def toDataFrame(
         self,
@@ -448,8 +448,8 @@ class CassandraTopic:
             InvalidQuery: The topic has no such field.
             MissingDependency: pandas is not installed; the text says how.
         """
-        read = partial(self._finder(nodeID, where, run).columns, key, to_key)
-        return read_frame(self, fields, where, read)
+        reads = self._finder(nodeID, where, run).reads(key, to_key)
+        return read_frame(self, fields, where, *reads)
 
     def createIndex(self, field: str, progress: Optional[Progress] = None) -> int:
         """Make an index on a field, so that conditions on it read only the rows that they find.

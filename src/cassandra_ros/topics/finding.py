@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_limit, check_message_name
+from cassandra_ros.arrays.gather import ReadBlocks, ReadRows
 from cassandra_ros.errors import InvalidKey, InvalidQuery, MessageNotFound
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS, RowName
 from cassandra_ros.messages.key_part import KeyPart
@@ -93,6 +94,13 @@ class Finder:
         if self.where is not None or not isinstance(wanted, Stretch):
             return self._select(wanted)
         return self.keyspace.rows.read(self.tables, wanted, whose=self.whose, columns=columns)
+
+    def reads(self, key: AnyKey, to_key: AnyKey) -> Tuple[ReadRows, Optional[ReadBlocks]]:
+        """Return how the rows of ``many`` are read for arrays: one by one, or (None) as blocks."""
+        wanted, blocks = self.several(key, to_key), None
+        if self.where is None and isinstance(wanted, Stretch):
+            blocks = partial(self.keyspace.rows.blocks, self.tables, wanted, whose=self.whose)
+        return partial(self.columns, key, to_key), blocks
 
     def count(self, key: AnyKey, to_key: AnyKey) -> int:
         """Count the rows of ``many``, of a whole stretch of time without reading them."""

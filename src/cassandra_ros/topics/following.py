@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import Callable, Iterator, List, Optional, Sequence, TypeVar, Union
 
+from cassandra_ros.arrays.stacked_values import MessageBlock
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import Position, RowName, is_behind
 from cassandra_ros.messages.stamps import Stamp
@@ -114,6 +115,14 @@ class Following:
 
         return _followed_rows(tables, rows, after, reverse)
 
+    def blocks(
+        self, tables: Tables, stretch: Stretch, *, whose: Whose = EVERYBODY
+    ) -> Optional[Iterator[MessageBlock]]:
+        """Read whole blocks, as RowReader does; TopicNotFound where a table was replaced."""
+        tables = current(tables)
+        found = self._rows.blocks(tables, stretch, whose=whose)
+        return None if found is None else _unless_left(tables, found)
+
     def received(
         self, tables: Tables, stretch: Stretch, *, whose: Whose = EVERYBODY
     ) -> Iterator[StoredRow]:
@@ -145,6 +154,12 @@ class Following:
     ) -> Optional[Sequence[StoredRow]]:
         """Find the rows nearest to a time, quickly; None where read has to."""
         return followed(tables, lambda now: self._rows.beside(now, t, whose, ways))
+
+
+def _unless_left(tables: Tables, blocks: Iterator[MessageBlock]) -> Iterator[MessageBlock]:
+    yield from blocks
+    if _left(tables):
+        raise TopicNotFound("a table was replaced while it was read")
 
 
 def _followed_rows(

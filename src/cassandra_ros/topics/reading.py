@@ -7,6 +7,7 @@ from __future__ import annotations
 import heapq
 from typing import Callable, Iterable, Iterator, Optional, Sequence, Union, cast
 
+from cassandra_ros.arrays.stacked_values import MessageBlock
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import Position, RowName, is_behind
 from cassandra_ros.messages.key_part import KeyPart
@@ -24,9 +25,10 @@ from cassandra_ros.store.fetch import (
     list_names,
     versions,
 )
-from cassandra_ros.store.reader import read_rows
+from cassandra_ros.store.reader import read_blocks, read_rows
 from cassandra_ros.store.row_table import RowTable, TableRow
 from cassandra_ros.store.scan import Chooser, Scan
+from cassandra_ros.topics.block_messages import messages_of
 from cassandra_ros.topics.chunks_ahead import chunks_ahead
 from cassandra_ros.topics.selection import (
     EVERYBODY,
@@ -105,6 +107,15 @@ class RowReader:
             named = self._named([t for t in tables if t.named], scan, whose)
             rows = heapq.merge(rows, named, key=lambda row: row.position, reverse=reverse)
         yield from self._stored(rows, tables)
+
+    def blocks(
+        self, tables: Sequence[TopicTable], stretch: Stretch, *, whose: Whose = EVERYBODY
+    ) -> Optional[Iterator[MessageBlock]]:
+        """Read the messages of a stretch as whole blocks; None where not all lie in such."""
+        if not all(table.packed for table in tables):
+            return None
+        scan = Scan(*stretch, nodes=whose.nodes, writers=whose.writers)
+        return messages_of(read_blocks(self._directory, tables, scan), tables)
 
     def _stored(
         self, rows: Iterable[TableRow], tables: Sequence[TopicTable]

@@ -19,6 +19,7 @@ from cassandra_ros.store.blocks.part import (
     GROWTH,
     MAX_BLOCKS,
     Held,
+    Opened,
     Part,
     key_of,
 )
@@ -34,6 +35,19 @@ def stream(part: Part) -> Iterator[TableRow]:
         return _whole(part, _Pages(part))
     needed = Needed(part, Headers(part))
     return downwards(part, needed) if part.reverse else upwards(part, needed)
+
+
+def opened(part: Part) -> Iterator[Opened]:
+    """Yield the blocks of a bucket as they lie, whatever their messages' order. Asked at once."""
+    return _opened(part, _Pages(part))
+
+
+def _opened(part: Part, pages: _Pages) -> Iterator[Opened]:
+    for blocks, _ in pages:
+        for block in blocks:
+            found = part.open(block)
+            if found.left:
+                yield found
 
 
 class _Pages:

@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The messages of blocks, all of a block at once, for whoever makes arrays of them."""
+
+from __future__ import annotations
+
+import logging
+from functools import partial
+from typing import Iterable, Iterator, List, Optional, Sequence, Tuple
+
+import numpy as np
+
+from cassandra_ros.arrays.stacked_values import MessageBlock
+from cassandra_ros.errors import CorruptMessage, MessageNotFound
+from cassandra_ros.messages.wire.stacked import Bytes, Places, as_planes
+from cassandra_ros.store.blocks.codec import Unpacked
+from cassandra_ros.store.blocks.part import Opened, Part
+from cassandra_ros.topics.chunks_ahead import chunks_ahead
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.topic_table import TopicTable
+
+_log = logging.getLogger(__name__)
+
+
+def messages_of(
+    blocks: Iterable[Tuple[Part, Opened]], tables: Sequence[TopicTable]
+) -> Iterator[MessageBlock]:
+    """Yield what is wanted of blocks; large messages, each a block of one, come last."""
+    by_name = {table.name: table for table in tables}
+    large: List[StoredRow] = []
+    for part, opened in blocks:
+        table, block, row = by_name[part.table.name], opened.block, opened.row
+        if block is None or block.unpacked is None:
+            large += [StoredRow(each, table) for each in part.rows(opened)]
+            continue
+        places, run = opened.places, partial(table.runs.text, row.writer)
+        times, seqs = block.times[places], block.seqs[places]
+        groups = _chosen(block.unpacked, places)
+        yield MessageBlock(table, part.node, run, times, seqs, groups)
+    yield from filter(None, map(_alone, chunks_ahead(large)))
+
+
+def _chosen(unpacked: Unpacked, places: Places) -> Sequence[Tuple[Places, Bytes]]:
+    if len(places) == len(unpacked):
+        return [(group.members, group.planes) for group in unpacked.groups]
+    kept = np.zeros(len(unpacked), bool)
+    kept[places] = True
+    numbers, chosen = np.cumsum(kept) - 1, []
+    for group in unpacked.groups:
+        inside = kept[group.members]
+        if inside.any():
+            chosen.append((numbers[group.members[inside]], group.planes[:, inside]))
+    return chosen
+
+
+def _alone(row: StoredRow) -> Optional[MessageBlock]:
+    """Return a block of one message; None where that was removed since its block was read."""
+    groups = []
+    try:
+        groups.append((np.zeros(1, np.int64), as_planes([row.wire])))
+    except MessageNotFound:
+        return None
+    except CorruptMessage as exc:
+        _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
+    place = np.array([row.t], np.int64), np.array([row.seq], np.int64)
+    return MessageBlock(row.table, row.node, lambda: row.run, *place, groups)

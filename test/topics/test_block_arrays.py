@@ -1,0 +1,65 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""getArrays straight out of blocks gives what it gives row by row."""
+
+from __future__ import annotations
+
+import numpy as np
+from std_msgs.msg import Header
+
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.topics.finding import Finder
+
+T0 = 1_600_000_000 * SECOND_NS
+FIELDS = ["KEY", "NODE", "RUN", "seq", "stamp", "frame_id"]
+LARGE = "x" * 600_000
+
+
+def fill(rosCas):
+    """Two nodes, one of them with two writers at once: equal stamps, all sizes, some large."""
+    definition = definition_of(Header)
+    for node, writer_id, count in (("b", 2, 300), ("a", 3, 300), ("a", 4, 90)):
+        with rosCas.messageWriter(nodeID=node, writer_id=writer_id, format="packed") as writer:
+            handle = writer.connect(api_connection("/p", definition, "/x"), bucket_ns=SECOND_NS)
+            for n in range(count):
+                text = LARGE if n == 70 else "f" * (n % 11)
+                message = Header(seq=n + writer_id, frame_id=text)
+                message.stamp.nsecs = n
+                wire = b"no message" if n == 77 else serialize(message)
+                writer.write(handle, T0 + n // 2 * SECOND_NS // 100, n, wire)
+    return rosCas.getTopic("/p")
+
+
+def test_blocks_give_what_their_rows_give(rosCas, monkeypatch):
+    topic = fill(rosCas)
+    assert topic.removeData(T0 + SECOND_NS // 100, T0 + SECOND_NS // 10) > 10
+    asked = [
+        {},
+        {"nodeID": "a"},
+        {"run": "4"},
+        {"key": T0 + SECOND_NS // 2, "to_key": T0 + SECOND_NS},
+    ]
+    with monkeypatch.context() as patch:
+        patch.setattr(Finder, "columns", None)  # no row is read
+        blocks = [topic.getArrays(FIELDS, **options) for options in asked]
+    assert topic.getArrays("seq")["seq"].count() == len(topic.getArrays("KEY")["KEY"]) - 3
+    reads, as_blocks = Finder.reads, []
+
+    def by_row(*arguments):
+        rows, blocks = reads(*arguments)
+        as_blocks.append(blocks is not None)
+        return rows, None
+
+    monkeypatch.setattr(Finder, "reads", by_row)
+    for options, found in zip(asked, blocks):
+        wanted = topic.getArrays(FIELDS, **options)
+        assert len(wanted["KEY"]) > 20
+        for name in FIELDS:
+            assert found[name].dtype == wanted[name].dtype
+            mask = np.ma.getmaskarray(wanted[name])
+            assert np.array_equal(np.ma.getmaskarray(found[name]), mask)
+            assert np.array_equal(found[name][~mask], wanted[name][~mask])
+    assert all(as_blocks)
