@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from std_msgs.msg import Header
 
 from cassandra_ros.keys import SECOND_NS
@@ -43,7 +44,7 @@ def test_blocks_give_what_their_rows_give(rosCas, monkeypatch):
         {"key": T0 + SECOND_NS // 2, "to_key": T0 + SECOND_NS},
     ]
     with monkeypatch.context() as patch:
-        patch.setattr(Finder, "columns", None)  # no row is read
+        patch.setattr(Finder, "columns", lambda *_: pytest.fail("they are read row by row"))
         blocks = [topic.getArrays(FIELDS, **options) for options in asked]
     assert topic.getArrays("seq")["seq"].count() == len(topic.getArrays("KEY")["KEY"]) - 3
     reads, as_blocks = Finder.reads, []
