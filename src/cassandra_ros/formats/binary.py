@@ -9,6 +9,7 @@ from typing import Sequence
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
+from cassandra_ros.messages.wire.stacked import Places
 
 _pack_size = struct.Struct(">i").pack
 
@@ -27,6 +28,16 @@ class CassandraTopic_binary(CassandraTopic_):
     def encode_together(self, wires: Sequence[bytes]) -> Sequence[bytes | None]:
         """Put its size before each."""
         return [_pack_size(len(wire)) + wire for wire in wires]
+
+    def decode_together(
+        self, data: bytes, starts: Places, ends: Places, sizes: Places
+    ) -> Sequence[bytes | None]:
+        """Cut them out."""
+        bounds = zip(starts.tolist(), ends.tolist())
+        return [
+            data[at + 4 : end] if data[at : at + 4] == _pack_size(end - at - 4) else None
+            for at, end in bounds
+        ]
 
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
         """Give the bytes back."""

@@ -10,6 +10,7 @@ from typing import Any, Mapping, NamedTuple, Sequence
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.messages.classes import deserialize, message_class, raw_class, serialize
 from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.wire.stacked import Places
 
 
 class EncodedMessage(NamedTuple):
@@ -74,6 +75,20 @@ class CassandraTopic_(ABC):
         or not like the others.
         """
         return [None] * len(wires)
+
+    def decode_together(
+        self, data: bytes, starts: Places, ends: Places, sizes: Places
+    ) -> Sequence[bytes | None]:
+        """Return the messages of many rows, of these sizes, as decode_wire does.
+
+        Args:
+            data: In which the columns of each lie from one of the starts to one of the ends, each
+                column behind its size.
+
+        Returns:
+            None for a message that decode_wire is to make, also where there may be none.
+        """
+        return [None] * len(starts)
 
     @abstractmethod
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:

@@ -10,6 +10,7 @@ from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessa
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.permuter import permuter
 from cassandra_ros.messages.wire.plan import wire_plan
+from cassandra_ros.messages.wire.stacked import Places
 
 INLINE_BYTES = 512 * 1024
 """Of larger messages only the scalar fields get columns: the row holds all bytes anyway."""
@@ -51,6 +52,14 @@ class CassandraTopic_ros(CassandraTopic_):
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
         """Build the bytes of the columns, unless the row has them."""
         return self.plan.build(columns) if raw is None else raw
+
+    def decode_together(
+        self, data: bytes, starts: Places, ends: Places, sizes: Places
+    ) -> Sequence[bytes | None]:
+        """Turn those of one layout back at once."""
+        if not self.plan.complete:
+            return [None] * len(starts)
+        return permuter(self.plan.definition).wires(data, starts, ends, sizes)
 
     def describe(self) -> list[dict[str, str | None]]:
         """Return what each column holds: field, ROS type, and the array of messages, if any.

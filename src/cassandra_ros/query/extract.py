@@ -118,9 +118,9 @@ class Extractor:
 
     def _columns(self, row: Row) -> Read:
         """Values of the named columns, from the row's own where it has them."""
-        if self.columns is not None and row.table.by_field:
+        held = row.columns
+        if self.columns is not None and held and row.table.by_field:
             # A column that cannot give its field back is unset, also in an odd row.
-            held = row.columns
             places = self._projected if len(held) == len(self.columns) else self._stored
             raw = [held[n] for n in places]
             if None not in raw:

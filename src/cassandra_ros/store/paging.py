@@ -7,7 +7,17 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
-from typing import Callable, Deque, Iterable, Iterator, List, Optional, Tuple, TypeVar, Union
+from typing import (
+    Callable,
+    Deque,
+    Iterable,
+    Iterator,
+    Optional,
+    Sequence,
+    Tuple,
+    TypeVar,
+    Union,
+)
 
 from cassandra.cluster import ResponseFuture, ResultSet
 from cassandra.query import Statement
@@ -29,7 +39,7 @@ RawRow = Tuple[Optional[bytes], ...]
 """The columns of a row as the bytes that Cassandra stores; None = null."""
 Refused = Callable[[BaseException], bool]
 """Tells of an error of the driver that it is to be raised as it is, at once."""
-OnPage = Callable[[List[RawRow]], None]
+OnPage = Callable[[Sequence[RawRow]], None]
 """Called with the rows of each page as soon as they are here, on the driver's thread."""
 _T = TypeVar("_T")
 
@@ -140,7 +150,6 @@ class Asked:
             of the statement, and is not asked for ahead before that. 0 = all are that large.
 
     Attributes:
-        last: The last row that was read.
         more: There are pages behind the one that was read.
     """
 
@@ -159,10 +168,18 @@ class Asked:
         self._refused = refused
         self._on_page = on_page
         self._small = first_rows
-        self.last: Optional[RawRow] = None
+        self._last: Optional[RawRow] = None
+        self._read: Sequence[RawRow] = ()
         self.more = True
         self._failed = False
         self._future = self._ask()
+
+    @property
+    def last(self) -> Optional[RawRow]:
+        """The last row that was read."""
+        if self._read:  # not before: the page may not be cut into rows yet
+            self._last, self._read = self._read[-1], ()
+        return self._last
 
     def _ask(self) -> ResponseFuture:
         statement = self._statement_from(self.last)
@@ -174,22 +191,22 @@ class Asked:
             future.add_callback(self._on_page)
         return future
 
-    def _result(self) -> list[RawRow]:
+    def _result(self) -> Sequence[RawRow]:
         if self._failed:
             self._future, self._failed = self._ask(), False
         try:
-            rows: list[RawRow] = answered(self._future).current_rows
+            rows: Sequence[RawRow] = answered(self._future).current_rows
             self.more = self._future.has_more_pages
             return rows
         except DRIVER_ERRORS:
             self._failed = True
             raise
 
-    def page(self) -> list[RawRow]:
+    def page(self) -> Sequence[RawRow]:
         """Wait for the page that is asked for; raises as retried does."""
         return retried(self._what, self._result, refused=self._refused)
 
-    def pages(self, *, ahead: bool = True) -> Iterator[list[RawRow]]:
+    def pages(self, *, ahead: bool = True) -> Iterator[Sequence[RawRow]]:
         """Yield the pages; ahead: the next is asked for before one is yielded, not behind it."""
         while self.more:
             page = self.page()
@@ -197,7 +214,7 @@ class Asked:
             if self.more and early:
                 self._future.start_fetching_next_page()
             if page:
-                self.last = page[-1]
+                self._read = page
             yield page
             if self.more and self._small and page:
                 self._small *= GROWTH

@@ -18,6 +18,9 @@ from cassandra.cluster import DefaultConnection
 from cassandra.cqltypes import BytesType
 from cassandra.protocol import BatchMessage, ExecuteMessage, ProtocolHandler, ResultMessage
 
+from cassandra_ros.store.paging import RawRow
+from cassandra_ros.store.raw_page import RawPage
+
 PROTOCOL_VERSION = 4
 """In version 5 all bytes are cut into segments of 128 KiB with checksums, which Python joins: 0.8
 ms more CPU for each MB that is written, and 1 to 1.5 ms for each that is read. Of what it can do
@@ -28,6 +31,8 @@ hundreds of calls."""
 DIRECT_BYTES = 16 * 1024
 """A request up to this is sent by the thread that makes it."""
 
+PAGE_BYTES = 4096
+"""Larger answers are cut into rows and columns by whoever reads them."""
 _Column = Tuple[Any, ...]
 """Keyspace, table, name and type of a column, as the driver tells them."""
 
@@ -113,16 +118,40 @@ class LargeBuffers(DefaultConnection):
 
 class _RawResultMessage(_Decoding):  # type: ignore[misc, valid-type]
     column_metadata: list[_Column] | None
+    column_names: list[str]
+    column_types: list[object]
+    parsed_rows: Sequence[RawRow]
 
     def recv_results_metadata(self, f: object, user_type_map: object) -> None:
         super().recv_results_metadata(f, user_type_map)
         self.column_metadata = _as_bytes(self.column_metadata)
 
     def recv_results_rows(
-        self, f: object, version: int, types: object, metadata: list[_Column] | None, policy: object
+        self,
+        f: io.BytesIO,
+        version: int,
+        types: object,
+        metadata: list[_Column] | None,
+        policy: object,
     ) -> None:
-        # The compiled parser binds self.recv_results_metadata, so ours above is called.
-        super().recv_results_rows(f, version, types, _as_bytes(metadata), policy)
+        known, body, start = _as_bytes(metadata), f.getvalue(), f.tell()
+        if len(body) < PAGE_BYTES:
+            # The compiled parser binds self.recv_results_metadata, so ours above is called.
+            super().recv_results_rows(f, version, types, known, policy)
+            return
+
+        def cut() -> Sequence[RawRow]:
+            rest, again = io.BytesIO(body), _RawResultMessage(self.kind)
+            rest.seek(start)
+            _Decoding.recv_results_rows(again, rest, version, types, known, policy)
+            rows: Sequence[RawRow] = again.parsed_rows
+            return rows
+
+        self.recv_results_metadata(f, types)
+        columns = self.column_metadata or known or ()
+        self.column_names = [column[2] for column in columns]
+        self.column_types = [column[3] for column in columns]
+        self.parsed_rows = RawPage(body, f.tell(), len(columns), cut)
 
 
 def _as_bytes(metadata: list[_Column] | None) -> list[_Column] | None:

@@ -31,6 +31,7 @@ from cassandra_ros.store.blocks.stream import opened, stream
 from cassandra_ros.store.directory import BucketRow, Directory
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_refused
 from cassandra_ros.store.paging import GROWTH, Asked, RawRow
+from cassandra_ros.store.raw_page import RawPage
 from cassandra_ros.store.row_table import (
     KEYS,
     RowTable,
@@ -147,6 +148,8 @@ class _Stream:
         self._scan = scan
         wanted = None if scan.columns is None else scan.columns(piece.table)
         self._columns = piece.table.columns if wanted is None else wanted
+        # Whoever checks a condition looks at columns.
+        self._together = wanted is None and scan.chooser is None
         self._place = piece.table.place(piece.node, piece.bucket)
         self._terms, indexed = query
         # To look at a row the server needs fewer columns than to answer with it: where it lets
@@ -234,8 +237,12 @@ class _Stream:
             return None
         return found
 
-    def _made(self, values: Iterable[RawRow]) -> Iterator[TableRow]:
+    def _made(self, values: Iterable[RawRow]) -> Iterable[TableRow]:
         table, node, heads = self._piece.table, self._piece.node, self._heads
+        if self._together and heads is None and isinstance(values, RawPage):
+            rows = table.rows_together(node, values)
+            if rows is not None:
+                return rows
         if heads is not None:
             values = (each for each in values if (each[1] or b"")[:4] in heads)
         return (table.row_from_values(node, each) for each in values if not table.is_rest(each))

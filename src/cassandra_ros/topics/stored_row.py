@@ -52,8 +52,10 @@ class StoredRow:
         self.chunked = chunks > 0
         self.table = table
         self._row = row
-        # What comes out of a block was checked with it.
-        self._wire: Optional[bytes] = self.columns[0] if block and self.columns else None
+        # What comes out of a block was checked with it, and what has no columns was made of them.
+        self._wire: Optional[bytes] = row.raw
+        if self.columns:
+            self._wire = self.columns[0] if block else None
         self._sent: Optional[Sent] = None
 
     @property

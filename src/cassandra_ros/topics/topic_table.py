@@ -22,6 +22,7 @@ from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.wire.zones import zone_map
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.raw_page import Places
 from cassandra_ros.store.row_table import Indexed, NewRow, RowTable, Shadows, Zones, encode_long
 from cassandra_ros.store.schema import Schema
 from cassandra_ros.topics.connections import ConnectionCache
@@ -196,6 +197,12 @@ class TopicTable(RowTable):
     def encode_together(self, wires: Sequence[bytes]) -> Sequence[Optional[bytes]]:
         """Return the columns of messages, each behind its size; None = encode is to be asked."""
         return self.format.encode_together(wires)
+
+    def decode_together(
+        self, data: bytes, starts: Places, ends: Places, sizes: Places
+    ) -> Sequence[Optional[bytes]]:
+        """Return the messages of columns in data; None = they are to be looked at themselves."""
+        return self.format.decode_together(data, starts, ends, sizes)
 
 
 class TopicTables:

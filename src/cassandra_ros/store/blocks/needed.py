@@ -72,7 +72,7 @@ class Headers:
             self._count = min(MAX_HEADERS, GROWTH * self._count)
             self._asked = [self._part.ask(HEADER, self._count, self._behind)]
         asked = self._asked.pop()
-        page: List[RawRow] = next((p for p in asked.pages(ahead=False) if p), [])
+        page: Sequence[RawRow] = next((p for p in asked.pages(ahead=False) if p), ())
         self.more = bool(page) and asked.more
         if self.more:
             self._behind, self.last = page[-1], key_of(page[-1])

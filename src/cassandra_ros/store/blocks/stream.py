@@ -10,7 +10,7 @@ headers are read, and then the blocks in the order in which they are needed.
 
 from __future__ import annotations
 
-from typing import Iterator, List, Optional, Tuple
+from typing import Iterator, List, Optional, Sequence, Tuple
 
 from cassandra_ros.store.blocks.block_row import WHOLE, BlockRow
 from cassandra_ros.store.blocks.needed import Headers, Needed, downwards, upwards
@@ -62,7 +62,7 @@ class _Pages:
         """Yield blocks, and the key that those of later pages lie behind; None = none come."""
         while self._asked is not None:
             asked = self._asked
-            page: List[RawRow] = next((p for p in asked.pages(ahead=False) if p), [])
+            page: Sequence[RawRow] = next((p for p in asked.pages(ahead=False) if p), ())
             blocks = self._part.blocks(page)
             self._asked = None
             if not page or not asked.more:
