@@ -40,7 +40,7 @@ def sparse_bag(path, count=2000, late=5):
 def children():
     """Return the processes that this one has started for an import."""
     found = psutil.Process().children()
-    return [child for child in found if any("bag.part" in word for word in child.cmdline())]
+    return [child for child in found if any("bag.job_process" in word for word in child.cmdline())]
 
 
 def cql_rows(rosCas, cql):

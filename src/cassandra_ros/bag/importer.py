@@ -13,8 +13,8 @@ from typing import AbstractSet, Iterable, Mapping, Sequence
 from cassandra_ros.arguments import check_integer, check_new_topic
 from cassandra_ros.bag import identity
 from cassandra_ros.bag.identity import BagContent
+from cassandra_ros.bag.job_process import Part, bag_writer, connect
 from cassandra_ros.bag.jobs import MAX_JOBS, run_parts, spans_of_jobs
-from cassandra_ros.bag.part import Part, bag_writer, connect
 from cassandra_ros.bag.reader import BagReader, Progress, chosen_connections
 from cassandra_ros.bag.verify import holds_nothing_else
 from cassandra_ros.errors import BagError, InvalidName, TopicExists

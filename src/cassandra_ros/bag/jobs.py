@@ -17,7 +17,7 @@ from typing import Iterable, Mapping, Sequence
 
 from cassandra_ros import errors
 from cassandra_ros.bag.identity import BagContent
-from cassandra_ros.bag.part import Part, Span, Stored
+from cassandra_ros.bag.job_process import Part, Span, Stored
 from cassandra_ros.bag.reader import BagReader, Progress
 from cassandra_ros.errors import WriteFailed
 from cassandra_ros.keys import MAX_NS
@@ -30,7 +30,7 @@ END_SEC = 20.0
 _POLL_SEC = 0.2
 # Our search path, not its own: that begins with the folder in which the user happens to be.
 _PROGRAM = (
-    "import sys; sys.path[:] = sys.argv[1:]; from cassandra_ros.bag.part import main; "
+    "import sys; sys.path[:] = sys.argv[1:]; from cassandra_ros.bag.job_process import main; "
     "sys.exit(main())"
 )
 

@@ -12,9 +12,9 @@ from typing import Any, Callable, Iterator, NamedTuple, Optional, Sequence, Tupl
 from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.query.compiled_rows import CompiledRows, compile_rows, compile_wire_rows
 from cassandra_ros.query.evaluate import Check, Values, compile_condition
 from cassandra_ros.query.extract import Extractor, Get, extractor_of
-from cassandra_ros.query.lean import LeanRows, compile_lean, compile_lean_wire
 from cassandra_ros.query.literals import Comparable, fit_to_field, fit_to_text, fit_to_time
 from cassandra_ros.query.names import Array, FieldRef, Findings, all_fields, field_of, fields_of
 from cassandra_ros.query.protocols import Row, Table
@@ -88,7 +88,7 @@ class Projection:
     """Places of the values that the condition needs."""
     stored: int = 0
     """How many columns its table has."""
-    lean: Optional[LeanRows] = None
+    compiled: Optional[CompiledRows] = None
     """Makes the rows of nearly all stored ones, and quickly."""
 
     @classmethod
@@ -124,20 +124,20 @@ class Projection:
             known = {output.name: (output.place, _show_of(output)) for output in group}
             shown += [known.get(name, (None, None)) for name in wanted]
         made = replace(self, shown=tuple(shown))
-        return replace(made, lean=made._compile_lean())
+        return replace(made, compiled=made._compile_rows())
 
-    def _compile_lean(self) -> Optional[LeanRows]:
+    def _compile_rows(self) -> Optional[CompiledRows]:
         if self.extractor is None:
             return None
         if not self.stored:
             read = self.extractor.whole()
             if read is None:
                 return None
-            return compile_lean_wire(read, self.own, self.check, self.shown, KEY_PLACE)
+            return compile_wire_rows(read, self.own, self.check, self.shown, KEY_PLACE)
         direct = self.extractor.direct()
         if direct is None or self.columns is None:
             return None
-        return compile_lean(
+        return compile_rows(
             direct,
             self.own,
             self.check,
@@ -172,12 +172,12 @@ class Projection:
 
     def hit(self, row: Row) -> bool:
         """Say whether a row, or one unnested element of it, satisfies the condition."""
-        found = None if self.lean is None else self.lean(row)
+        found = None if self.compiled is None else self.compiled(row)
         return any(self.hits(row)) if found is None else bool(found)
 
     def rows(self, row: Row) -> list[ResultRow]:
         """Return the rows of the result that a stored row gives."""
-        found = None if self.lean is None else self.lean(row)
+        found = None if self.compiled is None else self.compiled(row)
         if found is not None:
             return found
         return [self._row(row, v) for v in self.values(row) if self.check(v) is True]

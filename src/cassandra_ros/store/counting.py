@@ -9,9 +9,9 @@ from typing import FrozenSet, Iterator, Optional
 
 from cassandra_ros.errors import ConnectionFailed, StoreUnavailable
 from cassandra_ros.keys import split_seq, writer_of
+from cassandra_ros.store.blocks.bucket_read import BucketRead
 from cassandra_ros.store.blocks.counts import count_part as count_blocks
 from cassandra_ros.store.blocks.counts import measure
-from cassandra_ros.store.blocks.part import Part
 from cassandra_ros.store.blocks.stream import stream
 from cassandra_ros.store.directory import STALE_SEC, BucketRow, BucketTotals, Directory
 from cassandra_ros.store.row_table import COUNTED, MAX_SEQ, MIN_SEQ, RowTable, decode_long
@@ -30,7 +30,7 @@ def scan_keys(
     """
     if table.packed:
         ends = (low, MIN_SEQ), (high, MAX_SEQ)
-        for message in stream(Part(table, node, bucket, ends, bare=True)):
+        for message in stream(BucketRead(table, node, bucket, ends, bare=True)):
             yield message.t, message.seq, message.size, message.nchunks > 0, message.odd
         return
     asked = table.stretch(

@@ -16,8 +16,8 @@ from cassandra.query import BoundStatement
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
+from cassandra_ros.store.blocks.bucket_read import BucketRead
 from cassandra_ros.store.blocks.lookup import Finder, answer_one, ask_one
-from cassandra_ros.store.blocks.part import Part
 from cassandra_ros.store.blocks.stream import stream
 from cassandra_ros.store.directory import Directory, slot_of
 from cassandra_ros.store.paging import Asked, RawRow, sent_ahead
@@ -144,7 +144,7 @@ def beside(
 def _ask_side(table: RowTable, node: str, t: int, reverse: bool) -> _Side:
     ends = (FIRST, (t, LAST[1])) if reverse else ((t, FIRST[1]), LAST)
     if table.packed:
-        return stream(Part(table, node, table.bucket_of(t), ends, reverse, wanted=1))
+        return stream(BucketRead(table, node, table.bucket_of(t), ends, reverse, wanted=1))
     place, page_rows = table.place(node, table.bucket_of(t)), 1 + reverse
     return table.stretch(table.listing(), place, ends, page_rows=page_rows, reverse=reverse)
 

@@ -26,7 +26,7 @@ from typing import (
 from cassandra.query import PreparedStatement
 
 from cassandra_ros.errors import SchemaConflict
-from cassandra_ros.store.blocks.part import Opened, Part
+from cassandra_ros.store.blocks.bucket_read import BucketRead, Opened
 from cassandra_ros.store.blocks.stream import opened, stream
 from cassandra_ros.store.directory import BucketRow, Directory
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_refused
@@ -92,8 +92,8 @@ def _blocks(piece: Piece, scan: Scan, chosen: Optional[Sequence[Query]]) -> Iter
     return _counted(piece, chooser, stream(part)) if chosen is not None else stream(part)
 
 
-def _part(piece: Piece, scan: Scan) -> Part:
-    return Part(
+def _part(piece: Piece, scan: Scan) -> BucketRead:
+    return BucketRead(
         piece.table,
         piece.node,
         piece.bucket,
@@ -105,7 +105,7 @@ def _part(piece: Piece, scan: Scan) -> Part:
     )
 
 
-def _open_blocks(piece: Piece, scan: Scan) -> tuple[Iterator[tuple[Part, Opened]], bool]:
+def _open_blocks(piece: Piece, scan: Scan) -> tuple[Iterator[tuple[BucketRead, Opened]], bool]:
     part = _part(piece, scan)
     return zip(repeat(part), opened(part)), False
 
@@ -312,7 +312,7 @@ def read_rows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> I
 
 def read_blocks(
     directory: Directory, tables: Sequence[RowTable], scan: Scan
-) -> Iterator[tuple[Part, Opened]]:
+) -> Iterator[tuple[BucketRead, Opened]]:
     """Yield the blocks of several packed tables, bucket by bucket, whatever their order.
 
     Each comes with what is read of its bucket. Columns and chooser of the scan are not

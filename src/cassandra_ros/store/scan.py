@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Callable, FrozenSet, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 from cassandra_ros.keys import Position
-from cassandra_ros.store.blocks.part import Sift
+from cassandra_ros.store.blocks.bucket_read import Sift
 from cassandra_ros.store.directory import BucketRow
 from cassandra_ros.store.row_table import MAX_SEQ, MIN_SEQ, Order, RowTable, Terms
 

@@ -13,8 +13,8 @@ import numpy as np
 from cassandra_ros.arrays.stacked_values import MessageBlock
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
 from cassandra_ros.messages.wire.stacked import Bytes, Places, as_planes
+from cassandra_ros.store.blocks.bucket_read import BucketRead, Opened
 from cassandra_ros.store.blocks.codec import Unpacked
-from cassandra_ros.store.blocks.part import Opened, Part
 from cassandra_ros.topics.chunks_ahead import chunks_ahead
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 
 def messages_of(
-    blocks: Iterable[Tuple[Part, Opened]], tables: Sequence[TopicTable]
+    blocks: Iterable[Tuple[BucketRead, Opened]], tables: Sequence[TopicTable]
 ) -> Iterator[MessageBlock]:
     """Yield what is wanted of blocks; large messages, each a block of one, come last."""
     by_name = {table.name: table for table in tables}

@@ -16,7 +16,7 @@ from cassandra_ros.keys import Position, writer_of
 from cassandra_ros.store import reader, walk
 from cassandra_ros.store.blocks import needed
 from cassandra_ros.store.blocks import stream as streams
-from cassandra_ros.store.blocks.part import Part
+from cassandra_ros.store.blocks.bucket_read import BucketRead
 from cassandra_ros.store.blocks.stream import stream
 from cassandra_ros.store.counting import recount
 from cassandra_ros.store.fetch import Wanted, fetch_rows, first_at
@@ -174,7 +174,7 @@ def check_streams(model, rand):
         for reverse in (False, True):
             ends = ((p.t, p.seq), (2**62, 0)) if not reverse else ((0, 0), (p.t, p.seq))
             wanted = [each for each in mine if ends[0] <= each <= ends[1]]
-            asked = Part(table, p.node, bucket, ends, reverse, wanted=rand.choice((1, 5)))
+            asked = BucketRead(table, p.node, bucket, ends, reverse, wanted=rand.choice((1, 5)))
             rows = stream(asked)
             assert [(r.t, r.seq) for r in rows] == (wanted[::-1] if reverse else wanted)
 
@@ -263,7 +263,7 @@ def test_what_is_left_of_a_block_waits_for_those_whose_headers_are_not_read(crow
     table, every = crowded
     for wanted in (1, 3, 40):
         ends = (low, 0), (2**62, 0)
-        rows = stream(Part(table, "", table.bucket_of(T0), ends, wanted=wanted))
+        rows = stream(BucketRead(table, "", table.bucket_of(T0), ends, wanted=wanted))
         assert [(r.t, r.seq) for r in rows] == [m[:2] for m in every if m[0] >= low]
 
 

@@ -10,7 +10,14 @@ from typing import Iterator, List, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.store.blocks.block_row import HEADER, WHOLE, BlockRow
-from cassandra_ros.store.blocks.part import BLOCK_BYTES, GROWTH, Held, Opened, Part, key_of
+from cassandra_ros.store.blocks.bucket_read import (
+    BLOCK_BYTES,
+    GROWTH,
+    BucketRead,
+    Held,
+    Opened,
+    key_of,
+)
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS
 from cassandra_ros.store.paging import Asked, RawRow
 from cassandra_ros.store.row_table import MAX_SEQ, MIN_SEQ, Order, TableRow, Terms
@@ -34,7 +41,7 @@ _Item = Union[BlockRow, Opened]
 class Headers:
     """Headers of the blocks of a bucket, in the order of reading, as far as they are needed."""
 
-    def __init__(self, part: Part) -> None:
+    def __init__(self, part: BucketRead) -> None:
         self._part = part
         self._count = FIRST_HEADERS if part.wanted else MAX_HEADERS
         self._filters = part.filters
@@ -96,7 +103,7 @@ class _Batch:
         early: Asked for already, and may hold some of them.
     """
 
-    def __init__(self, part: Part, taken: List[_Item], early: Optional[Asked] = None) -> None:
+    def __init__(self, part: BucketRead, taken: List[_Item], early: Optional[Asked] = None) -> None:
         self._part = part
         self.taken = taken
         self._open = [item for item in taken if isinstance(item, Opened)]
@@ -126,7 +133,7 @@ class Needed:
     ones: one that lies before another may end behind it.
     """
 
-    def __init__(self, part: Part, headers: Headers) -> None:
+    def __init__(self, part: BucketRead, headers: Headers) -> None:
         self._part = part
         self._headers = headers
         self._known: List[Tuple[Order, int, _Item]] = []
@@ -228,7 +235,7 @@ class Needed:
         return max(first, default=MIN_SEQ)
 
 
-def upwards(part: Part, needed: Needed) -> Iterator[TableRow]:
+def upwards(part: BucketRead, needed: Needed) -> Iterator[TableRow]:
     """Yield the rows of a bucket in the order (t, seq)."""
     held, coming = Held(), needed.batch()
     while coming is not None:
@@ -242,7 +249,7 @@ def upwards(part: Part, needed: Needed) -> Iterator[TableRow]:
     yield from held.rest()
 
 
-def downwards(part: Part, needed: Needed) -> Iterator[TableRow]:
+def downwards(part: BucketRead, needed: Needed) -> Iterator[TableRow]:
     """Yield the rows of a bucket, the newest first."""
     held, coming = Held(), needed.batch()
     while coming is not None:

@@ -13,23 +13,23 @@ from __future__ import annotations
 from typing import Iterator, List, Optional, Sequence, Tuple
 
 from cassandra_ros.store.blocks.block_row import WHOLE, BlockRow
-from cassandra_ros.store.blocks.needed import Headers, Needed, downwards, upwards
-from cassandra_ros.store.blocks.part import (
+from cassandra_ros.store.blocks.bucket_read import (
     BLOCK_BYTES,
     GROWTH,
     MAX_BLOCKS,
+    BucketRead,
     Held,
     Opened,
-    Part,
     key_of,
 )
+from cassandra_ros.store.blocks.needed import Headers, Needed, downwards, upwards
 from cassandra_ros.store.paging import Asked, RawRow
 from cassandra_ros.store.row_table import Order, TableRow
 
 ROWS_AT_ONCE = 200
 
 
-def stream(part: Part) -> Iterator[TableRow]:
+def stream(part: BucketRead) -> Iterator[TableRow]:
     """Yield the rows of a bucket in the order (t, seq), or newest first. It is asked at once."""
     if part.filters is None and not part.reverse and not part.wanted:
         return _whole(part, _Pages(part))
@@ -37,12 +37,12 @@ def stream(part: Part) -> Iterator[TableRow]:
     return downwards(part, needed) if part.reverse else upwards(part, needed)
 
 
-def opened(part: Part) -> Iterator[Opened]:
+def opened(part: BucketRead) -> Iterator[Opened]:
     """Yield the blocks of a bucket as they lie, whatever their messages' order. Asked at once."""
     return _opened(part, _Pages(part))
 
 
-def _opened(part: Part, pages: _Pages) -> Iterator[Opened]:
+def _opened(part: BucketRead, pages: _Pages) -> Iterator[Opened]:
     for blocks, _ in pages:
         for block in blocks:
             found = part.open(block)
@@ -53,7 +53,7 @@ def _opened(part: Part, pages: _Pages) -> Iterator[Opened]:
 class _Pages:
     """The blocks of a bucket, all of them, page by page; the next one is asked for ahead."""
 
-    def __init__(self, part: Part) -> None:
+    def __init__(self, part: BucketRead) -> None:
         self._part = part
         self._count = max(1, part.page_bytes // BLOCK_BYTES)
         self._asked: Optional[Asked] = part.ask(WHOLE, self._count)
@@ -76,7 +76,7 @@ class _Pages:
             yield blocks, key_of(page[-1])
 
 
-def _whole(part: Part, pages: _Pages) -> Iterator[TableRow]:
+def _whole(part: BucketRead, pages: _Pages) -> Iterator[TableRow]:
     held = Held()
     for blocks, behind in pages:
         keys: List[Optional[Order]] = [*(block.key for block in blocks[1:]), behind]

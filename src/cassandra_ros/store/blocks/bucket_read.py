@@ -48,7 +48,7 @@ _Bound = Tuple[object, ...]
 
 
 @dataclass
-class Part:
+class BucketRead:
     """What is read of one bucket.
 
     Attributes:

@@ -22,7 +22,7 @@ from cassandra_ros.query.protocols import Row
 Held = Sequence[Optional[bytes]]
 """Columns of a row."""
 ResultRows = List[Tuple[Any, ...]]
-LeanRows = Callable[[Row], Optional[ResultRows]]
+CompiledRows = Callable[[Row], Optional[ResultRows]]
 """Returns what a stored row gives; None where it cannot say."""
 Shown = Sequence[Tuple[Optional[int], Optional[Get]]]
 """For each column of the result its place (None: missing here), and how to show a value."""
@@ -34,7 +34,7 @@ _NONE: ResultRows = []
 """Nobody changes it."""
 
 
-def compile_lean(
+def compile_rows(
     direct: Sequence[Direct],
     own: Callable[[Row], Tuple[Any, ...]],
     check: Check,
@@ -45,7 +45,7 @@ def compile_lean(
     own_width: int,
     asked: int,
     stored: int,
-) -> LeanRows:
+) -> CompiledRows:
     """Make the function for one statement and table.
 
     Args:
@@ -63,14 +63,14 @@ def compile_lean(
     return _compile_rows(layouts, own, check, len(direct), _compile_show(shown, key_place))
 
 
-def compile_lean_wire(
+def compile_wire_rows(
     read: Callable[[bytes], List[Any]],
     own: Callable[[Row], Tuple[Any, ...]],
     check: Check,
     shown: Shown,
     key_place: int,
-) -> LeanRows:
-    """As compile_lean, of a table whose rows hold serialised messages, which ``read`` reads."""
+) -> CompiledRows:
+    """As compile_rows, of a table whose rows hold serialised messages, which ``read`` reads."""
     show = _compile_show(shown, key_place)
 
     def rows(row: Row) -> Optional[ResultRows]:
@@ -89,7 +89,7 @@ def _compile_rows(
     check: Check,
     fields: int,
     show: Callable[[Row, List[Any]], Tuple[Any, ...]],
-) -> LeanRows:
+) -> CompiledRows:
     blank = [None] * fields
 
     def rows(row: Row) -> Optional[ResultRows]:
