@@ -271,6 +271,17 @@ def test_a_topic_that_is_being_recorded_is_refused(rosCas, connect, monkeypatch)
     assert rosCas.convertTopic("/t", "binary").messages == rosCas.getTopic("/t").countTopicData()
 
 
+def test_who_deletes_is_no_writer_that_is_waited_for(rosCas, monkeypatch):
+    monkeypatch.setattr(convert, "QUIET_SEC", 1e9)
+    monkeypatch.setattr(convert, "DELETING_SEC", 0.5)
+    fill(rosCas, "packed", 20)
+    topic = rosCas.getTopic("/t")
+    topic.removeData(topic.first())
+    left = seen(topic.rows())
+    assert rosCas.convertTopic("/t", "binary").messages == len(left) == topic.countTopicData()
+    assert seen(rosCas.getTopic("/t").rows()) == left
+
+
 @pytest.mark.parametrize("format", ["binary", "packed"])
 def test_a_table_whose_conversion_was_given_up_takes_messages_again(rosCas, format):
     with rosCas.messageWriter(format=format) as writer:

@@ -134,10 +134,13 @@ class BucketRow(NamedTuple):
     t_min: int
     t_max: int
     odd: int
+    """Messages of which the server cannot check every field: of blocks all of one that has any."""
     age_sec: float
     """Seconds since the heartbeat, by the server's clock."""
     filled: FrozenSet[str] = frozenset()
     """Shadow columns that are filled in all rows of this writer in the bucket."""
+    writing: bool = False
+    """The writer has not closed it. Without that it is not closed where rows were deleted."""
 
     def expired(self, ttl: int) -> bool:
         """Say whether all rows of this writer in the bucket have outlived their ttl, seconds."""
@@ -174,7 +177,7 @@ class BucketTotals:
         self.bytes += nbytes
         self.largest = max(self.largest, largest)
         self.t_min, self.t_max = min(self.t_min, ends[0]), max(self.t_max, ends[1])
-        self.odd += odd
+        self.odd += rows * odd
 
     def columns(self) -> dict[str, int]:
         """Return the columns of cr_bucket that hold them."""
@@ -300,11 +303,12 @@ class Directory:
             deleted: Only say that rows were deleted: no count holds until the next recount. A flag
                 of its own, for a living writer closes the bucket with what it wrote.
         """
-        columns = {**_key(place), "state": "closed" if closed else "open"}
+        columns = _key(place)
         if deleted:
             columns["deleted"] = True
         else:
-            columns.update(filled=set(filled), **(totals.columns() if totals is not None else {}))
+            columns.update(state="closed" if closed else "open", filled=set(filled))
+            columns.update(totals.columns() if totals is not None else {})
         what = "writing the directory of buckets"
         self._tables.insert("cr_bucket", columns, what, now=["heartbeat"], ttl=_ttl(ttl))
 
@@ -355,4 +359,5 @@ def _bucket_row(node: str, row: CqlRow) -> BucketRow:
     latest = -1 if t_max is None else t_max
     counts = (n or 0, size or 0, largest or 0, t_min or 0, latest, odd or 0)
     age_sec = STALE_SEC + 1 if beat is None else (now - beat).total_seconds()
-    return BucketRow(node, bucket, writer, closed, beat, *counts, age_sec, frozenset(filled or ()))
+    said = node, bucket, writer, closed, beat, *counts, age_sec, frozenset(filled or ())
+    return BucketRow(*said, writing=state == "open")

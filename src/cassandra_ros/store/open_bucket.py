@@ -175,7 +175,7 @@ class OpenBucket:
         )
         batch.rows.append((True, self._plain_id, values))
         batch.nbytes += _ROW_OVERHEAD + len(block.data) + 12 * len(block.zones)
-        batch.odd_rows += block.odd
+        batch.odd_rows += len(sizes) * block.odd
         batch.blocks.append(block)
         batch.sizes += sizes
         batch.times += (block.times[0], block.times[-1])

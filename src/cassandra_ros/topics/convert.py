@@ -42,6 +42,8 @@ MAX_TRIES = 3
 """So often a table is filled while others change what it is filled with."""
 QUIET_SEC = STALE_SEC
 """A stretch of time that is open is nobody's when its writer was silent so long."""
+DELETING_SEC = 5.0
+"""So long after some were deleted from one: before more are it is said anew."""
 LOOK_SEC = 1.0
 
 
@@ -184,14 +186,16 @@ def _await_writers(space: Keyspace, topic: str, tables: Sequence[TopicTable]) ->
         now: State = {}
         for table in tables:
             for row in () if table.named else buckets_of(space.directory, table, EVERYBODY):
-                if not row.closed and row.age_sec <= QUIET_SEC:
+                quiet_sec = QUIET_SEC if row.writing else DELETING_SEC
+                if not row.closed and row.age_sec <= quiet_sec:
                     now[table.name, row.node, row.bucket, row.writer] = row.heartbeat
         if not now:
             return
         if first is None:
             first = now
             text = (
-                "topic %s has a writer that did not end: looking for up to %.0f s whether it lives"
+                "topic %s has a writer that did not end, or was deleted from just now: looking for "
+                "up to %.0f s whether somebody goes on"
             )
             _log.warning(text, topic, QUIET_SEC)
         if any(first.get(place) != beat for place, beat in now.items()):
