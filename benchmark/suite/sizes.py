@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Dict, Tuple
+from typing import Dict, Optional, Tuple
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,8 @@ class Size:
     """Random WHERE clauses (fig. 7)."""
     bag_bytes: int
     """Real bags are repeated until they have so many wire bytes."""
+    bag_messages: Optional[int]
+    """So many of the first bag alone; None = all of all."""
     writers: Tuple[int, ...]
     writer_messages: int
     """Of each writer."""
@@ -61,6 +63,7 @@ FULL = Size(
     condition_rounds=3,
     clauses=30,
     bag_bytes=16 << 20,
+    bag_messages=None,
     writers=(1, 2, 4),
     writer_messages=60_000,
     rates=(5_000, 10_000, 20_000, 40_000),
@@ -88,6 +91,7 @@ QUICK = Size(
     condition_rounds=1,
     clauses=8,
     bag_bytes=2 << 20,
+    bag_messages=None,
     writers=(1, 2),
     writer_messages=5_000,
     rates=(5_000,),
@@ -107,6 +111,7 @@ SMOKE = Size(
     condition_rounds=1,
     clauses=3,
     bag_bytes=1,
+    bag_messages=300,
     writers=(2,),
     writer_messages=200,
     rates=(500,),

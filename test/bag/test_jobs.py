@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import psutil
 import pytest
 from bag.test_import_export import counts_agree, stored_rows
@@ -39,8 +41,12 @@ def sparse_bag(path, count=2000, late=5):
 
 def children():
     """Return the processes that this one has started for an import."""
-    found = psutil.Process().children()
-    return [child for child in found if any("bag.job_process" in word for word in child.cmdline())]
+    found = []
+    for child in psutil.Process().children():
+        with contextlib.suppress(psutil.Error):  # it has ended meanwhile
+            if any("bag.job_process" in word for word in child.cmdline()):
+                found.append(child)
+    return found
 
 
 def cql_rows(rosCas, cql):

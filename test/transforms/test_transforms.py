@@ -14,6 +14,7 @@ import genpy
 import pytest
 import rosbag
 import tf2_py
+from campaign import campaign
 from geometry_msgs.msg import TransformStamped
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -163,9 +164,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("bag", CASES)
-@settings(
-    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@campaign(60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_real_robots_at_any_time(stored, bag, data):
     recorded = stored(bag)

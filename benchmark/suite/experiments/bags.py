@@ -46,7 +46,7 @@ Stored = Dict[Tuple[str, str], Tuple[str, int]]
 def run(context: Context) -> None:
     """Measure each bag that is there."""
     stored: Stored = {}
-    names = BAGS if context.size.bag_bytes > 1 else BAGS[:1]
+    names = BAGS if context.size.bag_messages is None else BAGS[:1]
     for name in names:
         paths = [folder / name for folder in FOLDERS if (folder / name).is_file()]
         if not paths:
@@ -118,7 +118,7 @@ def write_mcap(messages: List[Message], path: Path) -> None:
 
 
 def _one(context: Context, path: Path, folder: Path, stored: Stored) -> None:
-    name, once = path.name, messages_of(path)
+    name, once = path.name, messages_of(path)[: context.size.bag_messages]
     messages = repeated(once, context.size.bag_bytes)
     context.say(f" {name}: {len(messages):,} messages, {bytes_of(messages) / 1e6:.1f} MB")
     files: Dict[str, Callable[[List[Message], Path], None]] = {
