@@ -7,10 +7,12 @@ from __future__ import annotations
 import importlib.abc
 import struct
 import threading
+from contextlib import suppress
 from functools import lru_cache
 from io import BytesIO
+from itertools import repeat
 from types import ModuleType
-from typing import Any, Callable, List, Optional, Sequence, cast
+from typing import Any, Callable, Iterator, Optional, Sequence, cast
 
 import genmsg
 import genmsg.msg_loader
@@ -24,7 +26,8 @@ from numpy.typing import NDArray
 from cassandra_ros.errors import CorruptMessage, DefinitionError, TypeMismatch
 from cassandra_ros.messages.definition import Definition, attribute_name, definition_of, render_spec
 from cassandra_ros.messages.installed import installed_class
-from cassandra_ros.messages.wire.objects import MIN_TOGETHER, ObjectMaker, Unfit
+from cassandra_ros.messages.wire.fields import Unfit
+from cassandra_ros.messages.wire.objects import MIN_TOGETHER, ObjectMaker
 from cassandra_ros.messages.wire.skip import compile_object_check, compile_skip
 
 _lock = threading.RLock()  # genpy generates through global variables
@@ -163,16 +166,19 @@ def deserialize(cls: Any, wire: bytes) -> Any:
         raise CorruptMessage(f"{len(wire)} bytes are no {cls._type}: {str(exc)[:300]}") from exc
 
 
-def deserialize_all(cls: Any, wires: Sequence[bytes]) -> List[Any]:
-    """Make messages of many wire bytes, as deserialize does of each, in a fraction of the time."""
+def deserialize_all(cls: Any, wires: Sequence[bytes]) -> Iterator[Any]:
+    """Make messages of many wire bytes, as deserialize does of each, in a fraction of the time.
+
+    They are made as they are taken; see deserialize_at.
+    """
     if len(wires) < MIN_TOGETHER:
-        return [deserialize(cls, wire) for wire in wires]
+        return map(deserialize, repeat(cls), wires)
     sizes = np.fromiter(map(len, wires), np.int64, len(wires))
     return deserialize_at(cls, b"".join(wires), np.cumsum(sizes) - sizes, sizes)
 
 
-def deserialize_stack(cls: Any, matrix: NDArray[np.uint8]) -> List[Any]:
-    """Make messages of equal size, whose wire bytes are the rows of a matrix."""
+def deserialize_stack(cls: Any, matrix: NDArray[np.uint8]) -> Iterator[Any]:
+    """Make messages of equal size, whose wire bytes are the rows of a matrix, as they are taken."""
     count, size = matrix.shape
     sizes = np.full(count, size)
     return deserialize_at(cls, matrix.tobytes(), np.arange(count) * size, sizes)
@@ -180,20 +186,19 @@ def deserialize_stack(cls: Any, matrix: NDArray[np.uint8]) -> List[Any]:
 
 def deserialize_at(
     cls: Any, data: bytes, starts: NDArray[np.int64], sizes: NDArray[np.int64]
-) -> List[Any]:
-    """Make messages of wire bytes that lie somewhere in a buffer, as deserialize does of each.
+) -> Iterator[Any]:
+    """Make messages of wire bytes that lie somewhere in a buffer, as they are taken.
 
     Raises:
-        CorruptMessage: Some are none; deserialize says which.
+        CorruptMessage: One is none; when it is its turn.
     """
     maker = _object_maker(cls) if len(starts) >= MIN_TOGETHER else None
     if maker is not None:
-        try:
+        with suppress(Unfit):
             return maker.make(data, starts, sizes)
-        except Unfit:
-            pass
     ends = starts + sizes
-    return [deserialize(cls, data[a:b]) for a, b in zip(starts.tolist(), ends.tolist())]
+    wires = (data[start:end] for start, end in zip(starts.tolist(), ends.tolist()))
+    return map(deserialize, repeat(cls), wires)
 
 
 @lru_cache(maxsize=1024)

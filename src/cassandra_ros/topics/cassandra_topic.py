@@ -28,6 +28,7 @@ from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.finding import Filter, Finder, Where
 from cassandra_ros.topics.indexes import Progress, create_index, has_index, remove_index
 from cassandra_ros.topics.keyspace import Keyspace, Wish
+from cassandra_ros.topics.objects import with_messages
 from cassandra_ros.topics.reading import Columns
 from cassandra_ros.topics.runs import RunName
 from cassandra_ros.topics.selection import AnyKey, Stretch, Time, Whose
@@ -209,7 +210,7 @@ class CassandraTopic:
         """
         if to_key is not None:
             stretch = self._finder(nodeID, where, run).many(key, to_key, limit=limit)
-            return [row.message() for row in stretch]
+            return [message for _, message in with_messages(self._keyspace.cassandra, stretch)]
         if key is None:
             raise InvalidKey(
                 "getData needs a key (and to_key for a stretch of time); items() walks "
@@ -248,7 +249,7 @@ class CassandraTopic:
             InvalidKey: ``key`` or ``to_key`` is no key of this topic.
         """
         rows = self._finder(nodeID, where, run).many(key, to_key, limit=limit, reverse=reverse)
-        return ((row.key, row.message()) for row in rows)
+        return ((row.key, msg) for row, msg in with_messages(self._keyspace.cassandra, rows))
 
     def getRow(
         self,
