@@ -9,6 +9,8 @@ import threading
 import time
 import zlib
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import accumulate, takewhile
 from typing import Callable, Sequence
 
 from cassandra.query import BatchStatement, BatchType, BoundStatement
@@ -39,6 +41,8 @@ _OWN = struct.Struct(">iqiqiqii")
 
 Again = Callable[[], object]
 """Writes a message anew, into the table that its topic has then."""
+RowAgain = Callable[[NewRow], object]
+"""The same for the message of a row."""
 
 
 @dataclass
@@ -50,6 +54,8 @@ class Batch:
     sizes: list[int] = field(default_factory=list)
     times: list[int] = field(default_factory=list)
     again: list[Again | None] = field(default_factory=list)
+    runs: list[tuple[Sequence[NewRow], RowAgain]] = field(default_factory=list)
+    """Rows that came together, in place of an ``again`` of each."""
     blocks: list[Block] = field(default_factory=list)
     nbytes: int = 0
     odd_rows: int = 0
@@ -57,7 +63,9 @@ class Batch:
 
     def rewriters(self) -> list[Again | None]:
         """Return for each message what writes it anew, None where nobody can."""
-        return [*self.again, *(again for block in self.blocks for again in block.rewriters())]
+        runs = [partial(again, row) for rows, again in self.runs for row in rows]
+        blocks = (again for block in self.blocks for again in block.rewriters())
+        return [*self.again, *runs, *blocks]
 
 
 class OpenBucket:
@@ -128,6 +136,31 @@ class OpenBucket:
         batch.sizes.append(len(row.wire))
         batch.times.append(row.t)
         batch.again.append(again)
+
+    def add_run(self, rows: Sequence[NewRow], again: RowAgain) -> int:
+        """Add the first of some rows without columns; return how many: none where it has indexes.
+
+        Args:
+            again: Writes one of them anew.
+        """
+        batch = self.batch
+        if self._shadows is not None:
+            return 0
+        if not batch.rows:
+            batch.since = time.monotonic()
+        rows = rows[: BATCH_ROWS - len(batch.rows)]
+        sizes = [len(row.wire) for row in rows]
+        room = BATCH_BYTES - batch.nbytes
+        if sum(sizes) + _ROW_OVERHEAD * len(rows) > room:
+            ends = accumulate(size + _ROW_OVERHEAD for size in sizes)
+            count = 1 + sum(1 for _ in takewhile(room.__gt__, ends))
+            rows, sizes = rows[:count], sizes[:count]
+        batch.rows += rows
+        batch.nbytes += sum(sizes) + _ROW_OVERHEAD * len(rows)
+        batch.sizes += sizes
+        batch.times += [row.t for row in rows]
+        batch.runs.append((rows, again))
+        return len(rows)
 
     def _statement(self, row: NewRow, chunks: int = 0) -> Prepared:
         """Return the statement that stores a row, which is counted in the batch."""

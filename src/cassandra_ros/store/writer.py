@@ -19,7 +19,7 @@ from cassandra_ros.store.counting import recount
 from cassandra_ros.store.directory import HEARTBEAT_SEC, BucketTotals, Directory
 from cassandra_ros.store.driver_errors import is_table_gone, translate
 from cassandra_ros.store.flight import Flight, Outcome
-from cassandra_ros.store.open_bucket import BATCH_BYTES, Again, Batch, OpenBucket
+from cassandra_ros.store.open_bucket import BATCH_BYTES, Again, Batch, OpenBucket, RowAgain
 from cassandra_ros.store.paging import Patience
 from cassandra_ros.store.row_table import CHUNK_BYTES, NewRow, RowTable, bind, encode_int
 from cassandra_ros.store.schema import Schema
@@ -135,6 +135,27 @@ class RowWriter:
             except TopicNotFound:
                 self.gone.add(table.name)
                 raise
+
+    def add_run(self, table: RowTable, node: str, rows: Sequence[NewRow], again: RowAgain) -> int:
+        """Take rows of one bucket whose columns are made later, as add does.
+
+        Returns:
+            How many were taken; the others are for add, which may raise.
+        """
+        at = 0
+        with self._lock:
+            while at < len(rows) and self._error is None:
+                try:
+                    bucket = self._bucket(table, node, table.bucket_of(rows[0].t))
+                except TopicNotFound:
+                    break
+                taken = bucket.add_run(rows[at:], again)
+                at += taken
+                if bucket.is_full():
+                    self._send(bucket)
+                elif not taken:
+                    break
+        return at
 
     def builder(self, table: RowTable, node: str, conn: int) -> BlockBuilder:
         """Return what takes the messages of a connection for a table of blocks."""
@@ -383,8 +404,6 @@ class RowWriter:
             except CassandraRosError as exc:
                 # The directory is behind, never wrong: its buckets still count as open.
                 _log.warning("the directory of buckets could not be updated: %s", exc)
-                if self._cassandra.closed:
-                    return  # nothing can be sent any more, and nobody is told twice
                 if self._cassandra.closed:
                     return  # whoever closed it has forgotten us
 

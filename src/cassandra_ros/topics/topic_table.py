@@ -8,6 +8,7 @@ import hashlib
 import logging
 import threading
 from functools import lru_cache, partial
+from itertools import repeat
 from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError, InvalidName
@@ -182,6 +183,16 @@ class TopicTable(RowTable):
         if not self.packed:  # blocks hold it themselves
             columns = (*columns, encode_long(received))
         return NewRow(self.key_time(received, wire), seq, conn, wire, columns, odd, raw)
+
+    def make_rows(
+        self, times: Sequence[int], seqs: Sequence[int], conn: int, wires: Sequence[bytes]
+    ) -> list[NewRow]:
+        """Make the rows of messages whose columns are made later; none where one's must be now."""
+        if not self._later or max(map(len, wires)) > MAX_LATER_BYTES:
+            return []
+        none = repeat(None)
+        every = zip(times, seqs, repeat(conn), wires, none, repeat(False), none, repeat(""))
+        return list(map(NewRow._make, every))
 
     def key_time(self, received: int, wire: bytes) -> int:
         """Return the key time of a message, ns, where a field of it tells."""
