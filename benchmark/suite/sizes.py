@@ -46,10 +46,10 @@ class Size:
 
 FULL = Size(
     counts={
-        "paper": 40_000,
-        "imu": 40_000,
-        "tf": 12_000,
-        "joints": 20_000,
+        "paper": 100_000,
+        "imu": 100_000,
+        "tf": 40_000,
+        "joints": 60_000,
         "scan": 4_000,
         "image": 100,
         "cloud": 80,
@@ -60,8 +60,8 @@ FULL = Size(
     lookups=1_000,
     slow_lookups=50,
     condition_messages=1_000_000,
-    condition_rounds=3,
-    clauses=30,
+    condition_rounds=2,
+    clauses=24,
     bag_bytes=16 << 20,
     bag_messages=None,
     writers=(1, 2, 4),

@@ -60,6 +60,9 @@ class TopicMetadata:
     """Names of the tables whose messages this one took over, also of those that they replaced."""
     filling: bool = False
     """Nobody reads it yet: it is being filled with the messages of those that it replaces."""
+    cut: bool = False
+    """Its blocks may begin at other messages than those of an import: it took the place of a table
+    that was removed while it was written to."""
     version: int = SCHEMA_VERSION
 
     @property

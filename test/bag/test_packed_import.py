@@ -137,3 +137,29 @@ def test_an_import_into_blocks_that_a_conversion_cut_doubles_nothing(
     expected["/a"] += 1
     assert counts_agree(rosCas, cql) == expected
     assert sum(1 for _ in rosCas.getTopic("/a").items()) == expected["/a"]
+
+
+@pytest.mark.parametrize("remade", [False, True])
+def test_an_import_whose_topic_is_removed_meanwhile_is_completed_by_the_next(
+    rosCas, cql, tmp_path, small_blocks, remade
+):
+    path = tmp_path / "a.bag"
+    with BagWriter(path, chunk_bytes=20_000) as writer:
+        number = writer.connection(string_connection("/a"))
+        for i in range(6000):
+            writer.write(number, START + i * 1_000_000, string_wire(f"{i:020}"))
+    seen = []
+
+    def remove(messages, size):
+        seen.append(messages)
+        if sum(seen) >= 2500 and sum(seen[:-1]) < 2500:
+            rosCas.removeTopic("/a")
+            if remade:
+                rosCas.addTopic("/a", format="packed", msg_type="std_msgs/String")
+
+    import_bag(rosCas, path, format="packed", progress=remove)
+    assert 0 < sum(counts_agree(rosCas, cql).values()) < 6000
+    import_bag(rosCas, path, format="packed")
+    assert sum(counts_agree(rosCas, cql).values()) == 6000
+    assert [int(msg.data) for _, msg in rosCas.getTopic("/a").items()] == list(range(6000))
+    assert verify_bag(rosCas, path).equal

@@ -82,7 +82,8 @@ def import_bag(
 
     The bag is read twice, for each row's key follows from the content of the whole bag: an import
     that is repeated, or was interrupted and is started again, ends in the same rows. What it had
-    stored in a topic that was converted to packed since is removed before it is stored anew.
+    stored in a topic that was converted to packed since, or removed meanwhile, is removed before it
+    is stored anew.
     Memory does not depend on the size of the bag (see BagReader for its share).
 
     Args:
@@ -127,7 +128,7 @@ def import_bag(
                 report.topics.setdefault(handle.topic, ImportedTopic(handle.format))
                 if handle.warning and handle.warning not in report.warnings:
                     report.warnings.append(handle.warning)
-            _remove_converted(ros_cas, handles, run)
+            _remove_other_blocks(ros_cas, handles, run)
             task = partial(Part, reader.path, formats, lengths, writer_id, nodeID, store)
             parts = list(map(task, spans_of_jobs(reader, handles, content, jobs)))
             if not _write_parts(reader, writer, handles, report, progress, parts):
@@ -221,16 +222,16 @@ def _formats(
     return found
 
 
-def _remove_converted(ros_cas: RosCassandra, handles: Mapping[int, Handle], run: Run) -> None:
-    """Remove what an earlier import of the bag stored, where a conversion has made blocks of it.
+def _remove_other_blocks(ros_cas: RosCassandra, handles: Mapping[int, Handle], run: Run) -> None:
+    """Remove what an earlier import of the bag stored in blocks that begin elsewhere than ours.
 
-    They may begin at other messages than ours: what both hold would be double.
+    A conversion has made them, or the topic was removed meanwhile: what both hold would be double.
     """
     parts, whose = ros_cas.parts, Whose((run.node,), frozenset((run.writer,)))
     tables = {handle.table.name: handle.table for handle in handles.values()}
     for table in tables.values():
-        converted = table.packed and table.metadata.replaces
-        if converted and holds_any(parts.directory, [table], whose):
+        other = table.packed and (table.metadata.replaces or table.metadata.cut)
+        if other and holds_any(parts.directory, [table], whose):
             delete_stretch(parts, [table], 0, MAX_NS, whose)
 
 

@@ -311,7 +311,7 @@ class Schema:
                 # Made anew under other names: a writer that has not heard of it must not go on.
                 read = [name for name in tables if name in listing.visible]
                 one_each = {
-                    (m.md5sum, m.format): (name, m.with_(replaces=()))
+                    (m.md5sum, m.format): (name, m.with_(replaces=(), cut=False))
                     for name, m in tables.items()
                     if name in read
                 }

@@ -247,7 +247,7 @@ class MessageWriter:
                 self._keyspace.schema.tables(fresh=True)
                 like, (connection, asked, node) = handle.table.metadata, key
                 kept = self._keyspace.schema.format_after(handle.table.name, like.format)
-                like = like.with_(format=kept)
+                like = like.with_(format=kept, cut=True)
                 found = self.connect(
                     connection,
                     like.bucket_ns,
@@ -256,6 +256,9 @@ class MessageWriter:
                     node=node,
                     like=like,
                 )
+                if found.table.packed and not found.table.metadata.cut:  # another client made it
+                    change = self._keyspace.schema.change_topic
+                    change(connection.topic, lambda metadata: metadata.with_(cut=True))
             handle = found
         return handle
 
