@@ -9,9 +9,11 @@ for another node, gets another id. Name, place, compression and chunking of the 
 from __future__ import annotations
 
 import hashlib
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from itertools import chain, takewhile
 from struct import Struct
-from typing import AbstractSet, Mapping, NamedTuple
+from typing import AbstractSet, Iterable, Mapping, NamedTuple, Union
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -35,8 +37,9 @@ _HEAD = np.dtype([("rank", "<u4"), ("time", "<u8"), ("size", "<u8")])
 _LARGE_BYTES = 4096
 """Messages of this size are hashed where they lie."""
 _NOTHING = Places(*(np.zeros(0, np.int64) for _ in Places._fields))
-_DAMAGED_CHUNK = _MESSAGE.pack(2**32 - 1, 2**64 - 1, 2**64 - 1)
-"""No message has this time."""
+_Part = Union[bytes, memoryview]
+_DAMAGED: list[_Part] = [_MESSAGE.pack(2**32 - 1, 2**64 - 1, 2**64 - 1)]
+"""In place of a chunk; no message has this time."""
 
 
 class BagContent(NamedTuple):
@@ -69,42 +72,44 @@ def read_content(reader: BagReader, reading: Progress | None = None) -> BagConte
     digest, rank = _begin(b"cassandra_ros bag 2", reader)
     sizes, latest = dict.fromkeys(rank, 0), dict.fromkeys(rank, 0)
     unordered: set[int] = set()
-    for chunk in range(reader.chunk_count):
-        try:
-            content, places = reader.chunk_content(chunk)
-        except BagError:
-            digest.update(_DAMAGED_CHUNK)
-            places = _NOTHING
-        else:
-            _add_messages(digest, content, places, rank)
-            _add_times(places, reader.chunk_times(chunk), latest, unordered)
+    with ThreadPoolExecutor(1) as hashing:  # one chunk is hashed while the next one is read
+        hashed = hashing.submit(_update, digest, [])
+        for chunk in range(reader.chunk_count):
+            places, parts = _NOTHING, _DAMAGED
+            with suppress(BagError):
+                content, places = reader.chunk_content(chunk)
+                parts = _parts(content, places, rank)
+                _add_times(places, reader.chunk_times(chunk), latest, unordered)
+            hashed.result()
+            hashed = hashing.submit(_update, digest, parts)
             for number in np.unique(places.ids).tolist():
                 sizes[number] += int(places.sizes[places.ids == number].sum())
-        if reading is not None:
-            reading(len(places.ids), int(places.sizes.sum()))
+            if reading is not None:
+                reading(len(places.ids), int(places.sizes.sum()))
     return BagContent(digest.hexdigest(), sizes, unordered)
 
 
-def _add_messages(
-    digest: hashlib._Hash, content: bytes, places: Places, rank: Mapping[int, int]
-) -> None:
-    """Hash the messages of a chunk: of each its connection, time and size before its bytes."""
+def _update(digest: hashlib._Hash, parts: Iterable[_Part]) -> None:
+    for part in parts:
+        digest.update(part)
+
+
+def _parts(content: bytes, places: Places, rank: Mapping[int, int]) -> list[_Part]:
+    """Return what is hashed of a chunk: of each message connection, time and size, its bytes."""
     heads = np.empty(len(places.ids), _HEAD)
     heads["rank"] = [rank[number] for number in places.ids.tolist()]
     heads["time"], heads["size"] = places.times, places.sizes
-    raw = heads.view(np.uint8).reshape(len(heads), -1)
     if len(content) > _LARGE_BYTES * len(heads):
-        for head, start, stop in zip(raw, places.starts.tolist(), places.stops.tolist()):
-            digest.update(head)
-            digest.update(memoryview(content)[start:stop])
-        return
+        view, spans = memoryview(content), zip(places.starts.tolist(), places.stops.tolist())
+        data = [view[start:stop] for start, stop in spans]
+        return [part for each in zip(map(bytes, heads), data) for part in each]
     # Of small ones at once: each update costs as much as some hundred bytes. What a record of the
     # bag has before its message is longer than what is to stand there.
     changed, begins = np.frombuffer(content, np.uint8).copy(), places.starts - _HEAD.itemsize
+    raw = heads.view(np.uint8).reshape(len(heads), -1)
     sliding_window_view(changed, _HEAD.itemsize, writeable=True)[begins] = raw
-    data = changed.tobytes()
-    spans = zip(begins.tolist(), places.stops.tolist())
-    digest.update(b"".join([data[begin:stop] for begin, stop in spans]))
+    small, ends = changed.tobytes(), zip(begins.tolist(), places.stops.tolist())
+    return [b"".join([small[begin:stop] for begin, stop in ends])]
 
 
 def _add_times(

@@ -13,7 +13,7 @@ from typing import AbstractSet, Iterable, Mapping, Sequence
 from cassandra_ros.arguments import check_integer, check_new_topic
 from cassandra_ros.bag import identity
 from cassandra_ros.bag.identity import BagContent
-from cassandra_ros.bag.job_process import Part, bag_writer, connect
+from cassandra_ros.bag.job_process import Part, bag_writer, connect, stretches
 from cassandra_ros.bag.jobs import MAX_JOBS, run_parts, spans_of_jobs
 from cassandra_ros.bag.reader import BagReader, Progress, chosen_connections
 from cassandra_ros.bag.verify import holds_nothing_else
@@ -242,8 +242,9 @@ def _write_messages(
     report: ImportReport,
     progress: Progress | None,
 ) -> None:
+    whole = dict.fromkeys(handles, (0, MAX_NS + 1))
     try:
-        for number, positions, times, wires in reader.stretches(handles.keys()):
+        for number, positions, times, wires in stretches(reader, whole):
             handle, size = handles[number], sum(map(len, wires))
             writer.write_run(handle, times, positions, wires)
             topic = report.topics[handle.topic]

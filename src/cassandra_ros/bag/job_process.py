@@ -17,7 +17,7 @@ from types import FrameType
 from typing import Dict, Iterator, List, Optional, Tuple
 
 from cassandra_ros.arguments import check_node
-from cassandra_ros.bag.reader import BagReader, RawMessage
+from cassandra_ros.bag.reader import BagReader, Stretch
 from cassandra_ros.errors import BagError, CassandraRosError
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.store.blocks.limits import limits_for
@@ -84,26 +84,20 @@ class Stored:
         return Stored(counts, **values)
 
 
-def part_messages(reader: BagReader, spans: Dict[int, Span]) -> Iterator[RawMessage]:
+def stretches(reader: BagReader, spans: Dict[int, Span]) -> Iterator[Stretch]:
     """Read the messages of some connections and times; chunks without any are not unpacked.
 
     Which they are is told by the index: where it is wrong messages are missed.
     """
     for chunk in range(reader.chunk_count):
         info = reader.chunk_info(chunk)
-        numbers = {
-            number
-            for number in info.counts
-            if number in spans
-            and spans[number][0] <= info.end_ns
-            and info.start_ns < spans[number][1]
+        here = {
+            number: span
+            for number, span in spans.items()
+            if number in info.counts and span[0] <= info.end_ns and info.start_ns < span[1]
         }
-        if not numbers:
-            continue
-        for message in reader.chunk_messages(chunk, numbers):
-            start_ns, end_ns = spans[message.number]
-            if start_ns <= message.t_ns < end_ns:
-                yield message
+        if here:
+            yield from reader.stretches(chunk, here)
 
 
 def bag_writer(
@@ -142,14 +136,14 @@ class _Teller:
         """Handle a signal: stop before the next message."""
         self.ended = True
 
-    def add(self, message: RawMessage) -> None:
-        """Count a message that was handed over."""
-        count = self.counts.setdefault(message.number, [0, 0])
-        count[0] += 1
-        count[1] += len(message.data)
-        self._messages += 1
-        self._bytes += len(message.data)
-        if not self._messages & 63 and time.monotonic() - self._told > TELL_SEC:
+    def add(self, number: int, messages: int, nbytes: int) -> None:
+        """Count messages of a connection that were handed over."""
+        count = self.counts.setdefault(number, [0, 0])
+        count[0] += messages
+        count[1] += nbytes
+        self._messages += messages
+        self._bytes += nbytes
+        if time.monotonic() - self._told > TELL_SEC:
             self.tell()
 
     def tell(self) -> None:
@@ -173,11 +167,11 @@ def _write(part: Part, teller: _Teller) -> None:
                 n: connect(writer, reader.connections[n], part.lengths[n], part.formats[n])
                 for n in part.spans
             }
-            for message in part_messages(reader, part.spans):
+            for number, positions, times, wires in stretches(reader, part.spans):
                 if teller.ended:
                     break
-                writer.write(handles[message.number], message.t_ns, message.position, message.data)
-                teller.add(message)
+                writer.write_run(handles[number], times, positions, wires)
+                teller.add(number, len(wires), sum(map(len, wires)))
             teller.tell()
 
 

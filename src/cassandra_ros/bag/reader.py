@@ -124,19 +124,25 @@ class BagReader(BagIndex):
             if numbers is None or number in numbers:
                 yield RawMessage(position, number, t_ns, content[start:stop])
 
-    def stretches(self, numbers: AbstractSet[int]) -> Iterator[Stretch]:
-        """Read the messages of some connections chunk by chunk; see messages."""
-        for chunk in range(self.chunk_count):
-            info = self.chunk_info(chunk)
-            wanted = [number for number in info.counts if number in numbers]
-            if not wanted:
-                continue
-            content, places = self.chunk_content(chunk)
-            for number in wanted:
-                chosen = np.flatnonzero(places.ids == number)
-                ends = zip(places.starts[chosen].tolist(), places.stops[chosen].tolist())
-                wires = [content[start:stop] for start, stop in ends]
-                yield Stretch(number, info.first + chosen, places.times[chosen], wires)
+    def stretches(self, chunk: int, spans: Mapping[int, tuple[int, int]]) -> Iterator[Stretch]:
+        """Read the messages of a chunk, connection by connection; see messages.
+
+        Args:
+            spans: Only these connections, and their messages from one time on and before another,
+                ns.
+        """
+        info = self.chunk_info(chunk)
+        wanted = [number for number in info.counts if number in spans]
+        if not wanted:
+            return
+        content, places = self.chunk_content(chunk)
+        for number in wanted:
+            since, until = spans[number]
+            fits = (places.ids == number) & (places.times >= since) & (places.times < until)
+            chosen = np.flatnonzero(fits)
+            ends = zip(places.starts[chosen].tolist(), places.stops[chosen].tolist())
+            wires = [content[start:stop] for start, stop in ends]
+            yield Stretch(number, info.first + chosen, places.times[chosen], wires)
 
     def chunk_content(self, chunk: int) -> tuple[bytes, Places]:
         """Read what a chunk holds, and where its messages lie in it; see messages.
