@@ -12,7 +12,7 @@ from bag.test_import_export import counts_agree
 from bag.test_import_process import spawn_import
 from bag.truth import string_connection, string_wire
 
-from cassandra_ros.bag import part
+from cassandra_ros.bag import job_process
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.verify import verify_bag
 from cassandra_ros.bag.writer import BagWriter
@@ -56,7 +56,7 @@ def table_rows(rosCas, cql):
 
 @pytest.fixture
 def small_blocks(monkeypatch):
-    monkeypatch.setattr(part, "limits_for", lambda connections: Limits(100, 20_000))
+    monkeypatch.setattr(job_process, "limits_for", lambda connections: Limits(100, 20_000))
 
 
 def test_a_repeated_import_ends_in_the_same_rows(rosCas, cql, tmp_path, small_blocks):
