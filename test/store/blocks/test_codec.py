@@ -4,13 +4,21 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
 import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.store.blocks.codec import MIN_PLANES, pack_block, unpack_block
+from cassandra_ros.store.blocks.codec import (
+    LEVEL,
+    MIN_PLANES,
+    QUICK_LEVEL,
+    pack_block,
+    unpack_block,
+)
 
 LONG = st.integers(-(2**63), 2**63 - 1)
 WIRES = st.binary(max_size=6) | st.binary(min_size=4, max_size=4)
@@ -42,6 +50,17 @@ def test_round_trip(block):
         assert planes.shape == (size, len(members))
         for n, position in enumerate(members.tolist()):
             assert planes[:, n].tobytes() == wires[position]
+
+
+@pytest.mark.parametrize(("bits", "level"), [(8, QUICK_LEVEL), (2, LEVEL)])
+def test_what_hardly_compresses_is_packed_quickly(bits, level):
+    rng = random.Random(1)
+    wires = [bytes(rng.getrandbits(bits) for _ in range(1000)) for _ in range(100)]
+    data = pack_block(range(100), range(100), wires)
+    assert data == pack_block(range(100), range(100), wires)
+    body = zstandard.ZstdDecompressor().decompress(data[2:])
+    assert data[2:] == zstandard.ZstdCompressor(level=level).compress(body)
+    assert unpack_block(data, 100, 100_000).wires() == wires
 
 
 def test_the_bytes_stay_as_they_are():
