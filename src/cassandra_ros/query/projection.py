@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain
 from typing import Any, Callable, Iterator, NamedTuple, Optional, Sequence, Tuple, Union
 
@@ -88,8 +89,6 @@ class Projection:
     """Places of the values that the condition needs."""
     stored: int = 0
     """How many columns its table has."""
-    compiled: Optional[CompiledRows] = None
-    """Makes the rows of nearly all stored ones, and quickly."""
 
     @classmethod
     def compile(cls, select: Select, table: Table, findings: Findings) -> Projection:
@@ -123,10 +122,11 @@ class Projection:
         for group, wanted in zip(self.groups, names):
             known = {output.name: (output.place, _show_of(output)) for output in group}
             shown += [known.get(name, (None, None)) for name in wanted]
-        made = replace(self, shown=tuple(shown))
-        return replace(made, compiled=made._compile_rows())
+        return replace(self, shown=tuple(shown))
 
-    def _compile_rows(self) -> Optional[CompiledRows]:
+    @cached_property
+    def compiled(self) -> Optional[CompiledRows]:
+        """What makes the rows of nearly all stored ones, and quickly."""
         if self.extractor is None:
             return None
         if not self.stored:

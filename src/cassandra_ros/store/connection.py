@@ -47,6 +47,7 @@ from cassandra_ros.store.paging import (
     REQUEST_TIMEOUT_SEC,
     RETRY_SEC,
     Seconds,
+    answered,
     retried,
     sent_ahead,
 )
@@ -301,11 +302,12 @@ class Cassandra:
         self, cql: str, params: Sequence[object] = (), *, what: str, retry_sec: Seconds = RETRY_SEC
     ) -> Callable[[], list[CqlRow]]:
         """Send one idempotent statement; what is returned waits for its answer, as execute does."""
-        future = self._session.execute_async(self.prepare(cql).bind(tuple(params)))
+        bound = self.prepare(cql).bind(tuple(params))
+        future = self._session.execute_async(bound, timeout=None)
 
         def answer() -> list[CqlRow]:
             try:
-                return list(future.result())
+                return list(answered(future))
             except DRIVER_ERRORS:
                 return self.execute(cql, params, what=what, retry_sec=retry_sec)
 

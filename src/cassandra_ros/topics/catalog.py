@@ -199,9 +199,13 @@ class Catalog:
             raise TopicNotFound(f"topic {name} was removed from keyspace {self.keyspace.name}")
         if wish is None:
             # What another table would begin with: these facts are of one alone.
-            blank = tables[0].with_(msg_type="", md5sum="", definition="", date="", bucket_ns=0)
-            fmt = self.keyspace.format_for(name)
-            blank = blank.with_(format=fmt, indexes={}, index_names={})
+            blank = tables[0].with_(
+                **dict.fromkeys(("msg_type", "md5sum", "definition", "date"), ""),
+                bucket_ns=0,
+                format=self.keyspace.format_for(name),
+                indexes={},
+                index_names={},
+            )
             wish = Wish(blank, asked=False, pending=False)
         wish = replace(wish, pending=not tables)
         return CassandraTopic(self.keyspace, self.adder, wish)
