@@ -5,9 +5,8 @@
 from __future__ import annotations
 
 import ast
+import functools
 from pathlib import Path
-
-import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "cassandra_ros"
@@ -62,8 +61,14 @@ DOORS = {
 }
 
 
+@functools.lru_cache(maxsize=None)
 def modules():
     return sorted(PACKAGE.rglob("*.py"))
+
+
+@functools.lru_cache(maxsize=None)
+def tree_of(path):
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def name_of(path):
@@ -76,7 +81,7 @@ def layer_of(path):
 
 def imports(path):
     """Full names of all that a file imports, inside functions too."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -92,52 +97,52 @@ def test_every_folder_has_its_place_among_the_layers():
     assert layers == set(BELOW)
 
 
-# The package's own __init__ only names what is public.
-@pytest.mark.parametrize(
-    "path", [path for path in modules() if layer_of(path) != "__init__"], ids=name_of
-)
-def test_imports_point_downwards(path):
-    layer = layer_of(path)
-    allowed = BELOW[layer] | GROUND | {layer} if layer not in GROUND else BELOW[layer] | {layer}
-    for imported in imports(path):
-        if not imported.startswith("cassandra_ros."):
+def test_imports_point_downwards():
+    for path in modules():
+        layer = layer_of(path)
+        if layer == "__init__":  # the package's own only names what is public
             continue
-        used = imported.split(".")[1]
-        if used in ("msg", "srv"):
+        allowed = BELOW[layer] | GROUND | {layer} if layer not in GROUND else BELOW[layer] | {layer}
+        for imported in imports(path):
+            if not imported.startswith("cassandra_ros."):
+                continue
+            used = imported.split(".")[1]
+            if used in ("msg", "srv"):
+                continue
+            assert used in allowed, f"{name_of(path)} imports {imported}, which lies above {layer}"
+
+
+def test_foreign_modules_come_in_by_their_door():
+    for path in modules():
+        for imported in imports(path):
+            for module, doors in DOORS.items():
+                if imported == module or imported.startswith(module + "."):
+                    places = {layer_of(path), name_of(path)}
+                    assert places & doors, f"{name_of(path)} imports {imported}: only in {doors}"
+
+
+def test_only_command_lines_print():
+    for path in modules():
+        if layer_of(path) == "cli":
             continue
-        assert used in allowed, f"{name_of(path)} imports {imported}, which lies above {layer}"
+        calls = [
+            node.lineno
+            for node in ast.walk(tree_of(path))
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "print"
+        ]
+        assert not calls, f"{name_of(path)} prints in lines {calls}"
 
 
-@pytest.mark.parametrize("path", modules(), ids=name_of)
-def test_foreign_modules_come_in_by_their_door(path):
-    for imported in imports(path):
-        for module, doors in DOORS.items():
-            if imported == module or imported.startswith(module + "."):
-                places = {layer_of(path), name_of(path)}
-                assert places & doors, f"{name_of(path)} imports {imported}: only in {doors}"
-
-
-@pytest.mark.parametrize("path", modules(), ids=name_of)
-def test_only_command_lines_print(path):
-    if layer_of(path) == "cli":
-        return
-    calls = [
-        node.lineno
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "print"
-    ]
-    assert not calls, f"{name_of(path)} prints in lines {calls}"
-
-
-@pytest.mark.parametrize("path", modules(), ids=name_of)
-def test_text_from_outside_is_never_code(path):
-    for imported in imports(path):
-        assert imported.split(".")[0] not in ("pickle", "marshal", "shelve", "dill")
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Call):
-            assert getattr(node.func, "id", "") not in ("eval", "exec", "compile", "__import__")
-            dotted = ast.unparse(node.func)
-            assert dotted not in ("yaml.load", "os.system"), f"{name_of(path)}: {dotted}"
+def test_text_from_outside_is_never_code():
+    for path in modules():
+        for imported in imports(path):
+            assert imported.split(".")[0] not in ("pickle", "marshal", "shelve", "dill"), path
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.Call):
+                called = getattr(node.func, "id", "")
+                assert called not in ("eval", "exec", "compile", "__import__"), path
+                dotted = ast.unparse(node.func)
+                assert dotted not in ("yaml.load", "os.system"), f"{name_of(path)}: {dotted}"
 
 
 def lengths(tree):
@@ -150,21 +155,21 @@ def lengths(tree):
             )
 
 
-@pytest.mark.parametrize("path", modules(), ids=name_of)
-def test_modules_and_functions_are_short(path):
-    text = path.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 500, f"{name_of(path)} is longer than 500 lines"
-    long = [name for name, lines in lengths(ast.parse(text)) if lines > 40]
-    assert not long, f"{name_of(path)}: longer than 40 lines: {long}"
+def test_modules_and_functions_are_short():
+    for path in modules():
+        text = path.read_text(encoding="utf-8")
+        assert len(text.splitlines()) <= 500, f"{name_of(path)} is longer than 500 lines"
+        long = [name for name, lines in lengths(tree_of(path)) if lines > 40]
+        assert not long, f"{name_of(path)}: longer than 40 lines: {long}"
 
 
-@pytest.mark.parametrize("path", modules(), ids=name_of)
-def test_every_module_says_what_it_is(path):
-    text = path.read_text(encoding="utf-8")
-    first, second = text.splitlines()[:2]
-    assert first == "# SPDX-FileCopyrightText: 2026 cassandra_ros authors"
-    assert second == "# SPDX-License-Identifier: BSD-3-Clause"
-    assert ast.get_docstring(ast.parse(text)), f"{name_of(path)} has no docstring"
+def test_every_module_says_what_it_is():
+    for path in modules():
+        text = path.read_text(encoding="utf-8")
+        first, second = text.splitlines()[:2]
+        assert first == "# SPDX-FileCopyrightText: 2026 cassandra_ros authors", path
+        assert second == "# SPDX-License-Identifier: BSD-3-Clause", path
+        assert ast.get_docstring(tree_of(path)), f"{name_of(path)} has no docstring"
 
 
 def test_no_module_is_called_after_nothing():

@@ -8,6 +8,7 @@ import uuid
 from collections import Counter
 
 import pytest
+from campaign import LENGTH, campaign
 from geometry_msgs.msg import TransformStamped
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -171,7 +172,7 @@ def refill(rosCas):
                 topic.addData(make(n), key="at"[n % 2] if name == "/names" else T0 + n, nodeID="a")
 
 
-@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@campaign(500, suppress_health_check=[HealthCheck.too_slow])
 @given(st.one_of(statements(), statements(), statements(), BROKEN), st.booleans())
 def fuzz(store, answered, asked, short):
     refill(store)
@@ -188,12 +189,14 @@ def fuzz(store, answered, asked, short):
         answered[word, "some" if rows and rows[0][0] not in (0, None) else "none"] += 1
 
 
+@pytest.mark.campaign
 def test_fuzz_of_statements(store):
     answered = Counter()
     fuzz(store, answered)
+    least = 10 if LENGTH else 3
     for word in ("select", "delete"):  # not all of it was nonsense
-        assert answered[word, "some"] > 9, answered
-        assert answered[word, "refused"] > 9, answered
+        assert answered[word, "some"] >= least, answered
+        assert answered[word, "refused"] >= least, answered
 
 
 @settings(max_examples=100, deadline=None)
