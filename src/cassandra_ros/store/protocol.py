@@ -140,8 +140,10 @@ class _RawResultMessage(_Decoding):  # type: ignore[misc, valid-type]
             super().recv_results_rows(f, version, types, known, policy)
             return
 
+        kind = self.kind  # in a circle with the message its bytes would stay
+
         def cut() -> Sequence[RawRow]:
-            rest, again = io.BytesIO(body), _RawResultMessage(self.kind)
+            rest, again = io.BytesIO(body), _RawResultMessage(kind)
             rest.seek(start)
             _Decoding.recv_results_rows(again, rest, version, types, known, policy)
             rows: Sequence[RawRow] = again.parsed_rows

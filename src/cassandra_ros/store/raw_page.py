@@ -27,7 +27,7 @@ class RawPage(Sequence[RawRow]):
         cut: Cuts all rows.
 
     Attributes:
-        body: The answer.
+        body: The answer; nothing once it is cut.
     """
 
     def __init__(
@@ -36,15 +36,15 @@ class RawPage(Sequence[RawRow]):
         self.body = body
         self._count, self._at = _size(body, at)[0], at + 4
         self._width = width
-        self._cut = cut
-        self._rows: Optional[Sequence[RawRow]] = None
+        self._cut: Optional[Callable[[], Sequence[RawRow]]] = cut
+        self._rows: Sequence[RawRow] = ()
         self._last: Optional[int] = None
 
     def __len__(self) -> int:
         return int(self._count)
 
     def __iter__(self) -> Iterator[RawRow]:
-        return iter(self._every())
+        yield from self._every()  # not before: the driver only asks whether there is an iterator
 
     @overload
     def __getitem__(self, place: int) -> RawRow: ...
@@ -53,13 +53,14 @@ class RawPage(Sequence[RawRow]):
     def __getitem__(self, place: slice) -> Sequence[RawRow]: ...
 
     def __getitem__(self, place: Union[int, slice]) -> Union[RawRow, Sequence[RawRow]]:
-        if place == -1 and self._rows is None and self._last is not None:
+        if place == -1 and self._cut is not None and self._last is not None:
             return self.row(self._last)
         return self._every()[place]
 
     def _every(self) -> Sequence[RawRow]:
-        if self._rows is None:
+        if self._cut is not None:
             self._rows = self._cut()
+            self.body, self._cut = b"", None  # not to hold it twice
         return self._rows
 
     def bounds(self, sized_at: int, mark: bytes) -> Optional[Tuple[Places, Places]]:
@@ -77,6 +78,10 @@ class RawPage(Sequence[RawRow]):
         body, at, ends = self.body, self._at, []
         lengths: Dict[int, int] = {}
         try:
+            found = self._alike(mark)
+            if found is not None:
+                self._last = int(found[-2])
+                return found[:-1], found[1:]
             for _ in range(self._count):
                 (value,) = _size(body, at + sized_at)
                 end = at + lengths.get(value, 0)
@@ -93,6 +98,17 @@ class RawPage(Sequence[RawRow]):
         found = np.array([self._at, *ends], np.int64)
         self._last = int(found[-2])
         return found[:-1], found[1:]
+
+    def _alike(self, mark: bytes) -> Optional[Places]:
+        """Find where rows begin that are all as long as the first, and where the last one ends."""
+        at, size = self._at, len(self.body)
+        length = self.end(at) - at
+        if not self._count or at + self._count * length != size:
+            return None
+        found = np.arange(at, size + 1, length)
+        begins = found[:-1, None] + np.arange(len(mark))
+        data = np.frombuffer(self.body, np.uint8)
+        return found if (data[begins] == np.frombuffer(mark, np.uint8)).all() else None
 
     def end(self, at: int) -> int:
         """Return where a row ends; raises struct.error."""

@@ -30,6 +30,7 @@ from cassandra_ros.store.blocks.bucket_read import BucketRead, Opened
 from cassandra_ros.store.blocks.stream import opened, stream
 from cassandra_ros.store.directory import BucketRow, Directory
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_refused
+from cassandra_ros.store.page_rows import rows_of_page
 from cassandra_ros.store.paging import GROWTH, Asked, RawRow
 from cassandra_ros.store.raw_page import RawPage
 from cassandra_ros.store.row_table import (
@@ -240,7 +241,7 @@ class _Stream:
     def _made(self, values: Iterable[RawRow]) -> Iterable[TableRow]:
         table, node, heads = self._piece.table, self._piece.node, self._heads
         if self._together and heads is None and isinstance(values, RawPage):
-            rows = table.rows_together(node, values)
+            rows = rows_of_page(table, node, values)
             if rows is not None:
                 return rows
         if heads is not None:

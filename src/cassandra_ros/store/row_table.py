@@ -16,8 +16,7 @@ from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.names import chunk_table_name, qualified, quote_name
 from cassandra_ros.store.paging import Asked, OnPage, RawRow, Refused, retried
-from cassandra_ros.store.raw_page import Places, RawPage
-from cassandra_ros.store.row_heads import read_heads
+from cassandra_ros.store.raw_page import Places
 
 UNSET = UNSET_VALUE
 CHUNK_BYTES = 512 * 1024
@@ -422,28 +421,6 @@ class RowTable:
         columns = values[8 + len(self._received) :]
         flags = decode_long(nchunks), decode_long(crc), odd == ODD, raw
         return TableRow(t, node, seq, self.name, conn, size, *flags, columns, name, received)
-
-    def rows_together(self, node: str, page: RawPage) -> Sequence[TableRow] | None:
-        """Read the values of many listings of all columns; None: by row_from_values alone.
-
-        Rows have their message instead of its columns, where it could be made of them.
-        """
-        heads = None if self.named or self._once else read_heads(page, bool(self._received))
-        if heads is None:
-            return None
-        wires = self.decode_together(page.body, heads.begins, heads.ends, heads.sizes)
-        found: list[TableRow] = []
-        for n, ((fine, t, seq, conn, size, came), wire) in enumerate(zip(heads.values, wires)):
-            if fine and wire is not None and len(wire) == size:
-                own = t, node, seq, self.name, conn, size, 0, 0, False
-                found.append(TableRow._make((*own, wire, (), "", came, None, 0)))
-                continue
-            at = int(heads.starts[n])
-            if page.end(at) != heads.ends[n]:
-                return None
-            if not self.is_rest(values := page.row(at)):
-                found.append(self.row_from_values(node, values))
-        return found
 
 
 def encode_own(t: int, seq: int, conn: int, size: int) -> tuple[bytes, ...]:
