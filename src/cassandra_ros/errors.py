@@ -3,7 +3,9 @@
 """The one tree of errors of the package.
 
 * CassandraRosError
-  - ConnectionFailed, StoreUnavailable, WriteFailed, KeyspaceNotFound, SchemaConflict,
+  - ConnectionFailed
+    + LoginFailed, CertificateRefused, TlsMismatch
+  - StoreUnavailable, WriteFailed, AccessDenied, KeyspaceNotFound, SchemaConflict,
     UnsupportedSchema, TopicExists, ClockNotSet, ServerError
   - TopicNotFound, MessageNotFound, RunNotFound (also a KeyError)
   - TransformException
@@ -35,6 +37,34 @@ class ConnectionFailed(CassandraRosError):
     """
 
     refused = False
+
+
+class LoginFailed(ConnectionFailed):
+    """The cluster asks for a user name and password, and none was given or they are wrong."""
+
+    refused = True
+
+
+class CertificateRefused(ConnectionFailed):
+    """A certificate is expired, or none that the other side trusts: the server's or ours."""
+
+    refused = True
+
+
+class TlsMismatch(ConnectionFailed):
+    """One side speaks TLS and the other one does not."""
+
+    refused = True
+
+
+class AccessDenied(CassandraRosError):
+    """The user who is logged in lacks a right.
+
+    Attributes:
+        right: Its name in CQL, as SELECT or MODIFY; '' where the server does not tell it.
+    """
+
+    right = ""
 
 
 class StoreUnavailable(CassandraRosError):

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import shutil
 import signal
 import sys
@@ -50,9 +51,16 @@ def start(options: argparse.Namespace) -> int:
     if cluster.start():
         say(f"Cassandra answers at {where(cluster)} after {time.monotonic() - begun:.0f} s")
         say(f"data and logs: {cluster.directory}")
+        _say_login(cluster)
     else:
         say(f"Cassandra runs already at {where(cluster)}")
     return 0
+
+
+def _say_login(cluster: LocalCluster) -> None:
+    if cluster.settings.secure:
+        say("it asks for a login, by TLS; programs, and cqlsh --cqlshrc, find theirs with:")
+        say(f"  export CASSANDRA_ROS_CQLSHRC={shlex.quote(str(cluster.security.cqlshrc))}")
 
 
 def stop(options: argparse.Namespace) -> int:
@@ -87,6 +95,7 @@ def status(options: argparse.Namespace) -> int:
     free = shutil.disk_usage(cluster.directory).free
     heap = f"heap {cluster.settings.java_heap_mb}M a node"
     say(f"directory {cluster.directory}, {format_bytes(free)} free, {heap}")
+    _say_login(cluster)
     if full := full_disk(cluster.directory):
         say(f"warning: {full}")
     return 0 if answers else EXIT_NOT_RUNNING
@@ -128,6 +137,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         cluster.start(die_with_us=True)
         say(f"Cassandra answers at {where(cluster)}")
+        _say_login(cluster)
         cluster.wait()
     except KeyboardInterrupt:
         if not running_before:
@@ -184,7 +194,7 @@ VERBS = {verb.__name__: verb for verb in (install, start, stop, status, run, cle
 
 def _add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    parser.set_defaults(nodes=None, host=None, port=None, heap=None)
+    parser.set_defaults(nodes=None, host=None, port=None, heap=None, secure=None)
     if name == "install":  # what is fetched stands in server/pom.xml
         return
     add(
@@ -217,9 +227,14 @@ def _add_server_options(parser: argparse.ArgumentParser) -> None:
         "nodes share a quarter of the memory, at most 4G, and each has 512M or more)",
     )
     text = "port for CQL; kept for later starts (default: 9042)"
-    add("--port", type=int, help=text)
+    add("--port", type=_number_or_nothing, help=text)
     text = "loopback address of the first node; kept for later starts (default: 127.0.0.1)"
-    add("--host", metavar="ADDRESS", help=text)
+    add("--host", metavar="ADDRESS", type=lambda text: text or None, help=text)
+    text = (
+        "ask for a password and speak TLS, with a certificate of its own; what programs log in "
+        "with is written to DIR/login; kept for later starts, until clear (default: neither)"
+    )
+    add("--secure", action="store_const", const=True, help=text)
 
 
 def _number_or_nothing(text: str) -> int | None:
@@ -249,6 +264,7 @@ def open_cluster(options: argparse.Namespace) -> LocalCluster:
         host=options.host,
         port=options.port,
         heap=options.heap or None,
+        secure=options.secure,
         say=say,
         progress=show_progress,
     )

@@ -14,7 +14,7 @@ from typing import Callable
 
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import preflight, processes
-from cassandra_ros.local_server.cql import answers_cql, schema_versions
+from cassandra_ros.local_server.cql import schema_versions
 from cassandra_ros.local_server.jars import (
     default_directory,
     find_java,
@@ -24,6 +24,7 @@ from cassandra_ros.local_server.jars import (
 from cassandra_ros.local_server.nodes import Node, NodeStatus, with_visible_root
 from cassandra_ros.local_server.preflight import explain_failure, log_since, log_size
 from cassandra_ros.local_server.processes import locked
+from cassandra_ros.local_server.security import SUPERUSER, Security
 from cassandra_ros.local_server.settings import (
     SETTINGS_FILE,
     change_settings,
@@ -49,6 +50,7 @@ class LocalCluster:
         port: CQL port; default: as before, 9042.
         heap: Java heap of each node, such as 512M; default: as before, for a new cluster by the
             memory of the machine.
+        secure: Whether it asks for a password and speaks TLS; default: as before, not.
         say: Gets one line of text for each step.
         progress: Gets, often, what is being waited for and since how many seconds.
 
@@ -64,11 +66,12 @@ class LocalCluster:
         host: str | None = None,
         port: int | None = None,
         heap: str | None = None,
+        secure: bool | None = None,
         say: Callable[[str], None] = lambda text: None,
         progress: Callable[[str, float], None] = lambda text, seconds: None,
     ) -> None:
         self.directory = Path(os.path.realpath(directory or default_directory()))
-        self._changes = nodes, host, port, heap
+        self._changes = nodes, host, port, heap, secure
         self._say = say
         self._progress = progress
         self._children: dict[int, subprocess.Popen[bytes]] = {}
@@ -85,6 +88,11 @@ class LocalCluster:
         return [Node(n, self.directory / f"node{n}", self.settings) for n in numbers]
 
     @property
+    def security(self) -> Security:
+        """The files of its login, which are there where settings.secure."""
+        return Security(self.directory, self.settings)
+
+    @property
     def exists(self) -> bool:
         """Whether the directory holds a cluster."""
         return self._stored is not None
@@ -94,7 +102,7 @@ class LocalCluster:
         found = []
         for node in self.nodes:
             pid = self._pid(node)
-            answers = bool(pid) and answers_cql(node.address, self.settings.port)
+            answers = bool(pid) and node.answers()
             found.append(NodeStatus(node, pid, answers))
         return found
 
@@ -129,6 +137,8 @@ class LocalCluster:
             for node in self.nodes:
                 self._await_answer(node, offsets[node.number])
             self._await_neighbours([node.number for node in asleep], offsets)
+            if self.settings.secure and asleep:
+                self.security.ensure_users()
         return bool(asleep)
 
     def stop(self) -> bool:
@@ -172,6 +182,7 @@ class LocalCluster:
             try:
                 for path in self.directory.glob("node[1-9]"):
                     shutil.rmtree(path)
+                shutil.rmtree(self.security.folder, ignore_errors=True)
                 (self.directory / SETTINGS_FILE).unlink()
             except OSError as exc:
                 raise ServerError(f"the data cannot be deleted: {exc}") from exc
@@ -223,6 +234,8 @@ class LocalCluster:
             save_settings(self.directory, self.settings)
         except OSError as exc:
             raise ServerError(f"{self.directory} cannot be written: {exc}") from exc
+        if self.settings.secure:
+            self.security.make_files(java)
         for node in asleep:
             if node != asleep[0]:
                 time.sleep(_STAGGER_SEC)
@@ -242,7 +255,7 @@ class LocalCluster:
 
     def _await_answer(self, node: Node, offset: int) -> None:
         begun = time.monotonic()
-        while not answers_cql(node.address, self.settings.port):
+        while not node.answers():
             waited = time.monotonic() - begun
             self._progress(f"starting Cassandra node {node.number}", waited)
             if not self._pid(node):
@@ -272,11 +285,24 @@ class LocalCluster:
                 lines = log_since(node, offsets[node.number]).splitlines()
                 alive = [line for line in lines if "now UP" in line]
                 seen = all(any(f"/{o.address}:" in line for line in alive) for o in fresh)
-                versions = schema_versions(node.address, self.settings.port)
+                versions = self._schema_versions(node)
                 if seen and len(versions) > len(others) and len(set(versions.values())) == 1:
                     break
                 self._progress("waiting for the nodes to know each other", 0.0)
                 time.sleep(_POLL_SEC)
+
+    def _schema_versions(self, node: Node) -> dict[str, str]:
+        if not self.settings.secure:
+            return schema_versions(node.address, self.settings.port)
+        # Before its own users are there no new cluster has others than the first superuser.
+        for login in (self.security.login(), (SUPERUSER, SUPERUSER)):
+            context = self.security.context()
+            versions = schema_versions(
+                node.address, self.settings.port, context=context, login=login
+            )
+            if versions:
+                return versions
+        return {}
 
     def _await_end(self, node: Node, pid: int) -> None:
         begun = time.monotonic()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The few words of CQL's protocol, version 4, that a start needs: OPTIONS, and one question.
+"""The few words of CQL's protocol, version 4, that a start needs: OPTIONS, a login, questions.
 
 The driver is not used: a server is started where only ROS and Java are.
 """
@@ -10,27 +10,87 @@ from __future__ import annotations
 import json
 import re
 import socket
+import ssl
 import struct
 
 _HEADER = struct.Struct(">BBhBi")
 _VERSION = 4
-_STARTUP, _READY, _OPTIONS, _SUPPORTED, _QUERY, _RESULT = 1, 2, 5, 6, 7, 8
+_ERROR, _STARTUP, _READY, _AUTHENTICATE, _OPTIONS, _SUPPORTED = 0, 1, 2, 3, 5, 6
+_QUERY, _RESULT, _AUTH_RESPONSE, _AUTH_SUCCESS = 7, 8, 15, 16
 _STARTUP_OPTIONS = b"\0\1\0\x0bCQL_VERSION\0\x053.0.0"
 _CONSISTENCY_ONE = 1
 _MAX_FRAME = 1 << 20
+_STATEMENT_SEC = 30.0
+
+class CqlRefused(OSError):
+    """The server answers with an error, which is the text."""
 
 
-def answers_cql(host: str, port: int, timeout_sec: float = 2.0) -> bool:
+class CqlSession:
+    """A connection that is logged in; close it, it is a context manager.
+
+    Raises:
+        OSError: Nobody answers, or not in CQL.
+        CqlRefused: The server refuses the login.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        context: ssl.SSLContext | None = None,
+        login: tuple[str, str] | None = None,
+        timeout_sec: float = _STATEMENT_SEC,
+    ) -> None:
+        self._connection = _connect(host, port, timeout_sec, context)
+        try:
+            answer, _ = _exchange(self._connection, _STARTUP, _STARTUP_OPTIONS)
+            if answer == _AUTHENTICATE and login:
+                token = b"\0" + login[0].encode() + b"\0" + login[1].encode()
+                body = struct.pack(">i", len(token)) + token
+                answer, _ = _exchange(self._connection, _AUTH_RESPONSE, body)
+            if answer not in (_READY, _AUTH_SUCCESS):
+                raise CqlRefused("it asks for a login")
+        except BaseException:
+            self.close()
+            raise
+
+    def run(self, statement: str) -> bytes:
+        """Run one statement; return the body of its answer."""
+        text = statement.encode()
+        body = struct.pack(">i", len(text)) + text + struct.pack(">HB", _CONSISTENCY_ONE, 0)
+        return _call(self._connection, _QUERY, body, _RESULT)
+
+    def close(self) -> None:
+        """End the connection."""
+        self._connection.close()
+
+    def __enter__(self) -> CqlSession:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+
+def answers_cql(
+    host: str, port: int, timeout_sec: float = 2.0, context: ssl.SSLContext | None = None
+) -> bool:
     """Tell whether a CQL server answers OPTIONS, the request that needs no login."""
     try:
-        with socket.create_connection((host, port), timeout=timeout_sec) as connection:
+        with _connect(host, port, timeout_sec, context) as connection:
             _call(connection, _OPTIONS, b"", _SUPPORTED)
     except (OSError, struct.error):
         return False
     return True
 
 
-def schema_versions(host: str, port: int, timeout_sec: float = 2.0) -> dict[str, str]:
+def schema_versions(
+    host: str,
+    port: int,
+    timeout_sec: float = 2.0,
+    context: ssl.SSLContext | None = None,
+    login: tuple[str, str] | None = None,
+) -> dict[str, str]:
     """Ask a node which other nodes it knows, and with which version of the schema.
 
     Returns:
@@ -38,10 +98,9 @@ def schema_versions(host: str, port: int, timeout_sec: float = 2.0) -> dict[str,
         know tokens and schema yet are missing. Empty where it does not answer.
     """
     try:
-        with socket.create_connection((host, port), timeout=timeout_sec) as connection:
-            _call(connection, _STARTUP, _STARTUP_OPTIONS, _READY)
-            here = _select(connection, "schema_version FROM system.local")
-            peers = _select(connection, "peer, schema_version, tokens FROM system.peers_v2")
+        with CqlSession(host, port, context, login, timeout_sec) as session:
+            here = _select(session, "schema_version FROM system.local")
+            peers = _select(session, "peer, schema_version, tokens FROM system.peers_v2")
     except (OSError, struct.error):
         return {}
     known = {row["peer"]: row["schema_version"] for row in peers if row["tokens"]}
@@ -49,23 +108,44 @@ def schema_versions(host: str, port: int, timeout_sec: float = 2.0) -> dict[str,
     return {address: version for address, version in known.items() if version}
 
 
-def _select(connection: socket.socket, what: str) -> list[dict[str, str]]:
+def _connect(
+    host: str, port: int, timeout_sec: float, context: ssl.SSLContext | None
+) -> socket.socket:
+    plain = socket.create_connection((host, port), timeout=timeout_sec)
+    if context is None:
+        return plain
+    try:
+        return context.wrap_socket(plain)
+    except BaseException:
+        plain.close()
+        raise
+
+
+def _select(session: CqlSession, what: str) -> list[dict[str, str]]:
     """Return the rows of a SELECT of plain columns."""
-    text = f"SELECT JSON {what}".encode()
-    body = struct.pack(">i", len(text)) + text + struct.pack(">HB", _CONSISTENCY_ONE, 0)
-    answer = _call(connection, _QUERY, body, _RESULT)
+    answer = session.run(f"SELECT JSON {what}")
     # Each row is one text; what is packed around them holds no such brace.
     return [json.loads(row) for row in re.findall(rb'\{"[^{}]*\}', answer)]
 
 
 def _call(connection: socket.socket, opcode: int, body: bytes, expected: int) -> bytes:
     """Send a frame; return the body of the answer, which is to have the expected opcode."""
+    answer, found = _exchange(connection, opcode, body)
+    if answer != expected:
+        raise OSError("the server refused the question")
+    return found
+
+
+def _exchange(connection: socket.socket, opcode: int, body: bytes) -> tuple[int, bytes]:
+    """Send a frame; return opcode and body of the answer."""
     connection.sendall(_HEADER.pack(_VERSION, 0, 0, opcode, len(body)) + body)
     with connection.makefile("rb") as stream:
         version, _, _, answer, length = _HEADER.unpack(stream.read(_HEADER.size))
-        if (version, answer) != (0x80 | _VERSION, expected) or not 0 <= length <= _MAX_FRAME:
-            raise OSError("this is no CQL, or the server refused the question")
+        if version != 0x80 | _VERSION or not 0 <= length <= _MAX_FRAME:
+            raise OSError("this is no CQL")
         found = stream.read(length)
     if len(found) < length:
         raise OSError("the connection was closed")
-    return found
+    if answer == _ERROR:
+        raise CqlRefused(found[6:].decode("utf-8", "replace"))
+    return answer, found

@@ -10,7 +10,9 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from cassandra_ros.local_server.cql import answers_cql
 from cassandra_ros.local_server.jars import server_file
+from cassandra_ros.local_server.security import Security, write_private
 from cassandra_ros.local_server.settings import Settings
 
 _RING = 1 << 64
@@ -75,6 +77,16 @@ class Node:
         return self.directory / "cassandra.yaml"
 
     @property
+    def security(self) -> Security:
+        """The files of the cluster's login."""
+        return Security(self.directory.parent, self.settings)
+
+    def answers(self) -> bool:
+        """Tell whether it answers CQL requests."""
+        context = self.security.context() if self.settings.secure else None
+        return answers_cql(self.address, self.settings.port, context=context)
+
+    @property
     def log(self) -> Path:
         """What Cassandra logs; older parts are beside it."""
         return self.directory / "logs" / "system.log"
@@ -95,7 +107,7 @@ class Node:
         # Libraries unpack themselves there at every start and stay when the server is killed.
         shutil.rmtree(self.directory / "tmp", ignore_errors=True)
         (self.directory / "tmp").mkdir()
-        self.config.write_text(self.render_yaml(), encoding="utf-8")
+        write_private(self.config, self.render_yaml())  # it may name a password
 
     def render_yaml(self) -> str:
         """Return the text of the node's cassandra.yaml: the common part, and its own values."""
@@ -114,6 +126,8 @@ class Node:
             "memtable_heap_space": f"{settings.java_heap_mb * 3 // 16}MiB",
             "memtable_offheap_space": f"{max(128, settings.java_heap_mb // 4)}MiB",
         }
+        if settings.secure:
+            own.update(self.security.yaml())
         common = server_file("cassandra.yaml").read_text(encoding="utf-8")
         note = "# Written at every start of the local Cassandra; changes here are lost.\n"
         # What is JSON is YAML.

@@ -21,6 +21,8 @@ OWN_HEAP_MB = 512, 4096
 _MEMORY_LIMIT = Path("/sys/fs/cgroup/memory.max")
 SETTINGS_FILE = "cluster.json"
 _DRAFT = "cluster.draft"
+LOGIN_DIRECTORY = "login"
+"""Where keys and passwords of a cluster that asks for them lie."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,8 @@ class Settings:
     """Where the nodes speak to each other; 0 until the first start chooses one."""
     heap_mb: int = 0
     """Java heap of each node as asked for, MiB; 0 = by the machine's memory."""
+    secure: bool = False
+    """Whether it asks for a password and speaks TLS."""
 
     @property
     def java_heap_mb(self) -> int:
@@ -113,6 +117,7 @@ def change_settings(
     host: str | None = None,
     port: int | None = None,
     heap: str | None = None,
+    secure: bool | None = None,
 ) -> Settings:
     """Return the settings with the options that were given, checked."""
     changed = replace(
@@ -121,6 +126,7 @@ def change_settings(
         host=settings.host if host is None else host,
         port=settings.port if port is None else port,
         heap_mb=settings.heap_mb if heap is None else parse_heap(heap),
+        secure=settings.secure if secure is None else secure,
     )
     return check_settings(changed)
 
@@ -164,4 +170,4 @@ def _foreign(directory: Path) -> list[str]:
         raise ServerError(f"{directory} is a file; choose a directory with --dir") from None
     # The jars of the default directory may have been installed before the first start, and a
     # start that was killed early leaves its lock, and a draft of its settings.
-    return sorted(names - {"jars", "lock", SETTINGS_FILE, _DRAFT})
+    return sorted(names - {"jars", "lock", LOGIN_DIRECTORY, SETTINGS_FILE, _DRAFT})

@@ -15,22 +15,34 @@ DEFAULT_KEYSPACE = "ros"
 
 
 def from_environment(name: str) -> str:
-    """Return CASSANDRA_ROS_HOST, _PORT or _KEYSPACE; '' where it is not set."""
+    """Return CASSANDRA_ROS_HOST, _PORT, _KEYSPACE or _CQLSHRC; '' where it is not set."""
     return os.environ.get(f"CASSANDRA_ROS_{name}", "")
 
 
-def host_names(host: str | Sequence[str] | None) -> list[str]:
-    """List the addresses of a text, divided by commas, or a sequence; None = as usual."""
-    given = (from_environment("HOST") or DEFAULT_HOST) if host is None else host
+def host_names(host: str | Sequence[str] | None, usual: str = "") -> list[str]:
+    """List the addresses of a text, divided by commas, or a sequence.
+
+    None or '' = CASSANDRA_ROS_HOST, else the usual ones, else this machine.
+    """
+    given = host or from_environment("HOST") or usual or DEFAULT_HOST
     names = given.split(",") if isinstance(given, str) else given
     return [name.strip() for name in names if name.strip()]
 
 
-def port_number(port: int | str | None) -> int:
-    """Check a port, None = as usual; raises InvalidOption for no whole number from 1 to 65535."""
-    given = (from_environment("PORT") or DEFAULT_PORT) if port is None else port
+def port_number(port: int | str | None, usual: str = "", source: str = "") -> int:
+    """Check a port; raises InvalidOption for no whole number from 1 to 65535.
+
+    None or '' = CASSANDRA_ROS_PORT, else the usual one, which stands in ``source``, else 9042.
+    """
+    told = ""
+    given: int | str = DEFAULT_PORT
+    if port is not None and port != "":
+        given = port
+    elif from_environment("PORT"):
+        given, told = from_environment("PORT"), " (CASSANDRA_ROS_PORT)"
+    elif usual:
+        given, told = usual, f" ({source})"
     text = str(given)
     if not (text.isascii() and text.isdigit() and len(text) < 6 and 0 < int(text) < 65536):
-        source = " (CASSANDRA_ROS_PORT)" if port is None else ""
-        raise InvalidOption(f"{given!r}{source} is not a port: a number from 1 to 65535")
+        raise InvalidOption(f"{given!r}{told} is not a port: a number from 1 to 65535")
     return int(text)

@@ -34,7 +34,6 @@ from cassandra_ros.errors import (
     KeyspaceNotFound,
     TopicNotFound,
 )
-from cassandra_ros.store.address import host_names, port_number
 from cassandra_ros.store.driver_errors import (
     DRIVER_ERRORS,
     START_HINT,
@@ -42,6 +41,8 @@ from cassandra_ros.store.driver_errors import (
     translate,
     translated,
 )
+from cassandra_ros.store.login import read_login
+from cassandra_ros.store.login_errors import explain_refusal
 from cassandra_ros.store.outage import Outage
 from cassandra_ros.store.paging import (
     REQUEST_TIMEOUT_SEC,
@@ -55,6 +56,7 @@ from cassandra_ros.store.protocol import (
     PROTOCOL_VERSION,
     LargeBuffers,
     RawProtocolHandler,
+    connection_class,
 )
 
 CONNECT_TIMEOUT_SEC = 10.0
@@ -72,16 +74,20 @@ class Cassandra:
 
     Args:
         host: One address, several divided by commas, or a sequence of them; None =
-            CASSANDRA_ROS_HOST of the environment, else 127.0.0.1.
-        port: CQL port, 1 to 65535; None = CASSANDRA_ROS_PORT, else 9042.
+            CASSANDRA_ROS_HOST of the environment, else as the cqlshrc says, else 127.0.0.1.
+        port: CQL port, 1 to 65535; None = CASSANDRA_ROS_PORT, else the cqlshrc's, else 9042.
         consistency: Name of a consistency level, e.g. 'LOCAL_QUORUM', 'ONE'.
-        username: User name where the cluster asks for a login.
-        password: Its password.
-        ssl_context: An ``ssl.SSLContext`` where the cluster speaks TLS.
+        username: User name where the cluster asks for a login; None = that of the files.
+        password: Its password; None = that of the files.
+        ssl_context: An ``ssl.SSLContext`` where the cluster speaks TLS; None = as the cqlshrc says.
+        cqlshrc: A file like cqlsh's; None = CASSANDRA_ROS_CQLSHRC, else ~/.cassandra/cqlshrc.
+        credentials: A file with user name and password; None = the one that the cqlshrc names,
+            else ~/.cassandra/credentials.
 
     Raises:
-        ConnectionFailed: Nobody answers there, or refuses us, or the name cannot be resolved.
-        InvalidOption: The port cannot be one.
+        ConnectionFailed: Nobody answers there, or the name cannot be resolved.
+        LoginFailed, CertificateRefused, TlsMismatch: It refuses us, or we refuse it.
+        InvalidOption: The port cannot be one, or a file cannot be read.
     """
 
     def __init__(
@@ -93,20 +99,27 @@ class Cassandra:
         username: str | None = None,
         password: str | None = None,
         ssl_context: ssl.SSLContext | None = None,
+        cqlshrc: str | None = None,
+        credentials: str | None = None,
     ) -> None:
-        self.hosts = host_names(host)
-        self.port = port_number(port)
+        self._login = login = read_login(host, port, cqlshrc, credentials, username, password)
+        self.hosts, self.port = login.hosts, login.port
         self._where = f"{','.join(self.hosts)} port {self.port}"
         self.outage = Outage(self._where)
         self.consistency = _consistency_level(consistency)
-        self._login = {"consistency": consistency, "username": username, "password": password}
-        self._by_tls = ssl_context is not None
+        self._given = {
+            "consistency": consistency,
+            "username": username,
+            "password": password,
+            "cqlshrc": cqlshrc,
+            "credentials": credentials,
+        }
+        self._ssl_context = ssl_context
         self._prepared: dict[str, PreparedStatement] = {}
         self._prepare_lock = threading.Lock()
         self._closed = False
-        auth = PlainTextAuthProvider(username, password) if username else None
         try:
-            self._cluster = self._make_cluster(auth, ssl_context)
+            self._cluster = self._make_cluster()
         except (UnresolvableContactPoints, UnicodeError) as exc:
             raise ConnectionFailed(
                 f"no host of this name can be found: {','.join(self.hosts)!r}; check the name, "
@@ -115,7 +128,12 @@ class Cassandra:
         self._session, self._raw_session = self._connect()
         self._connecting_until = time.monotonic() + CONNECT_TIMEOUT_SEC
 
-    def _make_cluster(self, auth: PlainTextAuthProvider | None, ssl_context: object) -> Cluster:
+    def _make_cluster(self) -> Cluster:
+        name, password = self._login.username, self._login.password
+        auth = PlainTextAuthProvider(name, password or "") if name else None
+        tls, context = self._login.tls, self._ssl_context
+        if tls and context is None:
+            context = tls.context(self.hosts[0])
         profile = ExecutionProfile(
             load_balancing_policy=TokenAwarePolicy(
                 DCAwareRoundRobinPolicy(), shuffle_replicas=True
@@ -128,10 +146,10 @@ class Cassandra:
             contact_points=self.hosts,
             port=self.port,
             protocol_version=PROTOCOL_VERSION,
-            connection_class=LargeBuffers,
+            connection_class=connection_class(tls if self._ssl_context is None else None),
             compression=False,
             auth_provider=auth,
-            ssl_context=ssl_context,
+            ssl_context=context,
             execution_profiles={EXEC_PROFILE_DEFAULT: profile},
             # A keyspace may have hundreds of tables, and each change would read them all anew.
             schema_metadata_enabled=False,
@@ -150,6 +168,10 @@ class Cassandra:
             raw_session = self._cluster.connect()
         except NoHostAvailable as exc:
             self._cluster.shutdown()
+            by_tls = self._ssl_context is not None or self._login.tls is not None
+            refusal = explain_refusal(exc.errors, self._login, by_tls, self._where)
+            if refusal:
+                raise refusal from exc
             causes = "; ".join(sorted({str(error) for error in exc.errors.values()}))
             failure = ConnectionFailed(
                 f"no Cassandra answers at {self._where} ({causes or 'no address'}); {START_HINT}"
@@ -178,9 +200,9 @@ class Cassandra:
         Raises:
             InvalidOption: It speaks TLS, with keys that cannot be handed on.
         """
-        if self._by_tls:
+        if self._ssl_context is not None:
             raise InvalidOption("jobs: a connection with an ssl_context is of one process; use 1")
-        return {"host": list(self.hosts), "port": self.port, **self._login}
+        return {"host": list(self.hosts), "port": self.port, **self._given}
 
     def require_open(self) -> None:
         """Raise ConnectionFailed where it is closed; the driver takes that for a passing one."""

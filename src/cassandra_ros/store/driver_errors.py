@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import contextmanager
 from typing import Iterator
 
@@ -26,9 +27,10 @@ from cassandra.pool import NoConnectionsAvailable
 from cassandra.protocol import ErrorMessage, OverloadedErrorMessage, SyntaxException
 
 from cassandra_ros.errors import (
+    AccessDenied,
     CassandraRosError,
-    ConnectionFailed,
     KeyspaceNotFound,
+    LoginFailed,
     SchemaConflict,
     StoreUnavailable,
     TopicNotFound,
@@ -115,8 +117,10 @@ def translate(exc: BaseException, what: str) -> CassandraRosError:
         return exc
     if is_disk_full(exc):
         return StoreUnavailable(f"{what}: the disk of the store is full; make room there ({exc})")
-    if isinstance(exc, (Unauthorized, AuthenticationFailed)):
-        return ConnectionFailed(f"{what}: the server refuses this user: {exc}")
+    if isinstance(exc, Unauthorized):
+        return _denied(exc, what)
+    if isinstance(exc, AuthenticationFailed):
+        return LoginFailed(f"{what}: the server refuses this user: {exc}")
     if isinstance(exc, NoHostAvailable):
         causes = "; ".join(f"{host}: {error}" for host, error in exc.errors.items())
         return StoreUnavailable(f"{what}: no Cassandra node answers ({causes or exc.args[0]})")
@@ -134,6 +138,25 @@ def translate(exc: BaseException, what: str) -> CassandraRosError:
     if isinstance(exc, (InvalidRequest, SyntaxException, AlreadyExists)):
         return SchemaConflict(f"{what}: the server refuses the statement: {exc}")
     return StoreUnavailable(f"{what}: {type(exc).__name__}: {exc}")
+
+
+# "User ann has no MODIFY permission on <table ros.imu> or any of its parents", and of a node that
+# several rights would open: "has none of the following permissions (CREATE, ALTER) on ...".
+_RIGHT = re.compile(r"User (\S+) has no(?: | .*\()([A-Z, ]+?)\)? permission.*?<(.*?)>")
+
+
+def _denied(exc: Unauthorized, what: str) -> AccessDenied:
+    text = str(exc)
+    found = _RIGHT.search(text)
+    if not found:
+        return AccessDenied(f"{what}: this user may not do that: {text}")
+    user, right, place = found.groups()
+    denied = AccessDenied(
+        f"{what}: user {user} lacks the right {right} on {place}; have an owner grant it "
+        "('cassandra_bag roles' prints how), or log in as somebody else"
+    )
+    denied.right = right
+    return denied
 
 
 def cause_of(exc: BaseException) -> str:

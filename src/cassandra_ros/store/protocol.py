@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import io
 import socket
+import ssl
 import struct
 from typing import Any, Sequence, Tuple
 
@@ -20,6 +21,7 @@ from cassandra.protocol import BatchMessage, ExecuteMessage, ProtocolHandler, Re
 
 from cassandra_ros.store.paging import RawRow
 from cassandra_ros.store.raw_page import RawPage
+from cassandra_ros.store.login import Tls
 
 PROTOCOL_VERSION = 4
 """In version 5 all bytes are cut into segments of 128 KiB with checksums, which Python joins: 0.8
@@ -114,6 +116,21 @@ class LargeBuffers(DefaultConnection):
                 return None
             self.deque.append(data[sent:])
         return b""  # wakes the driver's thread
+
+
+def connection_class(tls: Tls | None) -> type[LargeBuffers]:
+    """Return the class of connections, which with TLS trust what is trusted of their host."""
+    if tls is None or not tls.certfiles:
+        return LargeBuffers
+    contexts: dict[str, ssl.SSLContext] = {}
+
+    class Encrypted(LargeBuffers):
+        def _wrap_socket_from_context(self) -> ssl.SSLSocket:
+            host = self.endpoint.address
+            self.ssl_context = contexts.get(host) or contexts.setdefault(host, tls.context(host))
+            return super()._wrap_socket_from_context()  # type: ignore[no-any-return]
+
+    return Encrypted
 
 
 class _RawResultMessage(_Decoding):  # type: ignore[misc, valid-type]

@@ -44,11 +44,11 @@ class RosCassandra:
         clock: Returns the time for messages without a key; default rospy's where a node runs
             in this process, else wall clock.
         consistency: Name of a Cassandra consistency level.
-        username, password, ssl_context: Where the cluster asks for them.
+        username, password, ssl_context, cqlshrc, credentials: As class Cassandra has them.
 
     Raises:
-        ConnectionFailed: Nobody answers there; the text says how to start a server.
-        InvalidOption: The port cannot be one.
+        ConnectionFailed, LoginFailed: Nobody answers there, or it refuses us.
+        InvalidOption: The port cannot be one, or a file cannot be read.
     """
 
     def __init__(
@@ -62,8 +62,11 @@ class RosCassandra:
         username: Optional[str] = None,
         password: Optional[str] = None,
         ssl_context: Any = None,
+        cqlshrc: Optional[str] = None,
+        credentials: Optional[str] = None,
     ) -> None:
         login = {"username": username, "password": password, "ssl_context": ssl_context}
+        login.update(cqlshrc=cqlshrc, credentials=credentials)
         self.cassandra = Cassandra(host, port, consistency=consistency, **login)
         self._clock = clock
         self._opened: Optional[Catalog] = None
