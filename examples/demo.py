@@ -39,8 +39,9 @@ RUN = ["rosrun", "cassandra_ros"]
 class Demo:
     """The steps, the processes that they started, and what they found out."""
 
-    def __init__(self, out: Path, stack: ExitStack) -> None:
+    def __init__(self, out: Path, stack: ExitStack, secure: bool = False) -> None:
         self.out = out
+        self.secure = secure
         self.stack = stack
         self.env = dict(os.environ, PYTHONUNBUFFERED="1")
         self.findings: list[tuple[str, str]] = []
@@ -83,7 +84,7 @@ class Demo:
     def servers(self) -> None:
         self.say("A Cassandra and a roscore of our own")
         port = _port_or(9042)
-        cluster = LocalCluster(self.home / "cassandra", port=port, say=print)
+        cluster = LocalCluster(self.home / "cassandra", port=port, secure=self.secure, say=print)
         self.stack.callback(cluster.stop)
         start = time.monotonic()
         cluster.start(die_with_us=True)
@@ -93,6 +94,7 @@ class Demo:
             CASSANDRA_ROS_HOST="127.0.0.1",
             CASSANDRA_ROS_PORT=str(port),
             CASSANDRA_ROS_KEYSPACE=LIVE,
+            CASSANDRA_ROS_CQLSHRC=str(cluster.security.cqlshrc) if self.secure else "",
             ROS_MASTER_URI=f"http://127.0.0.1:{master}",
             ROS_IP="127.0.0.1",
             ROS_HOME=str(self.home / "ros"),
@@ -269,6 +271,7 @@ def _shell(words: list[str]) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--out", type=Path, default=HERE.parent / "demo-output")
+    parser.add_argument("--secure", action="store_true", help="log in with a password, over TLS")
     args = parser.parse_args()
     if shutil.which("rosrun") is None:
         sys.exit("demo: rosrun is not on the path; run: make demo")
@@ -278,7 +281,7 @@ def main() -> int:
         signal.signal(number, signal.default_int_handler)
     args.out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
-        demo = Demo(args.out.resolve(), stack)
+        demo = Demo(args.out.resolve(), stack, args.secure)
         for step in (
             demo.servers,
             demo.record,

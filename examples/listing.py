@@ -13,8 +13,10 @@ from cassandra_ros import RosCassandra
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--host", help="default: CASSANDRA_ROS_HOST, or 127.0.0.1")
-    parser.add_argument("--port", type=int, help="default: CASSANDRA_ROS_PORT, or 9042")
+    parser.add_argument("--host", help="default: CASSANDRA_ROS_HOST, or as your cqlshrc says")
+    parser.add_argument(
+        "--port", type=int, help="default: CASSANDRA_ROS_PORT, or as your cqlshrc says"
+    )
     parser.add_argument(
         "--keyspace",
         default=os.environ.get("CASSANDRA_ROS_KEYSPACE") or "ros",

@@ -130,8 +130,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--host", help="default: CASSANDRA_ROS_HOST, or 127.0.0.1")
-    parser.add_argument("--port", type=int, help="default: CASSANDRA_ROS_PORT, or 9042")
+    parser.add_argument("--host", help="default: CASSANDRA_ROS_HOST, or as your cqlshrc says")
+    parser.add_argument(
+        "--port", type=int, help="default: CASSANDRA_ROS_PORT, or as your cqlshrc says"
+    )
     parser.add_argument("--keyspace", default="storyboard", help="default: %(default)s")
     parser.add_argument("--replay", action="store_true", help="publish the messages again")
     args = parser.parse_args()

@@ -11,7 +11,7 @@ import pytest
 from conftest import ROOT
 
 from cassandra_ros.cli import player, query_server, recorder
-from cassandra_ros.cli.options import add_store_options, strip_remappings
+from cassandra_ros.cli.options import add_store_options, store_place, strip_remappings
 from cassandra_ros.cli.text import (
     MessageBar,
     format_bytes,
@@ -24,9 +24,10 @@ from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 
 
 @pytest.fixture
-def parse(monkeypatch):
-    for name in ("HOST", "PORT", "KEYSPACE"):
+def parse(monkeypatch, tmp_path):
+    for name in ("HOST", "PORT", "KEYSPACE", "CQLSHRC"):
         monkeypatch.delenv(f"CASSANDRA_ROS_{name}", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
 
     def run(*words, **environment):
         for name, value in environment.items():
@@ -34,16 +35,28 @@ def parse(monkeypatch):
         parser = argparse.ArgumentParser()
         add_store_options(parser)
         options = parser.parse_args(words)
-        return options.host, options.port, options.keyspace
+        return (*store_place(options), options.keyspace)
 
     return run
 
 
 def test_defaults_environment_and_options(parse):
-    assert parse() == ("127.0.0.1", 9042, "ros")
-    assert parse(HOST="a,b", PORT="1234", KEYSPACE="fleet") == ("a,b", 1234, "fleet")
-    assert parse("--host", "c", "--port", "5", "--keyspace", "x") == ("c", 5, "x")
-    assert parse(HOST="", PORT="", KEYSPACE="") == ("127.0.0.1", 9042, "ros")
+    assert parse() == (["127.0.0.1"], 9042, "ros")
+    assert parse(HOST="a,b", PORT="1234", KEYSPACE="fleet") == (["a", "b"], 1234, "fleet")
+    assert parse("--host", "c", "--port", "5", "--keyspace", "x") == (["c"], 5, "x")
+    assert parse(HOST="", PORT="", KEYSPACE="") == (["127.0.0.1"], 9042, "ros")
+
+
+def test_the_cqlshrc_says_what_nobody_else_does(parse, tmp_path):
+    (tmp_path / ".cassandra").mkdir()
+    usual, named = tmp_path / ".cassandra" / "cqlshrc", tmp_path / "mine"
+    usual.write_text("[connection]\nhostname = d\nport = 6\n")
+    named.write_text("[connection]\nhostname = e\n")
+    assert parse() == (["d"], 6, "ros")
+    assert parse("--host=", "--cqlshrc=", "--credentials=") == (["d"], 6, "ros")
+    assert parse("--cqlshrc", str(named)) == (["e"], 9042, "ros")
+    assert parse("--port", "7", CQLSHRC=str(named)) == (["e"], 7, "ros")
+    assert parse(HOST="f") == (["f"], 9042, "ros")
 
 
 @pytest.mark.parametrize("port", ["0", "65536", "-1", "x", "", "1.5", "٣"])

@@ -23,6 +23,7 @@ from cassandra_ros.store.address import (
     from_environment,
     port_number,
 )
+from cassandra_ros.store.login import CQLSHRC, CREDENTIALS, read_login
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.ros_cassandra import RosCassandra
@@ -73,23 +74,28 @@ def verbs_parser(
 
 
 def add_store_options(parser: argparse.ArgumentParser) -> None:
-    """Add --host, --port and --keyspace; the environment sets their defaults."""
+    """Add where the store is and how one logs in there; store_place reads it."""
     group = parser.add_argument_group(
-        "store", "defaults also from CASSANDRA_ROS_HOST, CASSANDRA_ROS_PORT, CASSANDRA_ROS_KEYSPACE"
+        "store",
+        "defaults also from CASSANDRA_ROS_HOST, CASSANDRA_ROS_PORT, CASSANDRA_ROS_KEYSPACE, "
+        "CASSANDRA_ROS_CQLSHRC, SSL_CERTFILE, SSL_VALIDATE. Passwords stand in files only",
     )
     group.add_argument(
         "--host",
         metavar="HOST[,HOST]",
-        default=from_environment("HOST") or DEFAULT_HOST,
-        help="one or more nodes of the cluster (default: %(default)s)",
+        type=lambda text: text or None,  # as a launch file may give it
+        default=from_environment("HOST") or None,
+        help="one or more nodes of the cluster (default: as the cqlshrc says, else "
+        f"{DEFAULT_HOST})",
     )
     group.add_argument(
         "--port",
         type=read_port,
         # A text, so that a wrong one in the environment is reported like a wrong option.
-        default=from_environment("PORT") or str(DEFAULT_PORT),
-        help="port for CQL (default: %(default)s)",
+        default=from_environment("PORT") or None,
+        help=f"port for CQL (default: as the cqlshrc says, else {DEFAULT_PORT})",
     )
+    _add_login_options(group.add_argument)
     group.add_argument(
         "--keyspace",
         metavar="NAME",
@@ -106,6 +112,23 @@ def add_store_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_login_options(add: Callable[..., object]) -> None:
+    add(
+        "--cqlshrc",
+        metavar="FILE",
+        type=lambda text: text or None,
+        help="where the cluster is, and whether it speaks TLS, as cqlsh reads it (default: "
+        f"{CQLSHRC})",
+    )
+    add(
+        "--credentials",
+        metavar="FILE",
+        type=lambda text: text or None,
+        help="user name and password, as cqlsh reads them; yours alone, mode 600 (default: as the "
+        f"cqlshrc says, else {CREDENTIALS})",
+    )
+
+
 def read_seconds(text: str) -> float:
     """Read a number of seconds of 0 or more, for argparse."""
     if not re.fullmatch(r"[0-9]{1,9}(\.[0-9]*)?", text):
@@ -116,9 +139,15 @@ def read_seconds(text: str) -> float:
 def read_port(text: str) -> int:
     """Read a TCP port, for argparse."""
     try:
-        return port_number(text)
+        return port_number(text or "nothing")
     except InvalidOption as exc:
         raise argparse.ArgumentTypeError(str(exc)) from exc
+
+
+def store_place(options: argparse.Namespace) -> tuple[list[str], int]:
+    """Return the hosts and the port that the options, the environment and the files name."""
+    login = read_login(options.host, options.port, options.cqlshrc, options.credentials)
+    return login.hosts, login.port
 
 
 def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
@@ -145,11 +174,19 @@ def _connect(options: argparse.Namespace) -> RosCassandra:
     ends, told = time.monotonic() + options.wait, False
     while True:
         try:
-            return RosCassandra(options.host, options.port, keyspace=options.keyspace)
+            return RosCassandra(
+                options.host,
+                options.port,
+                keyspace=options.keyspace,
+                cqlshrc=options.cqlshrc,
+                credentials=options.credentials,
+            )
         except ConnectionFailed as exc:
+            if exc.refused:
+                raise
             trouble = _trouble(_local_directories(options))
             reason = f"{exc}; {trouble}" if trouble else str(exc)
-            if exc.refused or time.monotonic() >= ends:
+            if time.monotonic() >= ends:
                 raise ConnectionFailed(reason) from exc
             if not told:
                 text = f"waiting up to {options.wait:g} s for the store: {reason}"
@@ -162,7 +199,8 @@ def _local_directories(options: argparse.Namespace) -> list[Path]:
     """List where the data of the store lie, as far as it is the local one."""
     from cassandra_ros.local_server.disk import local_directory
 
-    found = (local_directory(host.strip(), options.port) for host in options.host.split(","))
+    hosts, port = store_place(options)
+    found = (local_directory(host, port) for host in hosts)
     return sorted({directory for directory in found if directory is not None})
 
 

@@ -3,8 +3,8 @@
 """Answer questions about recorded topics over services.
 
 They are ~getData, ~range, ~executeCQL and ~lookupTransform. The node is called cassandra_ros;
-its parameters ~host, ~port, ~keyspace and ~allow_writes count where the options of the same names
-are not given.
+its parameters ~host, ~port, ~keyspace, ~cqlshrc, ~credentials and ~allow_writes count where the
+options of the same names are not given.
 """
 
 from __future__ import annotations
@@ -54,6 +54,8 @@ def read_options(
     parser: argparse.ArgumentParser, words: Sequence[str], given: dict[str, str]
 ) -> argparse.Namespace:
     """Read the command line; ROS parameters take the place of options that were not given."""
+    # Empty ones, as a launch file may give them, are not given.
+    given = {name: text for name, text in given.items() if text}
     options = parser.parse_args(words, argparse.Namespace(**dict.fromkeys(given)))
     for name, text in given.items():
         try:

@@ -26,6 +26,7 @@ from cassandra_ros.cli.options import (
     add_store_options,
     open_store,
     program_parser,
+    store_place,
     strip_remappings,
 )
 from cassandra_ros.cli.readers import byte_size, checked, duration, megabytes, whole_number
@@ -264,13 +265,13 @@ def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -
     values = {name: getattr(options, name) for name in names}
     values["labels"] = dict(options.labels or ())
     values.update(where=options.where or (), rate_limit=options.rate_limit or ())
-    return RecorderOptions(**values, free_space=local_space(options.host))
+    return RecorderOptions(**values, free_space=local_space(store_place(options)[0]))
 
 
-def local_space(host: str) -> Optional[Callable[[], int]]:
+def local_space(hosts: Sequence[str]) -> Optional[Callable[[], int]]:
     """Return what tells the free space of the local Cassandra; None where there is none."""
     data = default_directory()
-    if not (all(each.startswith(_LOOPBACK) for each in host.split(",")) and data.is_dir()):
+    if not (all(each.startswith(_LOOPBACK) for each in hosts) and data.is_dir()):
         return None
     return lambda: shutil.disk_usage(data).free
 

@@ -22,6 +22,7 @@ _CONSISTENCY_ONE = 1
 _MAX_FRAME = 1 << 20
 _STATEMENT_SEC = 30.0
 
+
 class CqlRefused(OSError):
     """The server answers with an error, which is the text."""
 

@@ -145,6 +145,8 @@ class Security:
         session.run(f"CREATE ROLE IF NOT EXISTS {USER}")
         for everything in ("ALL KEYSPACES", "ALL ROLES"):
             session.run(f"GRANT ALL PERMISSIONS ON {everything} TO {USER}")
+        for right in ("SELECT", "AUTHORIZE"):  # "all" leaves out the server's own
+            session.run(f"GRANT {right} ON KEYSPACE system_views TO {USER}")
         # At last: who can log in has all rights.
         session.run(f"ALTER ROLE {USER} WITH PASSWORD = '{user}' AND LOGIN = true")
 

@@ -55,7 +55,7 @@ Response = TypeVar("Response")
 
 _log = logging.getLogger(__name__)
 
-PARAMETERS = ("host", "port", "keyspace", "allow_writes")
+PARAMETERS = ("host", "port", "keyspace", "cqlshrc", "credentials", "allow_writes")
 DEFAULT_LIMIT = 100
 MAX_REPLY_BYTES = 16 * 1024 * 1024
 """A page ends behind the message that passes this."""

@@ -54,7 +54,6 @@ from cassandra_ros.store.paging import (
 )
 from cassandra_ros.store.protocol import (
     PROTOCOL_VERSION,
-    LargeBuffers,
     RawProtocolHandler,
     connection_class,
 )
@@ -357,6 +356,12 @@ class Cassandra:
                 agreed = self._cluster.control_connection.wait_for_schema_agreement(wait_time=5.0)
         if not agreed:
             raise translate(TimeoutError("the nodes do not agree on the schema"), what)
+
+    def execute_text(self, cql: str, *, what: str) -> None:
+        """Run one statement that cannot be prepared, and is no change of the schema, once."""
+        self.require_open()
+        with translated(what):
+            self._session.execute(SimpleStatement(cql))
 
     def use_keyspace(self, keyspace: str) -> None:
         """Learn how a keyspace is replicated: rows then go straight to a node that has them."""

@@ -12,9 +12,10 @@ import logging
 import os
 import ssl
 import stat
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Mapping, Sequence
+from typing import Iterator, Mapping, Sequence
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.store.address import from_environment, host_names, port_number
@@ -87,20 +88,15 @@ class Login:
     """A credentials file that others can read."""
 
 
-class _readable:
+@contextmanager
+def _readable(option: str, name: str) -> Iterator[None]:
     """Turn errors of reading PEM files into ours."""
-
-    def __init__(self, option: str, name: str) -> None:
-        self._text = f"{option} {name}"
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: object, exc: object, trace: object) -> None:
-        if isinstance(exc, (OSError, ValueError)):  # ssl.SSLError is an OSError
-            raise InvalidOption(
-                f"{self._text}: cannot be read as certificates or keys (PEM): {exc}"
-            ) from exc
+    try:
+        yield
+    except (OSError, ValueError) as exc:  # ssl.SSLError is an OSError
+        raise InvalidOption(
+            f"{option} {name}: cannot be read as certificates or keys (PEM): {exc}"
+        ) from exc
 
 
 def read_login(
@@ -242,7 +238,7 @@ def _tls(config: configparser.ConfigParser, config_file: str) -> Tls | None:
         certfile, hosts = os.environ["SSL_CERTFILE"], {}
     return Tls(
         source=config_file,
-        validate=validate.lower() != "false",
+        validate=str(validate).lower() != "false",
         certfile=os.path.expanduser(certfile),
         certfiles={name: os.path.expanduser(text) for name, text in hosts.items()},
         userkey=os.path.expanduser(config.get("ssl", "userkey", fallback="")),

@@ -109,5 +109,3 @@ def _speaks_plainly(host: str, port: int) -> bool:
             return plain.recv(1)[:1] >= b"\x80"  # an answer's first byte
     except OSError:
         return False
-
-

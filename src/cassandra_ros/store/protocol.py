@@ -9,6 +9,7 @@ of its own hands out each column as the bytes that Cassandra stores.
 
 from __future__ import annotations
 
+import functools
 import io
 import socket
 import ssl
@@ -122,12 +123,11 @@ def connection_class(tls: Tls | None) -> type[LargeBuffers]:
     """Return the class of connections, which with TLS trust what is trusted of their host."""
     if tls is None or not tls.certfiles:
         return LargeBuffers
-    contexts: dict[str, ssl.SSLContext] = {}
+    make = functools.lru_cache(maxsize=None)(tls.context)
 
     class Encrypted(LargeBuffers):
         def _wrap_socket_from_context(self) -> ssl.SSLSocket:
-            host = self.endpoint.address
-            self.ssl_context = contexts.get(host) or contexts.setdefault(host, tls.context(host))
+            self.ssl_context = make(self.endpoint.address)
             return super()._wrap_socket_from_context()  # type: ignore[no-any-return]
 
     return Encrypted

@@ -266,6 +266,10 @@ class SideTables:
             )
         self._keyspace_made = True
 
+    def change_rights(self, statement: str) -> None:
+        """Run a statement that makes a role or gives it a right; it changes no schema."""
+        self._cassandra.execute_text(statement, what=statement)
+
     def make(self, *later: str) -> None:
         """Make the keyspace and the tables where they are missing; before the first write.
 

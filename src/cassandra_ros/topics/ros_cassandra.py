@@ -39,16 +39,13 @@ class RosCassandra:
     Args:
         host: One address, or several divided by commas; None = CASSANDRA_ROS_HOST, else 127.0.0.1.
         port: CQL port, 1 to 65535; None = CASSANDRA_ROS_PORT, else 9042.
-        keyspace: Connected at once when given, or named by CASSANDRA_ROS_KEYSPACE; one
-            that is missing is made by what first writes.
-        clock: Returns the time for messages without a key; default rospy's where a node runs
-            in this process, else wall clock.
+        keyspace: Connected at once; None = CASSANDRA_ROS_KEYSPACE. What first writes makes it.
+        clock: Returns the time of messages without a key; None = a node's own, else wall clock.
         consistency: Name of a Cassandra consistency level.
         username, password, ssl_context, cqlshrc, credentials: As class Cassandra has them.
 
     Raises:
-        ConnectionFailed, LoginFailed: Nobody answers there, or it refuses us.
-        InvalidOption: The port cannot be one, or a file cannot be read.
+        ConnectionFailed, InvalidOption: Nobody answers there, or refuses us; no port, no file.
     """
 
     def __init__(

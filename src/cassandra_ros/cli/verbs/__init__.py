@@ -13,6 +13,7 @@ from cassandra_ros.cli.verbs import (
     list_,
     params,
     query,
+    roles,
     runs,
     verify,
 )
@@ -28,4 +29,5 @@ VERBS = {
     "query": query,
     "index": index,
     "convert": convert,
+    "roles": roles,
 }

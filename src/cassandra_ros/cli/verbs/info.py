@@ -14,7 +14,12 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Iterator
 
-from cassandra_ros.cli.options import add_origin_options, add_store_options, open_store
+from cassandra_ros.cli.options import (
+    add_origin_options,
+    add_store_options,
+    open_store,
+    store_place,
+)
 from cassandra_ros.cli.text import format_bytes, format_length, format_table, format_time, shown
 from cassandra_ros.cli.verbs.runs import time_of
 from cassandra_ros.keys import NAMED_FORMATS
@@ -51,7 +56,8 @@ def run(options: argparse.Namespace) -> int:
     total = sum(info.count for info in infos)
     size = sum(info.bytes for info in infos)
     topics = len({info.topic for info in infos})
-    print(f"keyspace:  {options.keyspace} at {options.host}:{options.port}")
+    hosts, port = store_place(options)
+    print(f"keyspace:  {options.keyspace} at {','.join(hosts)}:{port}")
     print(f"messages:  {total} of {topics} topics, {format_bytes(size)}")
     if infos:
         print()
