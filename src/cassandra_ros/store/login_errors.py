@@ -17,7 +17,6 @@ from cassandra_ros.store.login import Login
 PROBE_SEC = 2.0
 _OPTIONS = struct.pack(">BBhBi", 4, 0, 0, 5, 0)
 """The request of CQL's protocol that needs no login."""
-_OURS_ASKED = ("certificate_required", "certificate required", "bad_certificate", "bad certificate")
 _UNTRUSTED = "certificate verify failed"
 
 
@@ -30,7 +29,7 @@ def explain_refusal(
         return _login_failed(login, where)
     if _UNTRUSTED in texts:
         return _untrusted(texts, login, where)
-    if any(sign in texts.lower() for sign in _OURS_ASKED):
+    if by_tls and any(_wants_ours(host, login.port) for host in login.hosts):
         return CertificateRefused(
             f"the Cassandra at {where} asks for a certificate of ours, and "
             "does not take the one that was given, or was given none; name "
@@ -89,17 +88,29 @@ def _rc(login: Login) -> str:
 
 
 def _speaks_tls(host: str, port: int) -> bool:
+    return _greet(host, port)[0]
+
+
+def _wants_ours(host: str, port: int) -> bool:
+    return _greet(host, port, listening=True)[1]
+
+
+def _greet(host: str, port: int, *, listening: bool = False) -> tuple[bool, bool]:
+    """Begin to speak TLS, without a certificate; tell if it is spoken, and if one is asked for."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
-    context.verify_mode = ssl.CERT_NONE  # only asked whether it speaks: nothing is sent
+    context.verify_mode = ssl.CERT_NONE  # nothing is said behind the greeting
     try:
         with socket.create_connection((host, port), timeout=PROBE_SEC) as plain:
-            context.wrap_socket(plain).close()
+            with context.wrap_socket(plain) as greeted:
+                if listening:  # since TLS 1.3 a server refuses behind the greeting
+                    greeted.recv(1)
     except ssl.SSLError as exc:
-        return "alert" in str(exc).lower()  # it refuses us in TLS
+        text = str(exc).lower()
+        return "alert" in text, "certificate" in text or "handshake_failure" in text
     except OSError:
-        return False
-    return True
+        return False, False
+    return True, False
 
 
 def _speaks_plainly(host: str, port: int) -> bool:

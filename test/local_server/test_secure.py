@@ -1,0 +1,270 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""One server that asks for a password and speaks TLS, and all that logs in there."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+from nodes.children import await_true, start_client, start_node
+from nodes.raw_publisher import RawPublisher, header_of, message
+from std_msgs.msg import String
+
+from cassandra_ros import RosCassandra
+from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.cli import cassandra_bag, local_cassandra
+from cassandra_ros.errors import (
+    AccessDenied,
+    CertificateRefused,
+    InvalidOption,
+    LoginFailed,
+    TlsMismatch,
+)
+from cassandra_ros.local_server import LocalCluster, free_port
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.store.roles import ROLES, role_name
+
+FOREIGN = ROOT / "test/store/certificates/valid.pem"
+KEYSPACE = "fleet"
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("secure")
+    cluster = LocalCluster(folder, port=free_port(), heap="512M", secure=True)
+    try:
+        cluster.start(die_with_us=True)
+        yield cluster
+    finally:
+        cluster.stop()
+
+
+@pytest.fixture(scope="module")
+def cqlshrc(cluster):
+    return str(cluster.security.cqlshrc)
+
+
+@pytest.fixture(scope="module")
+def users(cluster, cqlshrc, tmp_path_factory):
+    """Credentials files of a viewer, a recorder and an owner of the keyspace."""
+    store = ["--cqlshrc", cqlshrc, "--keyspace", KEYSPACE]
+    for _ in range(2):  # repeating it changes nothing
+        assert cassandra_bag.main(["roles", "--apply", *store]) == 0
+    folder, found = tmp_path_factory.mktemp("users"), {}
+    with RosCassandra(cqlshrc=cqlshrc, keyspace=KEYSPACE) as ours:
+        ours.addTopic("/a").addData(String("first"), key=1)
+        for role in ROLES:
+            for cql in (
+                f"CREATE ROLE {role}_1 WITH LOGIN = true AND PASSWORD = 'of {role}'",
+                f"GRANT {role_name(KEYSPACE, role)} TO {role}_1",
+            ):
+                ours.cassandra.execute_text(cql, what="making a user")
+            found[role] = folder / role
+            found[role].write_text(
+                f"[PlainTextAuthProvider]\nusername = {role}_1\npassword = of {role}\n"
+            )
+            found[role].chmod(0o600)
+    return found
+
+
+@pytest.fixture
+def enter(cqlshrc, users):
+    """Makes a RosCassandra of one of the users."""
+    return lambda role: RosCassandra(
+        cqlshrc=cqlshrc, credentials=str(users[role]), keyspace=KEYSPACE
+    )
+
+
+def test_what_it_writes_is_its_owners_alone(cluster, capsys):
+    folder = cluster.security.folder
+    assert folder.stat().st_mode & 0o777 == 0o700
+    private = [*folder.iterdir(), cluster.nodes[0].config]
+    assert {path.stat().st_mode & 0o777 for path in private} == {0o600}
+    assert [status.answers for status in cluster.status()] == [True]
+    assert local_cassandra.main(["status", "--dir", str(cluster.directory)]) == 0
+    assert f"export CASSANDRA_ROS_CQLSHRC={cluster.security.cqlshrc}" in capsys.readouterr().out
+    # Nothing of the passwords is in what every user of the machine can see.
+    shown = Path(f"/proc/{cluster.status()[0].pid}/cmdline").read_text()
+    secrets = re.findall(r"password = (\S+)", (folder / "credentials").read_text())
+    assert len(secrets) == 1 and secrets[0] not in shown
+
+
+def test_who_is_not_let_in_is_told_why(cluster, cqlshrc, tmp_path, monkeypatch, cassandra):
+    with RosCassandra(cqlshrc=cqlshrc) as store:
+        assert store.cassandra.port == cluster.settings.port
+        assert {"password": None, "cqlshrc": cqlshrc}.items() <= store.cassandra.arguments().items()
+    for user, password in (("cassandra", "cassandra"), ("nobody", "x"), ("ros", "")):
+        with pytest.raises(LoginFailed, match=f"refuses the user name '{user}'") as caught:
+            RosCassandra(cqlshrc=cqlshrc, username=user, password=password)
+        assert "local_cassandra start" not in str(caught.value)
+    nobody = tmp_path / "credentials"
+    nobody.touch(mode=0o600)
+    with pytest.raises(LoginFailed, match="asks for a login and none was given; write username"):
+        RosCassandra(cqlshrc=cqlshrc, credentials=str(nobody))
+    nobody.chmod(0o644)
+    with pytest.raises(LoginFailed, match=r"none was given \(.* is not used: others can read it"):
+        RosCassandra(cqlshrc=cqlshrc, credentials=str(nobody))
+    monkeypatch.setenv("HOME", str(tmp_path))
+    with pytest.raises(TlsMismatch, match="speaks TLS, and it was spoken to without; write 'ssl"):
+        RosCassandra("127.0.0.1", cluster.settings.port)
+    with pytest.raises(TlsMismatch, match="does not speak TLS, and .*cqlshrc asks for it"):
+        RosCassandra(cassandra.host, cassandra.port, cqlshrc=cqlshrc)
+    monkeypatch.setenv("SSL_CERTFILE", str(FOREIGN))
+    with pytest.raises(CertificateRefused, match=f"not one of those that {FOREIGN} trusts"):
+        RosCassandra(cqlshrc=cqlshrc)
+    monkeypatch.setenv("SSL_VALIDATE", "false")
+    RosCassandra(cqlshrc=cqlshrc).close()
+
+
+def test_a_certificate_for_each_host(cluster, cqlshrc, tmp_path):
+    text = Path(cqlshrc).read_text()
+    ours = f"certfile = {cluster.security.certificate}"
+    changed = text.replace(ours, f"certfile = {FOREIGN}")
+    mine = tmp_path / "cqlshrc"
+    mine.write_text(f"{changed}[certfiles]\n127.0.0.1 = {cluster.security.certificate}\n")
+    RosCassandra(cqlshrc=str(mine)).close()
+    mine.write_text(f"{text}[certfiles]\n127.0.0.1 = {FOREIGN}\n")
+    with pytest.raises(CertificateRefused):
+        RosCassandra(cqlshrc=str(mine))
+
+
+def test_a_viewer_reads_and_nothing_else(enter):
+    with enter("viewer") as store:
+        topic = store.getTopic("/a")
+        assert topic.getData(1).data == "first"
+        assert store.executeCQL("select data from a where data = 'first'")
+        assert [info.topic for info in store.info()] == ["/a"]
+        uses = (
+            ("MODIFY", lambda: topic.addData(String("x"), key=9)),
+            ("MODIFY", lambda: topic.removeData(1)),
+            ("MODIFY", lambda: topic.createIndex("data")),
+            ("MODIFY", lambda: store.removeTopic("/a")),
+            ("CREATE", lambda: store.connectToKeyspace("another")),
+        )
+        for right, use in uses:
+            with pytest.raises(AccessDenied, match=f"viewer_1 lacks the right {right} on") as told:
+                use()
+            assert told.value.right == right
+    with RosCassandra(cqlshrc=store.cassandra.arguments()["cqlshrc"], keyspace=KEYSPACE) as ours:
+        assert ours.getTopic("/a").countTopicData() == 1
+
+
+def test_a_recorder_writes_but_drops_nothing(enter, tmp_path):
+    with enter("recorder") as store:
+        topic = store.addTopic("/b")
+        topic.addData(String("x"), key=1)
+        topic.createIndex("data")
+        assert store.executeCQL("select data from b where data = 'x'") == [("x",)]
+        assert store.executeCQL("delete from b where KEY = 1") == [(1,)]
+        with pytest.raises(AccessDenied, match="lacks the right DROP on table") as told:
+            store.removeTopic("/a")
+        assert told.value.right == "DROP"
+        # What makes a connection does so in other processes, too.
+        with BagWriter(tmp_path / "a.bag") as writer:
+            number = writer.connection(api_connection("/c", definition_of(String), ""))
+            for n in range(20):
+                writer.write(number, n * 10**9, message(String(str(n))))
+        import_bag(store, tmp_path / "a.bag", jobs=2)
+        assert store.getTopic("/c").countTopicData() == 20
+    with enter("owner") as store:
+        store.removeTopic("/b")
+        assert not store.existTopic("/b")
+
+
+def test_the_nodes_work_with_the_rights_of_their_role(roscore, cqlshrc, users, enter):
+    def arguments(role):
+        files = ("--cqlshrc", cqlshrc, "--credentials", str(users[role]))
+        return (*files, "--keyspace", KEYSPACE)
+
+    with start_node(roscore, "recorder", *arguments("recorder"), "/heard") as recorder:
+        recorder.await_line("recording 1 topic")
+        header = header_of(String, "/talker")
+        with RawPublisher(roscore.uri, "/heard", header, "/talker") as publisher, enter(
+            "viewer"
+        ) as store:
+            publisher.await_subscribers().publish(*(message(String(c)) for c in "abc"))
+            await_true(
+                lambda: (
+                    store.existTopic("/heard") and store.getTopic("/heard").countTopicData() == 3
+                )
+            )
+        assert recorder.end(signal.SIGINT) == 0, recorder.output
+    with start_node(roscore, "query_server", *arguments("viewer"), "--allow-writes") as server:
+        server.await_line("serving keyspace")
+        with start_client(roscore) as client:
+
+            def ask(statement):
+                return client.call("/cassandra_ros/executeCQL", statement=statement)
+
+            assert len(ask("select data from heard")["rows"]) == 3
+            refused = ask("create index on heard (data)")
+            assert not refused["success"] and "lacks the right MODIFY" in refused["message"]
+        assert server.end(signal.SIGINT) == 0, server.output
+
+
+def test_programs_find_their_login_by_the_environment(cqlshrc, users, tmp_path, ros_env):
+    env = {**ros_env, "CASSANDRA_ROS_CQLSHRC": cqlshrc, "CASSANDRA_ROS_KEYSPACE": KEYSPACE}
+    listing = [sys.executable, str(ROOT / "scripts/cassandra_bag"), "list"]
+
+    def run(*options):
+        command = [*listing, *map(str, options)]
+        done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=120)
+        return done.returncode, done.stdout, done.stderr
+
+    status, text, err = run()
+    assert (status, err, "/a" in text) == (0, "", True)
+    stranger = tmp_path / "stranger"
+    stranger.write_text("[PlainTextAuthProvider]\nusername = ann\npassword = secret\n")
+    stranger.chmod(0o600)
+    status, text, err = run("--credentials", stranger)
+    assert (status, text, err.count("\n")) == (1, "", 1)
+    assert "refuses the user name 'ann'" in err and "secret" not in err
+
+
+def test_an_ssl_context_of_ones_own_is_of_one_process(cluster, cqlshrc):
+    context = cluster.security.context()
+    with RosCassandra(cqlshrc=cqlshrc, ssl_context=context) as store:
+        with pytest.raises(InvalidOption, match="ssl_context is of one process"):
+            store.cassandra.arguments()
+
+
+@pytest.mark.long
+def test_the_demo_over_tls_with_a_login(ros_env, tmp_path):
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "examples/demo.py"), "--secure", "--out", str(tmp_path)],
+        env={**os.environ, **ros_env},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=900,
+    )
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert "Nothing is left running." in done.stdout
+
+
+@pytest.mark.long
+def test_two_secure_nodes_and_a_later_start(tmp_path):
+    options = {"port": free_port(), "nodes": 2, "heap": "512M"}
+    cluster = LocalCluster(tmp_path / "two", secure=True, **options)
+    try:
+        cluster.start(die_with_us=True)
+        with RosCassandra(cqlshrc=str(cluster.security.cqlshrc), keyspace="ros") as store:
+            store.addTopic("/a").addData(String("kept"), key=1)
+        cluster.stop()
+        again = LocalCluster(tmp_path / "two")  # it remembers
+        again.start(die_with_us=True)
+        with RosCassandra(cqlshrc=str(again.security.cqlshrc), keyspace="ros") as store:
+            assert store.getTopic("/a").getData(1).data == "kept"
+    finally:
+        cluster.stop()
+    cluster.clear()
+    assert not cluster.security.folder.exists()
