@@ -20,9 +20,9 @@ from cassandra.cluster import DefaultConnection
 from cassandra.cqltypes import BytesType
 from cassandra.protocol import BatchMessage, ExecuteMessage, ProtocolHandler, ResultMessage
 
+from cassandra_ros.store.login import Tls
 from cassandra_ros.store.paging import RawRow
 from cassandra_ros.store.raw_page import RawPage
-from cassandra_ros.store.login import Tls
 
 PROTOCOL_VERSION = 4
 """In version 5 all bytes are cut into segments of 128 KiB with checksums, which Python joins: 0.8
