@@ -107,7 +107,8 @@ def test_a_launch_file_argument_for_every_parameter():
     text = (ROOT / "config" / "query_server.yaml").read_text()
     parameters = yaml.safe_load(text)
     arguments = {arg.get("name") for arg in ElementTree.parse(LAUNCH).getroot().findall("arg")}  # noqa: S314 (our own file)
-    assert set(parameters) == {"host", "port", "keyspace", "allow_writes"} <= arguments
+    wanted = {"host", "port", "keyspace", "cqlshrc", "credentials", "allow_writes"}
+    assert set(parameters) == wanted <= arguments
     assert all(value == f"$(arg {name})" for name, value in parameters.items())
 
 
