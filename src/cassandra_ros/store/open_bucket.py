@@ -190,7 +190,7 @@ class OpenBucket:
 
     def add_block(self, block: Block, chunks: int = 0) -> None:
         """Add a block to the batch, its one message in so many chunks."""
-        batch, sizes = self.batch, [len(wire) for wire in block.wires]
+        batch, sizes = self.batch, list(map(len, block.wires))
         if not batch.rows:
             batch.since = time.monotonic()
         values = (

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import threading
 from functools import cached_property
-from typing import List, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 import zstandard
@@ -143,23 +143,17 @@ def pack_block(
         received: Times of reception, ns, where those are not the key times.
     """
     t = np.array(times, np.int64)
-    sizes = np.array([len(wire) for wire in wires], np.int64)
+    sizes = np.fromiter(map(len, wires), np.int64, len(wires))
     parts = [_planes(_differences(t)), _planes(_differences(np.array(seqs, np.int64)))]
     parts.append(_planes(sizes.astype("<u4")))
     if received is not None:
         parts.append(_planes(np.array(received, np.int64) - t))
-    groups = [
-        wires if len(members) == len(wires) else [wires[n] for n in members.tolist()]
-        for members in _members(sizes)
-    ]
-    long = [wire for rows in groups if len(rows[0]) >= LONG for wire in rows]
-    words = code_words(long) if long else None
-    for rows in groups:
-        if words is None or len(rows[0]) < LONG:
-            joined = b"".join(rows)
-            if _as_planes(len(rows[0]), len(rows), words is not None):
-                joined = _turn(np.frombuffer(joined, np.uint8).reshape(len(rows), -1))
-            parts.append(joined)
+    if (sizes != sizes[:1]).any():
+        order = np.argsort(sizes, kind="stable")
+        wires, sizes = [wires[n] for n in order.tolist()], sizes[order]
+    short = int(np.searchsorted(sizes, LONG))
+    words = code_words(wires[short:]) if short < len(wires) else None
+    parts += _grouped(wires, sizes) if words is None else _grouped(wires[:short], sizes[:short])
     flags = (_RECEIVED if received is not None else 0) | (_WORDS if words is not None else 0)
     parts.append(words or b"")
     return bytes((VERSION, flags)) + _compress(b"".join(parts))
@@ -173,6 +167,19 @@ def _compress(body: bytes) -> bytes:
         if len(_compressor().compress(sample)) > HARDLY * len(sample):
             return _mine.quick.compress(body)
     return _compressor().compress(body)
+
+
+def _grouped(wires: Sequence[bytes], sizes: Longs) -> Iterator[bytes]:
+    """Yield the bytes of messages that are sorted by their size, as planes where many share one."""
+    ends = np.append(np.flatnonzero(np.diff(sizes)) + 1, len(sizes))
+    counts, done = np.diff(ends, prepend=0), 0
+    many = np.flatnonzero(counts >= MIN_PLANES)
+    for end, count in zip(ends[many].tolist(), counts[many].tolist()):
+        yield b"".join(wires[done : end - count])
+        joined = np.frombuffer(b"".join(wires[end - count : end]), np.uint8)
+        yield _turn(joined.reshape(count, -1))
+        done = end
+    yield b"".join(wires[done:])
 
 
 def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
