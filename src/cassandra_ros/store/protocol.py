@@ -14,9 +14,13 @@ import io
 import socket
 import ssl
 import struct
+from collections import deque
+from functools import cached_property
 from typing import Any, Sequence, Tuple
 
+from cassandra import ProtocolVersion
 from cassandra.cluster import DefaultConnection
+from cassandra.connection import ProtocolError, _Frame
 from cassandra.cqltypes import BytesType
 from cassandra.protocol import BatchMessage, ExecuteMessage, ProtocolHandler, ResultMessage
 
@@ -85,11 +89,74 @@ class EncodedRows:
             _BATCH.pack_into(view, start, msg.batch_type.value, len(self))
 
 
+class _Received:
+    """What came and was not handed on yet, in the pieces in which it came.
+
+    It stands where the driver has a BytesIO, into which each piece was copied, out of which each
+    answer was, and what was left behind that with each answer.
+    """
+
+    def __init__(self) -> None:
+        self._pieces: deque[memoryview] = deque()
+        self._size = 0
+
+    def write(self, piece: bytes) -> None:
+        """Append a piece."""
+        self._pieces.append(memoryview(piece))
+        self._size += len(piece)
+
+    def tell(self) -> int:
+        """Return how many bytes there are."""
+        return self._size
+
+    def getvalue(self) -> bytes:
+        """Return all, for a message about an error."""
+        return b"".join(self._pieces)
+
+    def take(self, size: int) -> bytes:
+        """Take so many bytes from the front; there are as many."""
+        self._size -= size
+        found = []
+        while size:
+            piece = self._pieces.popleft()
+            if len(piece) > size:
+                self._pieces.appendleft(piece[size:])
+                piece = piece[:size]
+            found.append(piece)
+            size -= len(piece)
+        return b"".join(found)
+
+
 class LargeBuffers(DefaultConnection):
     """A connection whose socket is read and written by the MB."""
 
     in_buffer_size = BUFFER_BYTES
     out_buffer_size = BUFFER_BYTES
+    _frame: tuple[_Frame, int] | None = None
+    """The answer that is being received, and the size of its body."""
+
+    @cached_property
+    def _iobuf(self) -> _Received:
+        return _Received()
+
+    def process_io_buffer(self) -> None:
+        """Hand on each answer that is whole; of version 4, without segments."""
+        received = self._iobuf
+        while True:
+            if self._frame is None:
+                if received.tell() < _HEAD.size:
+                    return
+                version, *kind, size = _HEAD.unpack(received.take(_HEAD.size))
+                version &= 0x7F
+                if version not in ProtocolVersion.SUPPORTED_VERSIONS or size < 0:
+                    self.defunct(ProtocolError("what answers there does not speak CQL"))
+                    return
+                self._frame = _Frame(version, *kind, _HEAD.size, _HEAD.size + size), size
+            frame, size = self._frame
+            if received.tell() < size:
+                return
+            self._frame = None
+            self.process_msg(frame, received.take(size))
 
     def push(self, data: bytes) -> None:
         """Send a small request, queue a large one; what is left over is cut off without a copy."""

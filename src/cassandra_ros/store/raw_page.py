@@ -16,6 +16,9 @@ Places = NDArray[np.int64]
 _size = struct.Struct(">i").unpack_from
 _FOUR = struct.pack(">i", 4)
 
+WIDE = 64 * 1024
+"""Bytes of a row, on average, from which on rows are cut here."""
+
 
 class RawPage(Sequence[RawRow]):
     """Rows of an answer, which are cut into columns when somebody looks at them.
@@ -59,9 +62,18 @@ class RawPage(Sequence[RawRow]):
 
     def _every(self) -> Sequence[RawRow]:
         if self._cut is not None:
-            self._rows = self._cut()
+            wide = len(self.body) >= WIDE * self._count
+            self._rows = self._cut_wide() if wide else self._cut()
             self.body, self._cut = b"", None  # not to hold it twice
         return self._rows
+
+    def _cut_wide(self) -> Sequence[RawRow]:
+        # The compiled parser copies all that it cuts once more.
+        rows, at = [], self._at
+        for _ in range(self._count):
+            rows.append(self.row(at))
+            at = self.end(at)
+        return rows
 
     def bounds(self, sized_at: int, mark: bytes) -> Optional[Tuple[Places, Places]]:
         """Find where the rows begin and end; None where it cannot be said.

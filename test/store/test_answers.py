@@ -1,0 +1,53 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Answers are handed on whole and in order, in whatever pieces they come."""
+
+from __future__ import annotations
+
+import struct
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cassandra_ros.store.protocol import LargeBuffers
+from cassandra_ros.store.raw_page import WIDE, RawPage
+
+
+class Connection(LargeBuffers):
+    """One that is connected to nobody."""
+
+    def __init__(self):
+        self.told = []
+
+    def process_msg(self, header, body):
+        self.told.append((header.version, header.flags, header.stream, header.opcode, body))
+
+
+@given(st.lists(st.binary(max_size=40), max_size=6), st.lists(st.integers(0, 200)), st.integers(0))
+def test_answers_come_whole(bodies, cuts, extra):
+    sent = [(4, 0, n - 1, 8, body) for n, body in enumerate(bodies)]
+    head = struct.Struct(">BBhBi")
+    data = b"".join(head.pack(0x84, *told[1:4], len(told[4])) + told[4] for told in sent)
+    data += head.pack(0x84, 0, 7, 8, 100)[: extra % 10]
+    connection = Connection()
+    at = 0
+    for cut in [*sorted(min(cut, len(data)) for cut in cuts), len(data)]:
+        connection._iobuf.write(data[at:cut])
+        connection.process_io_buffer()
+        at = cut
+    assert connection.told == sent
+
+
+def test_who_speaks_something_else_is_no_server():
+    connection, failed = Connection(), []
+    connection.defunct = failed.append
+    connection._iobuf.write(b"HTTP/1.1 400 Bad Request\r\n")
+    connection.process_io_buffer()
+    assert len(failed) == 1
+
+
+def test_wide_rows_are_cut_as_others():
+    values = [b"a" * WIDE, None, b"", b"b" * WIDE]
+    sized = [struct.pack(">i", -1 if v is None else len(v)) + (v or b"") for v in values]
+    page = RawPage(b"head" + struct.pack(">i", 2) + b"".join(sized), 4, 2, list)
+    assert list(page) == [(values[0], None), (b"", values[3])]
