@@ -89,6 +89,8 @@ def rows_of_page(table: RowTable, node: str, page: RawPage) -> Optional[Sequence
         return None
     sizes = heads.values["size"].astype(np.int64)
     wires = table.decode_together(page.body, heads.begins, heads.ends, sizes)
+    if wires.count(None) == len(wires):
+        return None
     found: List[TableRow] = []
     for n, row in enumerate(heads.rows(node, table.name, wires)):
         if row is not None:
