@@ -149,8 +149,9 @@ def test_what_matches_in_numbers_is_not_fetched_by_its_keys(rosCas, monkeypatch)
                 found = rosCas.executeCQL(statement)
             assert (found[0][0] if what == "count(*)" else len(found)) == 3 * (1000 - least)
             assert told.requests <= requests
-            # Keys of the buckets that were begun before the first had been read.
-            assert told.rows <= 5 * (1000 - least) + 20
+            # Each row once, and once the keys of the buckets that were begun before the first had
+            # been read: on a busy machine all three.
+            assert told.rows <= 6 * (1000 - least) + 20
 
 
 ENTRIES = st.lists(
