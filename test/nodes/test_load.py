@@ -30,7 +30,8 @@ def peak_mb(pid):
     [
         (0, 100_000, 10_000, "ros"),
         (0, 200_000, 20_000, "packed"),
-        (2 << 20, 600, 30, "binary"),
+        # Half of the pace that make bench asks for on a machine of its own: other tests run beside.
+        (2 << 20, 300, 15, "binary"),
     ],
     ids=["small", "packed", "images"],
 )
