@@ -67,7 +67,7 @@ def test_the_bytes_stay_as_they_are():
     # Stored blocks must be readable for ever: this is version 1.
     wires = [bytes((n, 7, 255 - n)) for n in range(MIN_PLANES)] + [b"", b"text"]
     data = pack_block(range(100, 118), range(5, 23), wires, range(90, 108))
-    assert data[:2] == b"\x01\x01"
+    assert data[:2] == b"\x01\x05"
     body = zstandard.ZstdDecompressor().decompress(data[2:])
     count = len(wires)
     assert body[:count] == b"\x64" + b"\x01" * (count - 1)
@@ -75,8 +75,11 @@ def test_the_bytes_stay_as_they_are():
     assert sizes == b"\x03" * MIN_PLANES + b"\x00\x04"
     received = body[20 * count : 21 * count]
     assert received == b"\xf6" * count
-    messages = body[28 * count :]
-    assert messages == bytes(range(16)) + b"\x07" * 16 + bytes(range(255, 239, -1)) + b"text"
+    messages = bytes(range(16)) + b"\x07" * 16 + bytes(range(255, 239, -1)) + b"text"
+    assert body[28 * count :] == b"\0\0" + messages
+    # Earlier ones did not say how a group is laid out.
+    earlier = zstandard.ZstdCompressor().compress(body[: 28 * count] + messages)
+    assert unpack_block(b"\x01\x01" + earlier, count, sum(map(len, wires))).wires() == wires
 
 
 @pytest.mark.parametrize("spoil", ["empty", "version", "flags", "frame", "cut", "count", "size"])
@@ -87,7 +90,7 @@ def test_what_is_no_block_is_refused(spoil):
     elif spoil == "version":
         data = b"\x02" + data[1:]
     elif spoil == "flags":
-        data = data[:1] + b"\x04" + data[2:]
+        data = data[:1] + b"\x08" + data[2:]
     elif spoil == "frame":
         data = data[:2] + b"nonsense"
     elif spoil == "cut":

@@ -9,19 +9,21 @@ the messages, those of equal size together, the smallest first, each group in th
 block; a group of at least 16 as planes too: what changes little from message to message lies side
 by side, and a field at a fixed offset is some whole rows of a matrix. Where flag 2 is set, those of
 at least 512 bytes, which are the last, are coded as words instead (words.py): scans take half.
+Where flag 4 is set, each group of at least 16 that is not says how it is laid out (layouts.py).
 """
 
 from __future__ import annotations
 
 import threading
 from functools import cached_property
-from typing import Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
 from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.store.blocks.layouts import lay_out, read_layout
 from cassandra_ros.store.blocks.words import code_words, decode_words, most_bytes
 
 Longs = NDArray[np.int64]
@@ -42,7 +44,7 @@ FEW_SHARE = 64
 """Where less than one in so many messages is wanted, each is cut out by itself."""
 LONG = 512
 """Bytes of a message that may be full of measured numbers."""
-_RECEIVED, _WORDS = 1, 2
+_RECEIVED, _WORDS, _LAYOUTS = 1, 2, 4
 _HEAD = 2
 
 
@@ -74,10 +76,11 @@ class Unpacked:
         sizes: Longs,
         received: Optional[Longs],
         body: memoryview,
-        words: bool = False,
+        as_rows: FrozenSet[int] = frozenset(),
     ) -> None:
         self.times, self.seqs, self.sizes, self.received = times, seqs, sizes, received
-        self._body, self._words = body, words
+        # Sizes of which the messages stand one behind the other, however many they are.
+        self._body, self._as_rows = body, as_rows
 
     def __len__(self) -> int:
         return len(self.times)
@@ -91,7 +94,7 @@ class Unpacked:
             size, count = int(self.sizes[members[0]]), len(members)
             flat = np.frombuffer(self._body, np.uint8, size * count, at)
             at += size * count
-            as_planes = _as_planes(size, count, self._words)
+            as_planes = _as_planes(count) and size not in self._as_rows
             planes = flat.reshape(size, count) if as_planes else flat.reshape(count, size).T
             found.append(Group(size, members, planes))
         return tuple(found)
@@ -112,7 +115,7 @@ class Unpacked:
         size, alike = int(self.sizes[position]), self.sizes == self.sizes[position]
         count, place = np.count_nonzero(alike), np.count_nonzero(alike[:position])
         at = int(self.sizes[self.sizes < size].sum())
-        if not _as_planes(size, int(count), self._words):
+        if not _as_planes(count) or size in self._as_rows:
             return bytes(self._body[at + place * size : at + (place + 1) * size])
         return bytes(self._body[at + place : at + size * count : count])
 
@@ -153,8 +156,18 @@ def pack_block(
         wires, sizes = [wires[n] for n in order.tolist()], sizes[order]
     short = int(np.searchsorted(sizes, LONG))
     words = code_words(wires[short:]) if short < len(wires) else None
-    parts += _grouped(wires, sizes) if words is None else _grouped(wires[:short], sizes[:short])
+    if words is not None:
+        wires, sizes = wires[:short], sizes[:short]
     flags = (_RECEIVED if received is not None else 0) | (_WORDS if words is not None else 0)
+    many = _many(sizes)
+    if many:
+        flags |= _LAYOUTS
+    done = 0
+    for begin, end in many:
+        rows = np.frombuffer(b"".join(wires[begin:end]), np.uint8).reshape(end - begin, -1)
+        parts += b"".join(wires[done:begin]), lay_out(rows, _cost)
+        done = end
+    parts.append(b"".join(wires[done:]))
     parts.append(words or b"")
     return bytes((VERSION, flags)) + _compress(b"".join(parts))
 
@@ -169,17 +182,14 @@ def _compress(body: bytes) -> bytes:
     return _compressor().compress(body)
 
 
-def _grouped(wires: Sequence[bytes], sizes: Longs) -> Iterator[bytes]:
-    """Yield the bytes of messages that are sorted by their size, as planes where many share one."""
+def _many(sizes: Longs) -> List[Tuple[int, int]]:
+    """Return of sizes that ascend from where to where many are the same, and not 0."""
+    if not len(sizes):
+        return []
     ends = np.append(np.flatnonzero(np.diff(sizes)) + 1, len(sizes))
-    counts, done = np.diff(ends, prepend=0), 0
-    many = np.flatnonzero(counts >= MIN_PLANES)
-    for end, count in zip(ends[many].tolist(), counts[many].tolist()):
-        yield b"".join(wires[done : end - count])
-        joined = np.frombuffer(b"".join(wires[end - count : end]), np.uint8)
-        yield _turn(joined.reshape(count, -1))
-        done = end
-    yield b"".join(wires[done:])
+    begins = np.append(0, ends[:-1])
+    many = (ends - begins >= MIN_PLANES) & (sizes[begins] > 0)
+    return list(zip(begins[many].tolist(), ends[many].tolist()))
 
 
 def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
@@ -193,14 +203,14 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
     Raises:
         CorruptMessage: The bytes are no such block.
     """
-    if len(data) < _HEAD or data[0] != VERSION or data[1] & ~(_RECEIVED | _WORDS):
+    if len(data) < _HEAD or data[0] != VERSION or data[1] & ~(_RECEIVED | _WORDS | _LAYOUTS):
         raise CorruptMessage(f"a block of {len(data)} bytes is of no version that is known here")
-    received, words = bool(data[1] & _RECEIVED), bool(data[1] & _WORDS)
+    received, coded = bool(data[1] & _RECEIVED), data[1] & (_WORDS | _LAYOUTS)
     begin = count * (20 + 8 * received)
     try:
         # Before anything is made room for: the frame itself says how long it is.
-        length = zstandard.frame_content_size(data[_HEAD:])
-        if not begin <= length <= begin + most_bytes(size) if words else length != begin + size:
+        length = zstandard.frame_content_size(data[_HEAD:]) - begin
+        if not 0 <= length <= most_bytes(size) if coded else length != size:
             raise CorruptMessage(f"a block does not hold {count} messages of {size} bytes")
         view = memoryview(_decompressor().decompress(data[_HEAD:]))
     except zstandard.ZstdError as exc:
@@ -210,15 +220,32 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
     if int(sizes.sum()) != size:
         raise CorruptMessage(f"the messages of a block have {int(sizes.sum())} bytes, not {size}")
     arrivals = times + _numbers(view, 20 * count, count, "<i8") if received else None
-    body = _without_words(view[begin:], sizes) if words else view[begin:]
-    return Unpacked(times, seqs, sizes, arrivals, body, words)
+    if coded:
+        return Unpacked(times, seqs, sizes, arrivals, *_decode(view[begin:], sizes, coded))
+    return Unpacked(times, seqs, sizes, arrivals, view[begin:])
 
 
-def _without_words(body: memoryview, sizes: Longs) -> memoryview:
-    """Return the messages of a block of which the long ones are coded, with those as they stand."""
-    short, long = sizes[sizes < LONG], sizes[sizes >= LONG]
-    at = int(short.sum())
-    return memoryview(b"".join((body[:at], decode_words(body[at:], np.sort(long).tolist()))))
+def _decode(body: memoryview, sizes: Longs, coded: int) -> Tuple[memoryview, FrozenSet[int]]:
+    """Return messages as planes or as they stand, and the sizes of which many stand as they are."""
+    ordered = np.sort(sizes)
+    short = int(np.searchsorted(ordered, LONG)) if coded & _WORDS else len(ordered)
+    words = ordered[short:].tolist()
+    as_rows: Set[int] = set(words)
+    parts: List[Union[bytes, memoryview]] = []
+    done = 0
+    for begin, end in _many(ordered[:short]) if coded & _LAYOUTS else ():
+        size, between = int(ordered[begin]), int(ordered[done:begin].sum())
+        laid = read_layout(body[between:], size, end - begin)
+        if not laid.as_planes:
+            as_rows.add(size)
+        parts += body[:between], laid.data
+        body, done = body[between + laid.length :], end
+    rest = int(ordered[done:short].sum())
+    parts += body[:rest], decode_words(body[rest:], words) if words else b""
+    if not words and len(body) != rest:
+        raise CorruptMessage(f"a block holds {len(body)} bytes where {rest} belong")
+    found = [part for part in parts if len(part)]
+    return memoryview(found[0] if len(found) == 1 else b"".join(found)), frozenset(as_rows)
 
 
 def _members(sizes: Longs) -> List[Longs]:
@@ -230,8 +257,8 @@ def _members(sizes: Longs) -> List[Longs]:
     return np.split(order, ends) if len(sizes) else []
 
 
-def _as_planes(size: int, count: int, words: bool) -> bool:
-    return count >= MIN_PLANES and not (words and size >= LONG)
+def _as_planes(count: int) -> bool:
+    return count >= MIN_PLANES
 
 
 def _differences(values: Longs) -> Longs:
@@ -267,6 +294,10 @@ class _PerThread(threading.local):
 
 
 _mine = _PerThread()
+
+
+def _cost(data: bytes) -> int:
+    return len(_compressor().compress(data))
 
 
 def _compressor() -> zstandard.ZstdCompressor:

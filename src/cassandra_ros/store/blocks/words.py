@@ -65,7 +65,7 @@ def code_words(wires: Sequence[bytes]) -> Optional[bytes]:
 
 
 def most_bytes(size: int) -> int:
-    """Return how long the code of messages of so many bytes may be."""
+    """Return how long the code of messages of so many bytes may be, of whatever layout."""
     return 4 + size + size // 4
 
 

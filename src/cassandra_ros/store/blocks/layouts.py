@@ -1,0 +1,106 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How messages of equal size are laid out in a block, each group as its first ones compress best.
+
+- As planes: all first bytes, all second bytes, …; of a plane that rises in equal steps, as
+  counters and stamps do, the differences of its bytes.
+- As columns of 8 bytes, cut from the ends of the messages: a ``float64`` of a sensor that knows a
+  few thousand values comes back whole, which in planes is eight coincidences.
+
+Before the bytes of a group stands a byte for which, and of planes a bit for each: differences.
+"""
+
+from __future__ import annotations
+
+from typing import Callable, NamedTuple, Union
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassandra_ros.errors import CorruptMessage
+
+Bytes = NDArray[np.uint8]
+
+_PLANES, _COLUMNS = 0, 1
+_UNIT = 8
+_SAMPLE_BYTES = 16 * 1024
+_SAMPLE_SHARE = 2
+"""The sample is one in so many messages of a group, at the most."""
+_LEAST = 16
+"""Messages of a sample."""
+_SMALL = 4 * 1024
+"""Groups of fewer bytes are planes: to try would cost more than it saves."""
+_WORTH = 0.97
+"""Columns are taken where they are smaller by that: a field is read faster from planes."""
+
+
+class Laid(NamedTuple):
+    """A group that was read."""
+
+    data: Union[bytes, memoryview]
+    """Its planes, or its messages one behind the other."""
+    as_planes: bool
+    length: int
+    """So many bytes of what was read are the group's."""
+
+
+def lay_out(rows: Bytes, cost: Callable[[bytes], int]) -> bytes:
+    """Lay out at least one message of at least one byte.
+
+    Args:
+        rows: (messages, size).
+        cost: What bytes take compressed.
+    """
+    count, size = rows.shape
+    if rows.nbytes < _SMALL:
+        return bytes(1 + (size + 7) // 8) + np.ascontiguousarray(rows.T).tobytes()
+    sample = rows[: max(_LEAST, min(count // _SAMPLE_SHARE, _SAMPLE_BYTES // size))]
+    planes = np.ascontiguousarray(sample.T)
+    steps = np.diff(planes, axis=1)
+    still = np.count_nonzero(steps == 0, axis=1)
+    rises = np.count_nonzero(steps[:, 1:] == steps[:, :-1], axis=1) > still
+    if size >= _UNIT:
+        planes[rises, 1:] = steps[rises]
+        if cost(_columns(sample)) < _WORTH * cost(planes.tobytes()):
+            return bytes((_COLUMNS,)) + _columns(rows)
+    planes = np.ascontiguousarray(rows.T)
+    if rises.any():
+        planes[rises, 1:] = np.diff(planes[rises], axis=1)
+    return bytes((_PLANES,)) + np.packbits(rises).tobytes() + planes.tobytes()
+
+
+def read_layout(data: memoryview, size: int, count: int) -> Laid:
+    """Read a group that stands at the beginning of some bytes.
+
+    Raises:
+        CorruptMessage: They hold no such group.
+    """
+    kind = data[0] if len(data) else -1
+    begin = 1 + (size + 7) // 8 if kind == _PLANES else 1
+    end = begin + size * count
+    if kind not in (_PLANES, _COLUMNS) or len(data) < end:
+        raise CorruptMessage(f"a block does not hold {count} messages of {size} bytes as it says")
+    if kind == _COLUMNS:
+        return Laid(_from_columns(data[begin:end], size, count), False, end)
+    rises = np.unpackbits(np.frombuffer(data, np.uint8, begin - 1, 1))[:size].astype(np.bool_)
+    if not rises.any():
+        return Laid(data[begin:end], True, end)
+    planes = np.frombuffer(data, np.uint8, size * count, begin).reshape(size, count).copy()
+    planes[rises] = np.add.accumulate(planes[rises], axis=1, dtype=np.uint8)
+    return Laid(planes.tobytes(), True, end)
+
+
+def _columns(rows: Bytes) -> bytes:
+    loose = rows.shape[1] % _UNIT
+    units = np.ascontiguousarray(rows[:, loose:]).view("<u8")
+    return np.ascontiguousarray(rows[:, :loose].T).tobytes() + units.T.tobytes()
+
+
+def _from_columns(data: memoryview, size: int, count: int) -> bytes:
+    loose = size % _UNIT
+    rows = np.empty((count, size), np.uint8)
+    rows[:, :loose] = np.frombuffer(data, np.uint8, loose * count).reshape(loose, count).T
+    units = np.frombuffer(data, "<u8", size // _UNIT * count, loose * count)
+    turned = np.ascontiguousarray(units.reshape(-1, count).T)
+    rows[:, loose:] = turned.view(np.uint8).reshape(count, size - loose)
+    return rows.tobytes()
