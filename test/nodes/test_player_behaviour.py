@@ -25,6 +25,7 @@ from nodes.raw_publisher import RawPublisher, header_of, message
 from nodes.raw_subscriber import RawSubscriber
 from nodes.test_registration import listed, master  # noqa: F401 - a fixture
 from proxy import Proxy
+from rosgraph_msgs.msg import Log
 from std_msgs.msg import Int32, UInt8MultiArray
 
 from cassandra_ros.nodes.publishing import MessageKind, Publication
@@ -80,6 +81,22 @@ def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
     assert "subscribers of /big missed" in child.output
     assert "12 messages of topic /big from 2014-07-10T" in child.output
     assert "were not recorded: buffer full" in child.output
+
+
+def test_its_own_log_is_not_among_what_is_played_under_another_name(roscore, rosCas, where):
+    topic = rosCas.addTopic("/rosout", format="binary")
+    for n in range(3):
+        topic.addData(Log(msg=str(n)), key=T0 + n * STEP)
+    rosCas.parts.registry.put_loss(
+        Loss("/rosout", "", 7, LossKind.BUFFER_FULL, T0, T0 + STEP, count=12)
+    )
+    options = ("/rosout:=/old/rosout", "--wait-for-subscribers")
+    with start_node(roscore, "player", *where, *options) as child:
+        with RawSubscriber(roscore.uri, "/old/rosout") as heard:
+            found = heard.rest()
+        assert child.wait() == 0, child.output
+    assert "were not recorded: buffer full" in child.output
+    assert found == [message(Log(msg=str(n))) for n in range(3)]
 
 
 def test_a_subscriber_that_leaves_while_its_topic_is_left():

@@ -23,6 +23,7 @@ from cassandra_ros.nodes.subscription import subscribe
 _OURS = "cassandra_ros"
 _ROSPY = "rosout"
 """The logger behind rospy.logwarn and its like."""
+_LOG = "/rosout"
 _STAMP = struct.Struct("<II")
 REMAP = "__name:="
 _TIMEOUT_SEC = 2.0
@@ -68,6 +69,19 @@ class _Forwarder(logging.Handler):
         target = logging.getLogger(_ROSPY)
         if target.isEnabledFor(record.levelno):
             target.handle(record)
+
+
+def log_as_rosout() -> None:
+    """Log on /rosout whatever that is remapped to; call it after an init_node without rosout.
+
+    A node that plays a stored /rosout under another name would write its own log there.
+    """
+    mappings = rospy.names.get_resolved_mappings()
+    renamed = mappings.pop(_LOG, None)
+    rospy.impl.rosout.init_rosout()
+    rospy.impl.rosout.load_rosout_handlers(None)
+    if renamed is not None:
+        mappings[_LOG] = renamed
 
 
 def forward_logging() -> None:

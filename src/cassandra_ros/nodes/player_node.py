@@ -20,6 +20,7 @@ from cassandra_ros.nodes.node import (
     REMAP,
     bound_master_calls,
     forward_logging,
+    log_as_rosout,
     own_name,
 )
 from cassandra_ros.nodes.player import Player, PlayerState
@@ -109,7 +110,15 @@ def _start_node(argv: Sequence[str]) -> None:
     name, full_name, taken = own_name("player", argv)
     # A name that is given forbids an anonymous one.
     words = [word for word in argv if not (taken and word.startswith(REMAP))]
-    rospy.init_node(name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True)
+    rospy.init_node(
+        name,
+        argv=words,
+        anonymous=taken,
+        disable_signals=True,
+        disable_rostime=True,
+        disable_rosout=True,
+    )
+    log_as_rosout()
     forward_logging()
     bound_master_calls()
     if taken:
