@@ -9,6 +9,7 @@ import shutil
 import pytest
 from bag.truth import string_connection, string_wire
 
+from cassandra_ros.bag import format as bagformat
 from cassandra_ros.bag.identity import EARLIER_SAMPLE as SAMPLE
 from cassandra_ros.bag.identity import earlier_writer_id, read_content
 from cassandra_ros.bag.reader import BagReader
@@ -112,6 +113,25 @@ def test_the_pass_tells_how_far_it_is_and_what_it_read(tmp_path):
         assert len(told) == reader.chunk_count > 40
     assert tuple(map(sum, zip(*told))) == (500, 500_000)
     assert content.sizes == {0: 250_000, 1: 250_000}
+
+
+def test_a_chunk_without_messages_does_not_count(tmp_path):
+    expected = identify(write(tmp_path / "a.bag", MESSAGES[:2]))
+    with BagWriter(tmp_path / "b.bag") as writer:
+        for topic in ("/a", "/b"):
+            writer.connection(string_connection(topic))
+        chunk = [(b"op", bagformat.OP_CHUNK), (b"compression", b"none"), (b"size", 0)]
+        times = [(b"start_time", 0), (b"end_time", 1 << 32)]
+        place = (b"chunk_pos", writer._file.tell())
+        info = [(b"op", bagformat.OP_CHUNK_INFO), (b"ver", 1), place, *times, (b"count", 0)]
+        writer._file.write(bagformat.pack_record(chunk, b""))
+        writer._infos.write(bagformat.pack_record(info, b""))
+        writer._chunk_count += 1
+        for number, t_ns, text in MESSAGES[:2]:
+            writer.write(number, t_ns, string_wire(text))
+    with BagReader(tmp_path / "b.bag") as reader:
+        assert reader.chunk_count == 2
+    assert identify(tmp_path / "b.bag") == expected
 
 
 def test_what_stands_behind_damage_counts(original, tmp_path):

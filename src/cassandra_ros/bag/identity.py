@@ -99,7 +99,7 @@ def _parts(content: bytes, places: Places, rank: Mapping[int, int]) -> list[_Par
     heads = np.empty(len(places.ids), _HEAD)
     heads["rank"] = [rank[number] for number in places.ids.tolist()]
     heads["time"], heads["size"] = places.times, places.sizes
-    if len(content) > _LARGE_BYTES * len(heads):
+    if len(content) >= _LARGE_BYTES * len(heads):  # or there are none
         view, spans = memoryview(content), zip(places.starts.tolist(), places.stops.tolist())
         data = [view[start:stop] for start, stop in spans]
         return [part for each in zip(map(bytes, heads), data) for part in each]

@@ -181,6 +181,8 @@ class BagReader(BagIndex):
         try:
             for _ in counts:
                 record = bagformat.read_record(self._file, bagformat.OP_INDEX, self.path)
+                if record.data_bytes > 12 * count:
+                    return None
                 entries = np.frombuffer(self._file.read(record.data_bytes), "<u4")
                 found.append(entries[2::3].astype(np.int64))
         except (BagError, OSError, ValueError):

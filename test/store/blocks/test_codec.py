@@ -110,3 +110,10 @@ def test_a_frame_that_claims_to_be_huge_takes_no_memory():
     huge = b"\x28\xb5\x2f\xfd\xe0" + (2**62).to_bytes(8, "little") + frame[6:]
     with pytest.raises(CorruptMessage):
         unpack_block(b"\x01\x00" + huge, 1, 1)
+
+
+@pytest.mark.parametrize("count, size", [(1, -5), (-1, 35)])
+def test_fewer_than_no_bytes_or_messages_are_refused(count, size):
+    data = b"\x01\x00" + zstandard.ZstdCompressor().compress(bytes(15))
+    with pytest.raises(CorruptMessage):
+        unpack_block(data, count, size)

@@ -34,6 +34,7 @@ GROUPS = {
     "odd size": columns_of(RNG.choice(FEW, COUNT), RNG.choice(FEW, COUNT), NUMBERS)[:, 1:],
     "random": RNG.integers(0, 256, (COUNT, 30), np.uint8),
     "one byte": columns_of(np.arange(COUNT, dtype=np.uint16).astype(np.uint8)),
+    "many of one byte": np.arange(5000).astype(np.uint8)[:, None],
     "small": RNG.integers(0, 256, (16, 3), np.uint8),
     "seven bytes": np.tile(NUMBERS[:, None].astype(np.uint8), (1, 7)),
     "large": np.tile(columns_of(NUMBERS, RNG.choice(FEW, COUNT)), (1, 60)),

@@ -210,7 +210,8 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
     try:
         # Before anything is made room for: the frame itself says how long it is.
         length = zstandard.frame_content_size(data[_HEAD:]) - begin
-        if not 0 <= length <= most_bytes(size) if coded else length != size:
+        fits = length <= most_bytes(size) if coded else length == size
+        if min(count, size, length) < 0 or not fits:
             raise CorruptMessage(f"a block does not hold {count} messages of {size} bytes")
         view = memoryview(_decompressor().decompress(data[_HEAD:]))
     except zstandard.ZstdError as exc:

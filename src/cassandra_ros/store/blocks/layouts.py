@@ -63,7 +63,7 @@ def lay_out(rows: Bytes, cost: Callable[[bytes], int]) -> bytes:
         planes[rises, 1:] = steps[rises]
         if cost(_columns(sample)) < _WORTH * cost(planes.tobytes()):
             return bytes((_COLUMNS,)) + _columns(rows)
-    planes = np.ascontiguousarray(rows.T)
+    planes = np.array(rows.T, order="C")  # always a copy: rows of one byte lie as planes already
     if rises.any():
         planes[rises, 1:] = np.diff(planes[rises], axis=1)
     return bytes((_PLANES,)) + np.packbits(rises).tobytes() + planes.tobytes()
