@@ -17,7 +17,7 @@ from messages.test_stacked import manyWires
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.wire.permuter import MIN_ROWS, permuter
+from cassandra_ros.messages.wire.permuter import MAX_KEPT, MIN_ROWS, permuter
 from cassandra_ros.messages.wire.plan import wire_plan
 
 SEEDS = st.integers(0, 2**32)
@@ -176,6 +176,32 @@ def test_rows_of_several_layouts_are_each_turned_back():
     few = [w for w in (maker.make() for _ in range(40)) if len(w) <= 2048 and walked(plan, w)][:5]
     wires = few * MIN_ROWS
     assert checkBack(definition, [walked(plan, wire) for wire in wires], wires) == len(wires)
+
+
+def test_more_layouts_than_are_kept_are_turned_back():
+    definition = parse_definition("a/B", "string[] names")
+    plan = wire_plan(definition)
+
+    def wire(*names):
+        parts = (struct.pack("<I", len(name)) + name.encode() for name in names)
+        return struct.pack("<I", len(names)) + b"".join(parts)
+
+    def turned(*wires):
+        every = [each for each in wires for _ in range(MIN_ROWS)]
+        return checkBack(definition, [walked(plan, each) for each in every], every)
+
+    turned(wire("a", "bcd"))
+    for size in range(MAX_KEPT - 1):
+        turned(wire("x" * (10 + size)))
+    assert turned(wire("a", "bcd"), wire("ab", "cd"), wire("abc", "d")) == 3 * MIN_ROWS
+
+
+def test_of_rows_that_end_before_their_columns_no_message_is_made():
+    count = 2 * MIN_ROWS
+    starts = np.arange(count, dtype=np.int64) * 20 + 20
+    made = permuter(installed_definition("std_msgs/UInt64"))
+    data = bytes(20 * count)
+    assert made.wires(data, starts, starts - 8, np.full(count, 8)) == [None] * count
 
 
 def test_types_with_columns_of_any_size_are_walked():

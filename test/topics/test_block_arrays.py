@@ -4,15 +4,19 @@
 
 from __future__ import annotations
 
+import gc
+
 import numpy as np
 import pytest
 from std_msgs.msg import Header
 
+from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.topics.finding import Finder
+from cassandra_ros.topics.stored_row import StoredRow
 
 T0 = 1_600_000_000 * SECOND_NS
 FIELDS = ["KEY", "NODE", "RUN", "seq", "stamp", "frame_id"]
@@ -64,3 +68,22 @@ def test_blocks_give_what_their_rows_give(rosCas, monkeypatch):
             assert np.array_equal(np.ma.getmaskarray(found[name]), mask)
             assert np.array_equal(found[name][~mask], wanted[name][~mask])
     assert all(as_blocks)
+
+
+def test_large_messages_that_were_turned_into_arrays_are_let_go(rosCas, monkeypatch):
+    definition = definition_of(Header)
+    with rosCas.messageWriter(format="packed") as writer:
+        handle = writer.connect(api_connection("/p", definition, "/x"))
+        for n in range(6):
+            message = Header(seq=n, frame_id=LARGE)
+            writer.write(handle, T0 + n, n, serialize(message))
+    held, add = [], TableValues.add_block
+
+    def counted(self, block):
+        add(self, block)
+        held.append(sum(type(o) is StoredRow and o.was_read for o in gc.get_objects()))
+
+    monkeypatch.setattr(TableValues, "add_block", counted)
+    assert rosCas.getTopic("/p").getArrays("seq")["seq"].tolist() == [0, 1, 2, 3, 4, 5]
+    assert len(held) == 6
+    assert max(held) <= 2

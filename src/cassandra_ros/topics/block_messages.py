@@ -5,13 +5,15 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from functools import partial
-from typing import Iterable, Iterator, List, Optional, Sequence, Tuple
+from typing import Deque, Iterable, Iterator, Optional, Sequence, Tuple
 
 import numpy as np
 
 from cassandra_ros.arrays.stacked_values import MessageBlock
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
+from cassandra_ros.keys import writer_of
 from cassandra_ros.messages.wire.stacked import Bytes, Places, as_planes
 from cassandra_ros.store.blocks.bucket_read import BucketRead, Opened
 from cassandra_ros.store.blocks.codec import Unpacked
@@ -27,7 +29,7 @@ def messages_of(
 ) -> Iterator[MessageBlock]:
     """Yield what is wanted of blocks; large messages, each a block of one, come last."""
     by_name = {table.name: table for table in tables}
-    large: List[StoredRow] = []
+    large: Deque[StoredRow] = deque()
     for part, opened in blocks:
         table, block, row = by_name[part.table.name], opened.block, opened.row
         if block is None or block.unpacked is None:
@@ -37,7 +39,9 @@ def messages_of(
         times, seqs = block.times[places], block.seqs[places]
         groups = _chosen(block.unpacked, places)
         yield MessageBlock(table, part.node, run, times, seqs, groups)
-    yield from filter(None, map(_alone, chunks_ahead(large)))
+    # Each keeps the bytes that were read of it, so nobody keeps any.
+    rows = (large.popleft() for _ in range(len(large)))
+    yield from filter(None, map(_alone, chunks_ahead(rows)))
 
 
 def _chosen(unpacked: Unpacked, places: Places) -> Sequence[Tuple[Places, Bytes]]:
@@ -63,4 +67,5 @@ def _alone(row: StoredRow) -> Optional[MessageBlock]:
     except CorruptMessage as exc:
         _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
     place = np.array([row.t], np.int64), np.array([row.seq], np.int64)
-    return MessageBlock(row.table, row.node, lambda: row.run, *place, groups)
+    run = partial(row.table.runs.text, writer_of(row.seq))
+    return MessageBlock(row.table, row.node, run, *place, groups)

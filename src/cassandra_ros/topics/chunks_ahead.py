@@ -39,5 +39,5 @@ def chunks_ahead(rows: Iterable[StoredRow]) -> Iterator[StoredRow]:
             yield first
             if first.chunked:
                 budget = min(AHEAD_BYTES, 2 * budget + first.size) if first.was_read else 0
-    for row, _ in waiting:
-        yield row
+    while waiting:
+        yield waiting.popleft()[0]

@@ -108,8 +108,10 @@ class Permuter:
         order = np.lexsort((sizes, lengths))
         changes = np.diff(lengths[order]).astype(bool) | np.diff(sizes[order]).astype(bool)
         for members in np.split(order, np.flatnonzero(changes) + 1):
-            if len(members) >= MIN_ROWS and sizes[members[0]] <= MAX_BYTES:
-                self._built(data, starts, int(lengths[members[0]]), sizes, members, found)
+            length = int(lengths[members[0]])
+            # What is left of an expired row ends before its columns would begin.
+            if len(members) >= MIN_ROWS and length > 0 and sizes[members[0]] <= MAX_BYTES:
+                self._built(data, starts, length, sizes, members, found)
         return found
 
     def _built(
@@ -127,9 +129,11 @@ class Permuter:
         rows = windows(np.frombuffer(data, np.uint8), length)[starts[members]]
         for n in range(MAX_LAYOUTS):
             if n == len(known):
-                if len(members) < MIN_ROWS or not self._learn(key, rows[0].tobytes()):
+                made = self._learn(key, rows[0].tobytes()) if len(members) >= MIN_ROWS else None
+                if made is None:
                     return
-                known = self._rows[key]
+                known = [*known, made]
+                self._keep(key, known)
             wires, good = known[n].wires(rows)
             for at, wire in zip(members[good].tolist(), split_rows(wires[good])):
                 found[at] = wire
@@ -137,18 +141,20 @@ class Permuter:
             if not len(members):
                 return
 
-    def _learn(self, key: Tuple[int, int], row: bytes) -> bool:
-        """Note the layout of a row; say whether it has one."""
+    def _learn(self, key: Tuple[int, int], row: bytes) -> Optional[Permutation]:
+        """Return the permutation of the layout of a row; None: it has none."""
         try:
             made = self._made(self._plan.build(_columns(row)))
         except (CorruptMessage, struct.error):
-            return False
-        if made is None or (made.row_size, made.wire_size) != key:
-            return False
-        if len(self._rows) >= MAX_KEPT:
-            self._rows = {}
-        self._rows[key] = [*self._rows.get(key, [])[: MAX_LAYOUTS - 1], made]
-        return True
+            return None
+        fits = made is not None and (made.row_size, made.wire_size) == key
+        return made if fits else None
+
+    def _keep(self, key: Tuple[int, int], known: List[Permutation]) -> None:
+        kept = self._rows  # other threads may begin a new one meanwhile
+        if key not in kept and len(kept) >= MAX_KEPT:
+            kept = self._rows = {}
+        kept[key] = known
 
 
 def _columns(row: bytes) -> List[Optional[bytes]]:
