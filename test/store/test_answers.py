@@ -32,8 +32,9 @@ def test_answers_come_whole(bodies, cuts, extra):
     connection = Connection()
     at = 0
     for cut in [*sorted(min(cut, len(data)) for cut in cuts), len(data)]:
-        connection._iobuf.write(data[at:cut])
-        connection.process_io_buffer()
+        if at < cut:
+            connection._iobuf.write(data[at:cut])
+            connection.process_io_buffer()
         at = cut
     assert connection.told == sent
 
@@ -44,6 +45,19 @@ def test_who_speaks_something_else_is_no_server():
     connection._iobuf.write(b"HTTP/1.1 400 Bad Request\r\n")
     connection.process_io_buffer()
     assert len(failed) == 1
+
+
+def test_an_answer_that_breaks_off_closes_the_connection():
+    connection, closed = Connection(), []
+    connection.close = lambda: closed.append(True)
+    whole = struct.pack(">BBhBi", 0x84, 0, 0, 8, 4) + b"body"
+    connection._iobuf.write(whole + whole[:-1])
+    connection.process_io_buffer()
+    assert not closed
+    connection._iobuf.write(b"")
+    connection.process_io_buffer()
+    assert closed
+    assert len(connection.told) == 1
 
 
 def test_wide_rows_are_cut_as_others():

@@ -94,16 +94,23 @@ class _Received:
 
     It stands where the driver has a BytesIO, into which each piece was copied, out of which each
     answer was, and what was left behind that with each answer.
+
+    Attributes:
+        ended: Nothing more will come.
     """
 
     def __init__(self) -> None:
         self._pieces: deque[memoryview] = deque()
         self._size = 0
+        self.ended = False
 
     def write(self, piece: bytes) -> None:
-        """Append a piece."""
-        self._pieces.append(memoryview(piece))
-        self._size += len(piece)
+        """Append a piece; an empty one is what a socket gives at its end."""
+        if piece:
+            self._pieces.append(memoryview(piece))
+            self._size += len(piece)
+        else:
+            self.ended = True
 
     def tell(self) -> int:
         """Return how many bytes there are."""
@@ -141,6 +148,12 @@ class LargeBuffers(DefaultConnection):
 
     def process_io_buffer(self) -> None:
         """Hand on each answer that is whole; of version 4, without segments."""
+        self._hand_on()
+        # The driver closes at the end only if nothing waits here, and reads it again and again.
+        if self._iobuf.ended:
+            self.close()
+
+    def _hand_on(self) -> None:
         received = self._iobuf
         while True:
             if self._frame is None:
