@@ -200,18 +200,22 @@ class Security:
         if not tool:
             raise ServerError(f"keytool, which comes with Java, is not beside {java}")
         store = ["-alias", _ALIAS, "-keystore", str(self._keystore), "-storetype", "PKCS12"]
-        done = subprocess.run(
-            # By the environment: other users see arguments.
-            [tool, *_QUICK, *words, *store, "-storepass:env", "KEYSTORE_PASSWORD"],
-            env={**os.environ, "KEYSTORE_PASSWORD": self._secret("keystore"), "LC_ALL": "C.UTF-8"},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            timeout=_KEYTOOL_SEC,
-            check=False,
-        )
+        # By the environment: other users see arguments.
+        password = {"KEYSTORE_PASSWORD": self._secret("keystore")}
+        try:
+            done = subprocess.run(
+                [tool, *_QUICK, *words, *store, "-storepass:env", "KEYSTORE_PASSWORD"],
+                env={**os.environ, **password, "LC_ALL": "C.UTF-8"},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors="replace",
+                timeout=_KEYTOOL_SEC,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as exc:
+            raise ServerError(f"keytool did not end within {_KEYTOOL_SEC:.0f} s") from exc
         if done.returncode:
             raise ServerError(f"no certificate could be made: {done.stdout.strip()[-500:]}")
 
@@ -220,6 +224,7 @@ def write_private(path: Path, text: str) -> None:
     """Write a file, whole or not at all, that nobody else can read at any moment."""
     draft = path.with_name(path.name + ".draft")
     draft.unlink(missing_ok=True)
-    with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+    number = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with open(number, "w", encoding="utf-8") as file:
         file.write(text)
     os.replace(draft, path)
