@@ -33,4 +33,4 @@ def test_a_keytool_that_does_not_end_is_told_of(tmp_path, monkeypatch):
     keytool.write_text("#!/bin/sh\nexec sleep 60\n")
     keytool.chmod(0o700)
     with pytest.raises(ServerError, match="did not end"):
-        security.Security(tmp_path, Settings()).make_files(str(tmp_path / "java"))
+        security.Security(tmp_path, Settings("test", 1)).make_files(str(tmp_path / "java"))
