@@ -23,7 +23,6 @@ from cassandra_ros.messages import classes
 from cassandra_ros.messages.classes import (
     deserialize,
     deserialize_all,
-    deserialize_stack,
     message_class,
     raw_class,
     serialize,
@@ -122,7 +121,7 @@ def test_common_types_are_made_together(cls):
 
 def test_no_object_is_in_two_messages():
     message = TFMessage(transforms=[genpy.message.get_message_class(t)() for t in TF])
-    one, other, *_ = list(deserialize_stack(TFMessage, stacked(serialize(message))))
+    one, other, *_ = list(deserialize_all(TFMessage, [serialize(message)] * COUNT))
     one.transforms[0].transform.rotation.w = 4.0
     one.transforms[0].header.stamp.secs = 5
     assert other == message
@@ -130,15 +129,6 @@ def test_no_object_is_in_two_messages():
 
 
 TF = ["geometry_msgs/TransformStamped"] * 3
-
-
-def stacked(wire):
-    return np.tile(np.frombuffer(wire, np.uint8), (COUNT, 1))
-
-
-def test_a_stack_is_many_messages():
-    found = deserialize_stack(Header, stacked(serialize(Header(3, genpy.Time(4, 5), "map"))))
-    assert list(found) == [Header(3, genpy.Time(4, 5), "map")] * COUNT
 
 
 def test_times_of_the_message_itself_are_canonical_and_others_are_not():

@@ -13,7 +13,9 @@ from cassandra_ros import Cassandra, RosCassandra
 from cassandra_ros.errors import ConnectionFailed, InvalidOption, WriteFailed
 from cassandra_ros.messages.connection import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.store import connection
 from cassandra_ros.store.driver_errors import is_passing, translate
+from cassandra_ros.store.paging import answered
 
 SEC = 10**9
 
@@ -53,6 +55,23 @@ def test_ports_that_are_none(environment, port):
         RosCassandra()
     with pytest.raises(InvalidOption, match="is not a port"):
         RosCassandra("127.0.0.1", port)
+
+
+def test_what_was_begun_gives_all_pages_and_each_in_time(cassandra, monkeypatch):
+    waited = []
+
+    def counted(future):
+        waited.append(future)
+        return answered(future)
+
+    monkeypatch.setattr(connection, "answered", counted)
+    cql, what = "SELECT table_name FROM system_schema.tables WHERE keyspace_name = ?", "tables"
+    with Cassandra(cassandra.host, cassandra.port) as store:
+        store._session.default_fetch_size = 3
+        found = store.begin(cql, ("system",), what=what)()
+        assert found == store.execute(cql, ("system",), what=what)
+    assert len(found) > 6
+    assert len(waited) >= len(found) / 3
 
 
 @pytest.fixture

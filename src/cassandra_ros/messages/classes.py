@@ -21,7 +21,6 @@ import genpy.dynamic
 import genpy.generator
 import genpy.message
 import numpy as np
-from numpy.typing import NDArray
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError, TypeMismatch
 from cassandra_ros.messages.definition import Definition, attribute_name, definition_of, render_spec
@@ -169,35 +168,16 @@ def deserialize(cls: Any, wire: bytes) -> Any:
 def deserialize_all(cls: Any, wires: Sequence[bytes]) -> Iterator[Any]:
     """Make messages of many wire bytes, as deserialize does of each, in a fraction of the time.
 
-    They are made as they are taken; see deserialize_at.
-    """
-    if len(wires) < MIN_TOGETHER:
-        return map(deserialize, repeat(cls), wires)
-    sizes = np.fromiter(map(len, wires), np.int64, len(wires))
-    return deserialize_at(cls, b"".join(wires), np.cumsum(sizes) - sizes, sizes)
-
-
-def deserialize_stack(cls: Any, matrix: NDArray[np.uint8]) -> Iterator[Any]:
-    """Make messages of equal size, whose wire bytes are the rows of a matrix, as they are taken."""
-    count, size = matrix.shape
-    sizes = np.full(count, size)
-    return deserialize_at(cls, matrix.tobytes(), np.arange(count) * size, sizes)
-
-
-def deserialize_at(
-    cls: Any, data: bytes, starts: NDArray[np.int64], sizes: NDArray[np.int64]
-) -> Iterator[Any]:
-    """Make messages of wire bytes that lie somewhere in a buffer, as they are taken.
+    They are made as they are taken.
 
     Raises:
         CorruptMessage: One is none; when it is its turn.
     """
-    maker = _object_maker(cls) if len(starts) >= MIN_TOGETHER else None
+    maker = _object_maker(cls) if len(wires) >= MIN_TOGETHER else None
     if maker is not None:
+        sizes = np.fromiter(map(len, wires), np.int64, len(wires))
         with suppress(Unfit):
-            return maker.make(data, starts, sizes)
-    ends = starts + sizes
-    wires = (data[start:end] for start, end in zip(starts.tolist(), ends.tolist()))
+            return maker.make(b"".join(wires), np.cumsum(sizes) - sizes, sizes)
     return map(deserialize, repeat(cls), wires)
 
 

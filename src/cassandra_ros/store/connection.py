@@ -328,7 +328,11 @@ class Cassandra:
 
         def answer() -> list[CqlRow]:
             try:
-                return list(answered(future))
+                rows: list[CqlRow] = list(answered(future).current_rows)
+                while future.has_more_pages:
+                    future.start_fetching_next_page()
+                    rows += answered(future).current_rows
+                return rows
             except DRIVER_ERRORS:
                 return self.execute(cql, params, what=what, retry_sec=retry_sec)
 
