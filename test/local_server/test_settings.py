@@ -137,6 +137,12 @@ def test_a_foreign_directory_is_refused(tmp_path):
         LocalCluster(tmp_path)
 
 
+def test_a_folder_of_somebody_elses_logins_is_foreign(tmp_path):
+    (tmp_path / "login").mkdir()  # to clear the cluster would remove it
+    with pytest.raises(ServerError, match="login"):
+        LocalCluster(tmp_path)
+
+
 def test_what_a_start_leaves_that_was_killed_is_not_foreign(tmp_path):
     (tmp_path / "lock").touch()
     (tmp_path / "cluster.draft").write_text("{")

@@ -182,7 +182,8 @@ class LocalCluster:
             try:
                 for path in self.directory.glob("node[1-9]"):
                     shutil.rmtree(path)
-                shutil.rmtree(self.security.folder, ignore_errors=True)
+                if self.security.folder.exists():
+                    shutil.rmtree(self.security.folder)
                 (self.directory / SETTINGS_FILE).unlink()
             except OSError as exc:
                 raise ServerError(f"the data cannot be deleted: {exc}") from exc

@@ -170,4 +170,4 @@ def _foreign(directory: Path) -> list[str]:
         raise ServerError(f"{directory} is a file; choose a directory with --dir") from None
     # The jars of the default directory may have been installed before the first start, and a
     # start that was killed early leaves its lock, and a draft of its settings.
-    return sorted(names - {"jars", "lock", LOGIN_DIRECTORY, SETTINGS_FILE, _DRAFT})
+    return sorted(names - {"jars", "lock", SETTINGS_FILE, _DRAFT})
