@@ -13,6 +13,7 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import Stamp
+from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.store.raw_page import RawPage
@@ -103,6 +104,19 @@ def test_what_somebody_else_changed_is_not_taken_for_a_message(rosCas, cql):
     assert [one.wire for at, one in enumerate(found) if at != n] == wires[:n] + wires[n + 1 :]
     with pytest.raises(Exception, match="instead of"):
         _ = found[n].wire
+
+
+def test_rows_before_one_that_somebody_else_made_are_given(rosCas, cql):
+    wires = [serialize(Header(n, None, "frame")) for n in range(200)]
+    topic = store(rosCas, "/t", Header, wires, "ros")
+    table = topic.tables[0]
+    names = f'INSERT INTO {table.qualified} ("_node", "_bucket", "_t", "_seq", frame_id)'
+    cql.execute(f"{names} VALUES ('', {table.bucket_of(T)}, {T + 150}, 0, 'other')")
+    rows, found = topic.rows(), []
+    with pytest.raises(CorruptMessage, match="something else"):
+        while True:
+            found.append(next(rows).wire)
+    assert found == wires[:150]
 
 
 def page_of(rows):

@@ -11,6 +11,7 @@ from typing import Any, Iterable, Iterator, List, NamedTuple, Optional, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.store.raw_page import Places, RawPage
 from cassandra_ros.store.row_table import RowTable, TableRow
 
@@ -100,8 +101,11 @@ def rows_of_page(table: RowTable, node: str, page: RawPage) -> Optional[Sequence
         if page.end(at) != heads.ends[n]:
             return None  # the guess was wrong, so it is for all that follow
         values = page.row(at)
-        if not table.is_rest(values):
-            found.append(table.row_from_values(node, values))
+        try:
+            if not table.is_rest(values):
+                found.append(table.row_from_values(node, values))
+        except CorruptMessage:
+            return None  # it is told when its turn comes
     return found
 
 
