@@ -360,3 +360,24 @@ def bags():
             pytest.fail(text)
         pytest.skip(text)
     return folder
+
+
+@pytest.fixture
+def make_certificate(tmp_path):
+    """Makes a PEM file of a new key and its certificate, valid for so many days from now on."""
+
+    def make(name, days=2):
+        key, request, made = (tmp_path / f"{name}.{kind}" for kind in ("key", "csr", "pem"))
+        curve = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1"]
+        _openssl(
+            "req", "-new", *curve, "-nodes", "-subj", f"/CN={name}", "-keyout", key, "-out", request
+        )
+        _openssl("x509", "-req", "-in", request, "-signkey", key, "-days", days, "-out", made)
+        made.write_text(made.read_text() + key.read_text())
+        return made
+
+    return make
+
+
+def _openssl(*words):
+    subprocess.run(["openssl", *map(str, words)], check=True, capture_output=True, timeout=60)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -29,11 +30,12 @@ from cassandra_ros.errors import (
     TlsMismatch,
 )
 from cassandra_ros.local_server import LocalCluster, free_port
+from cassandra_ros.local_server.cql import CqlRefused, CqlSession
+from cassandra_ros.local_server.security import Security, write_private
 from cassandra_ros.messages.connection import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store.roles import ROLES, role_name
 
-FOREIGN = ROOT / "test/store/certificates/valid.pem"
 KEYSPACE = "fleet"
 
 
@@ -89,6 +91,8 @@ def test_what_it_writes_is_its_owners_alone(cluster, capsys):
     assert folder.stat().st_mode & 0o777 == 0o700
     private = [*folder.iterdir(), cluster.nodes[0].config]
     assert {path.stat().st_mode & 0o777 for path in private} == {0o600}
+    # The data are behind the login, too: who can read the files would need none.
+    assert cluster.nodes[0].directory.stat().st_mode & 0o777 == 0o700
     assert [status.answers for status in cluster.status()] == [True]
     assert local_cassandra.main(["status", "--dir", str(cluster.directory)]) == 0
     assert f"export CASSANDRA_ROS_CQLSHRC={cluster.security.cqlshrc}" in capsys.readouterr().out
@@ -98,10 +102,41 @@ def test_what_it_writes_is_its_owners_alone(cluster, capsys):
     assert len(secrets) == 1 and secrets[0] not in shown
 
 
-def test_who_is_not_let_in_is_told_why(cluster, cqlshrc, tmp_path, monkeypatch, cassandra):
+def lets_in(cluster, *login):
+    place = cluster.settings.host, cluster.settings.port
+    try:
+        CqlSession(*place, cluster.security.context(), login).close()
+    except CqlRefused:
+        return False
+    return True
+
+
+def test_it_answers_when_its_user_is_made(cluster, monkeypatch):
+    """Programs of a launch file wait for this: a moment before they would be refused, and end."""
+    kept = cluster.security.folder / "secrets.json"
+    text = kept.read_text()
+    try:
+        kept.write_text(text.replace(json.loads(text)["user"], "not yet made"))
+        assert [status.answers for status in cluster.status()] == [False]
+        kept.unlink()
+        assert [status.answers for status in cluster.status()] == [False]
+    finally:
+        write_private(kept, text)
+    assert [status.answers for status in cluster.status()] == [True]
+    made = []
+    monkeypatch.setattr(Security, "ensure_users", lambda self: made.append(self))
+    assert not cluster.start()  # one that was cut short may have left it without
+    assert len(made) == 1
+
+
+def test_who_is_not_let_in_is_told_why(
+    cluster, cqlshrc, tmp_path, monkeypatch, cassandra, make_certificate, capsys
+):
+    foreign = make_certificate("foreign")
     with RosCassandra(cqlshrc=cqlshrc) as store:
         assert store.cassandra.port == cluster.settings.port
         assert {"password": None, "cqlshrc": cqlshrc}.items() <= store.cassandra.arguments().items()
+    await_true(lambda: not lets_in(cluster, "cassandra", "cassandra"))  # cached for two seconds
     for user, password in (("cassandra", "cassandra"), ("nobody", "x"), ("ros", "")):
         with pytest.raises(LoginFailed, match=f"refuses the user name '{user}'") as caught:
             RosCassandra(cqlshrc=cqlshrc, username=user, password=password)
@@ -118,21 +153,26 @@ def test_who_is_not_let_in_is_told_why(cluster, cqlshrc, tmp_path, monkeypatch, 
         RosCassandra("127.0.0.1", cluster.settings.port)
     with pytest.raises(TlsMismatch, match="does not speak TLS, and .*cqlshrc asks for it"):
         RosCassandra(cassandra.host, cassandra.port, cqlshrc=cqlshrc)
-    monkeypatch.setenv("SSL_CERTFILE", str(FOREIGN))
-    with pytest.raises(CertificateRefused, match=f"not one of those that {FOREIGN} trusts"):
+    assert cassandra_bag.main(["list", "--port", str(cluster.settings.port)]) != 0
+    assert f"; or give --cqlshrc {cqlshrc} " in capsys.readouterr().err
+    monkeypatch.setenv("SSL_CERTFILE", str(foreign))
+    with pytest.raises(CertificateRefused, match=f"not one of those that {foreign} trusts"):
         RosCassandra(cqlshrc=cqlshrc)
     monkeypatch.setenv("SSL_VALIDATE", "false")
     RosCassandra(cqlshrc=cqlshrc).close()
 
 
-def test_a_certificate_for_each_host(cluster, cqlshrc, tmp_path):
+def test_a_certificate_for_each_host(cluster, cqlshrc, tmp_path, make_certificate):
+    foreign = make_certificate("foreign")
     text = Path(cqlshrc).read_text()
     ours = f"certfile = {cluster.security.certificate}"
-    changed = text.replace(ours, f"certfile = {FOREIGN}")
+    changed = text.replace(ours, f"certfile = {foreign}")
     mine = tmp_path / "cqlshrc"
     mine.write_text(f"{changed}[certfiles]\n127.0.0.1 = {cluster.security.certificate}\n")
     RosCassandra(cqlshrc=str(mine)).close()
-    mine.write_text(f"{text}[certfiles]\n127.0.0.1 = {FOREIGN}\n")
+    mine.write_text(f"{changed}[certfiles]\nlocalhost = {cluster.security.certificate}\n")
+    RosCassandra("localhost", cqlshrc=str(mine)).close()
+    mine.write_text(f"{text}[certfiles]\n127.0.0.1 = {foreign}\n")
     with pytest.raises(CertificateRefused):
         RosCassandra(cqlshrc=str(mine))
 

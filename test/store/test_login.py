@@ -8,19 +8,18 @@ import contextlib
 import socket
 import ssl
 import threading
-from pathlib import Path
 
 import pytest
 from cassandra import AuthenticationFailed, Unauthorized
+from cassandra.cluster import NoHostAvailable
 
 from cassandra_ros import Cassandra
 from cassandra_ros.errors import AccessDenied, CertificateRefused, InvalidOption, LoginFailed
 from cassandra_ros.local_server import free_port
 from cassandra_ros.store import login as login_module
-from cassandra_ros.store.driver_errors import translate
+from cassandra_ros.store.driver_errors import is_busy, is_passing, translate
 from cassandra_ros.store.login import read_login
 
-CERTIFICATES = Path(__file__).parent / "certificates"
 PLAIN = "[auth_provider]\nmodule = cassandra.auth\nclassname = PlainTextAuthProvider\n"
 
 
@@ -106,7 +105,7 @@ def test_a_provider_that_is_not_on_the_list_is_refused(home, text):
         read_login()
 
 
-def test_tls_is_read_as_cqlsh_reads_it(home, monkeypatch):
+def test_tls_is_read_as_cqlsh_reads_it(home, monkeypatch, make_certificate):
     files = "[ssl]\ncertfile = ~/a\nuserkey = ~/k\nusercert = ~/u\n[certfiles]\nOther = ~/b\n"
     folder = home(files)
     assert read_login().tls is None  # the section alone asks for nothing
@@ -117,7 +116,7 @@ def test_tls_is_read_as_cqlsh_reads_it(home, monkeypatch):
     assert (tls.userkey, tls.usercert) == (f"{above}/k", f"{above}/u")
     with pytest.raises(InvalidOption, match=f"certfile {above}/b: cannot be read"):
         tls.context("other")
-    monkeypatch.setenv("SSL_CERTFILE", str(CERTIFICATES / "valid.pem"))
+    monkeypatch.setenv("SSL_CERTFILE", str(make_certificate("any")))
     assert read_login().tls.certfiles == {}
     home("[connection]\nssl = true\n")
     assert read_login().tls.context("x").verify_mode == ssl.CERT_REQUIRED
@@ -154,12 +153,12 @@ def test_files_that_are_none(home, tmp_path, monkeypatch):
 
 
 @contextlib.contextmanager
-def server(certificate, asks=False):
+def server(certificate, trusted=None):
     """A port that speaks TLS, and nothing else, with a certificate."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.load_cert_chain(CERTIFICATES / certificate)
-    if asks:
-        context.load_verify_locations(CERTIFICATES / "valid.pem")
+    context.load_cert_chain(certificate)
+    if trusted:
+        context.load_verify_locations(trusted)
         context.verify_mode = ssl.CERT_REQUIRED
     with socket.create_server(("127.0.0.1", free_port())) as listener:
 
@@ -185,15 +184,16 @@ def refusal(port):
     return str(caught.value)
 
 
-def test_certificates_that_are_refused(home):
-    trusting = "[connection]\nssl = true\n[ssl]\ncertfile = {}/{}.pem\n"
-    home(trusting.format(CERTIFICATES, "expired"))
-    with server("expired.pem") as port:
+def test_certificates_that_are_refused(home, make_certificate):
+    expired, valid = make_certificate("expired", days=-1), make_certificate("valid")
+    trusting = "[connection]\nssl = true\n[ssl]\ncertfile = {}\n"
+    home(trusting.format(expired))
+    with server(expired) as port:
         assert "has expired; have a new one made" in refusal(port)
-    with server("valid.pem") as port:
-        assert f"not one of those that {CERTIFICATES}/expired.pem trusts" in refusal(port)
-    home(trusting.format(CERTIFICATES, "valid"))
-    with server("valid.pem", asks=True) as port:
+    with server(valid) as port:
+        assert f"not one of those that {expired} trusts" in refusal(port)
+    home(trusting.format(valid))
+    with server(valid, trusted=valid) as port:
         assert "asks for a certificate of ours" in refusal(port)
 
 
@@ -201,16 +201,24 @@ def test_certificates_that_are_refused(home):
 
 
 @pytest.mark.parametrize(
-    ("right", "place"), [("MODIFY", "table ros.t"), ("CREATE", "all keyspaces")]
+    ("right", "place"),
+    [("MODIFY", "table ros.t"), ("CREATE", "all keyspaces"), ("SELECT", "keyspace ros")],
 )
 def test_a_right_that_is_missing_is_named(right, place):
-    text = f"User ann has no {right} permission on <{place}> or any of its parents"
+    text = f"User ann lee has no {right} permission on <{place}> or any of its parents"
     told = Unauthorized(f'Error from server: code=2100 [Unauthorized] message="{text}"')
     denied = translate(told, "writing")
     assert isinstance(denied, AccessDenied)
     assert denied.right == right
-    for part in ("writing: user ann lacks the right", place, "cassandra_bag roles"):
+    for part in ("writing: user ann lee lacks the right", place, "cassandra_bag roles"):
         assert part in str(denied)
     other = translate(Unauthorized("You have not logged in"), "writing")
     assert (type(other), other.right) == (AccessDenied, "")
     assert isinstance(translate(AuthenticationFailed("x"), "writing"), LoginFailed)
+
+
+def test_hosts_in_the_place_of_errors_are_not_asked_for_any():
+    """So the driver's first session tells that no host has taken it."""
+    error = NoHostAvailable("Unable to connect to any servers", ["127.0.0.1"])
+    assert is_passing(error) and not is_busy(error)
+    assert "Unable to connect" in str(translate(error, "connecting"))

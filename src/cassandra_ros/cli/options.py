@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import os
 import re
 import sys
 import time
@@ -14,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Callable, Mapping, Sequence
 
-from cassandra_ros.errors import ConnectionFailed, InvalidKey, InvalidOption
+from cassandra_ros.errors import ConnectionFailed, InvalidKey, InvalidOption, TlsMismatch
 from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
 from cassandra_ros.store.address import (
     DEFAULT_HOST,
@@ -181,6 +182,8 @@ def _connect(options: argparse.Namespace) -> RosCassandra:
                 cqlshrc=options.cqlshrc,
                 credentials=options.credentials,
             )
+        except TlsMismatch as exc:
+            raise TlsMismatch(f"{exc}{_own_login(_local_directories(options))}") from exc
         except ConnectionFailed as exc:
             if exc.refused:
                 raise
@@ -208,6 +211,15 @@ def _trouble(directories: Sequence[Path]) -> str:
     from cassandra_ros.local_server.disk import disk_trouble
 
     return next(filter(None, map(disk_trouble, directories)), "")
+
+
+def _own_login(directories: Sequence[Path]) -> str:
+    """Say where the login of a local Cassandra lies that asks for one; '' where we have none."""
+    from cassandra_ros.local_server import LocalCluster
+
+    files = (LocalCluster(directory).security.cqlshrc for directory in directories)
+    found = next((file for file in files if os.access(file, os.R_OK)), None)
+    return f"; or give --cqlshrc {found} (roslaunch: secure:=true)" if found else ""
 
 
 def add_time_options(parser: argparse.ArgumentParser, what: str = "") -> None:

@@ -102,7 +102,7 @@ class LocalCluster:
         found = []
         for node in self.nodes:
             pid = self._pid(node)
-            answers = bool(pid) and node.answers()
+            answers = bool(pid) and node.lets_in()
             found.append(NodeStatus(node, pid, answers))
         return found
 
@@ -137,7 +137,7 @@ class LocalCluster:
             for node in self.nodes:
                 self._await_answer(node, offsets[node.number])
             self._await_neighbours([node.number for node in asleep], offsets)
-            if self.settings.secure and asleep:
+            if self.settings.secure:  # a start before may have been cut short
                 self.security.ensure_users()
         return bool(asleep)
 

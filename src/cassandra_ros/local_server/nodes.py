@@ -86,6 +86,13 @@ class Node:
         context = self.security.context() if self.settings.secure else None
         return answers_cql(self.address, self.settings.port, context=context)
 
+    def lets_in(self) -> bool:
+        """Tell whether programs can use it: it answers, and where it asks for a login takes theirs.
+
+        The user of a new cluster is made a moment after it answers.
+        """
+        return self.security.lets_in(self.address) if self.settings.secure else self.answers()
+
     @property
     def log(self) -> Path:
         """What Cassandra logs; older parts are beside it."""
@@ -104,6 +111,8 @@ class Node:
     def write_config(self) -> None:
         """Make the node's directory and write its configuration."""
         (self.directory / "logs").mkdir(parents=True, exist_ok=True)
+        if self.settings.secure:  # who reads the data needs no login
+            self.directory.chmod(0o700)
         # Libraries unpack themselves there at every start and stay when the server is killed.
         shutil.rmtree(self.directory / "tmp", ignore_errors=True)
         (self.directory / "tmp").mkdir()
@@ -170,7 +179,7 @@ class NodeStatus:
     pid: int
     """0 when it does not run."""
     answers: bool
-    """It answers CQL requests."""
+    """It answers CQL requests, and takes the login of the programs where it asks for one."""
 
 
 # $0 is a mount point that is covered, privately: nothing that is mounted here reaches others.

@@ -54,8 +54,8 @@ def check_change(directory: Path, old: Settings, new: Settings, running: bool) -
     if running and new != old:
         raise ServerError(
             f"the Cassandra in {directory} runs already with other options (at "
-            f"{old.host}:{old.port}, heap {old.java_heap_mb}M); stop it first, or choose another "
-            "--dir"
+            f"{old.host}:{old.port}, heap {old.java_heap_mb}M, "
+            f"{'secure' if old.secure else 'not secure'}); stop it first, or choose another --dir"
         )
     if new.nodes > 1 and new.host != old.host:
         raise ServerError(

@@ -13,12 +13,13 @@ import os
 import secrets
 import shutil
 import ssl
+import struct
 import subprocess
 import time
 from pathlib import Path
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server.cql import CqlRefused, CqlSession
+from cassandra_ros.local_server.cql import CqlSession
 from cassandra_ros.local_server.settings import LOGIN_DIRECTORY, Settings
 
 USER = "ros"
@@ -104,27 +105,30 @@ class Security:
         """Return user name and password of the programs."""
         return USER, self._secret("user")
 
+    def lets_in(self, address: str) -> bool:
+        """Tell whether a node takes the login of the programs; not where its files are missing."""
+        try:
+            self._session(*self.login(), address).close()
+        except (OSError, struct.error, ServerError):
+            return False
+        return True
+
     def ensure_users(self) -> None:
         """Give the default superuser a password of its own, and make the user of the programs.
 
         Raises:
             ServerError: Nobody can log in: the passwords were changed by somebody else.
         """
-        try:
-            self._session(*self.login()).close()
+        if self.lets_in(self._settings.host):
             return
-        except CqlRefused:
-            pass
         deadline = time.monotonic() + _ROLES_SEC
         while True:  # the server makes its first role a moment after it answers
             for password in (self._secret("root"), SUPERUSER):
                 try:
-                    session = self._session(SUPERUSER, password)
-                except CqlRefused as exc:
+                    with self._session(SUPERUSER, password) as session:
+                        return self._make_users(session)
+                except (OSError, struct.error) as exc:
                     refusal = exc
-                    continue
-                with session:
-                    return self._make_users(session)
             if time.monotonic() > deadline:
                 raise ServerError(
                     f"nobody can log in to the local Cassandra with what is kept in {self.folder} "
@@ -150,9 +154,9 @@ class Security:
         # At last: who can log in has all rights.
         session.run(f"ALTER ROLE {USER} WITH PASSWORD = '{user}' AND LOGIN = true")
 
-    def _session(self, user: str, password: str) -> CqlSession:
-        settings = self._settings
-        return CqlSession(settings.host, settings.port, self.context(), (user, password))
+    def _session(self, user: str, password: str, address: str = "") -> CqlSession:
+        settings, login = self._settings, (user, password)
+        return CqlSession(address or settings.host, settings.port, self.context(), login)
 
     @property
     def _keystore(self) -> Path:

@@ -37,6 +37,7 @@ from cassandra_ros.errors import (
 from cassandra_ros.store.driver_errors import (
     DRIVER_ERRORS,
     START_HINT,
+    host_errors,
     is_passing,
     translate,
     translated,
@@ -168,10 +169,10 @@ class Cassandra:
         except NoHostAvailable as exc:
             self._cluster.shutdown()
             by_tls = self._ssl_context is not None or self._login.tls is not None
-            refusal = explain_refusal(exc.errors, self._login, by_tls, self._where)
+            refusal = explain_refusal(host_errors(exc), self._login, by_tls, self._where)
             if refusal:
                 raise refusal from exc
-            causes = "; ".join(sorted({str(error) for error in exc.errors.values()}))
+            causes = "; ".join(sorted({str(error) for error in host_errors(exc).values()}))
             failure = ConnectionFailed(
                 f"no Cassandra answers at {self._where} ({causes or 'no address'}); {START_HINT}"
             )

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from contextlib import contextmanager
-from typing import Iterator
+from typing import Iterator, Mapping
 
 from cassandra import (
     AlreadyExists,
@@ -63,6 +63,14 @@ _PASSING = (
 _DISK_FULL = ("no space left", "insufficient disk space", "disk usage exceeds", "nodiskavailable")
 
 
+def host_errors(exc: NoHostAvailable) -> Mapping[object, BaseException]:
+    """Return the error of each host; none are known where the first session found no host.
+
+    Then the driver lists hosts in their place.
+    """
+    return exc.errors if isinstance(exc.errors, dict) else {}
+
+
 def is_busy(exc: BaseException) -> bool:
     """Say whether only our own sockets were full: nothing was sent, wait and send again.
 
@@ -71,14 +79,13 @@ def is_busy(exc: BaseException) -> bool:
     """
     if isinstance(exc, (ConnectionBusy, NoConnectionsAvailable)):
         return True
-    if isinstance(exc, NoHostAvailable) and exc.errors:
-        return all(is_busy(error) for error in exc.errors.values())
-    return False
+    errors = host_errors(exc) if isinstance(exc, NoHostAvailable) else {}
+    return bool(errors) and all(is_busy(error) for error in errors.values())
 
 
 def is_disk_full(exc: BaseException) -> bool:
     """Say whether a server tells that its disk is full, or fuller than its guardrail allows."""
-    errors = [exc, *(exc.errors.values() if isinstance(exc, NoHostAvailable) else ())]
+    errors = [exc, *(host_errors(exc).values() if isinstance(exc, NoHostAvailable) else ())]
     return any(sign in str(error).lower() for error in errors for sign in _DISK_FULL)
 
 
@@ -89,7 +96,7 @@ def is_passing(exc: BaseException) -> bool:
     if isinstance(exc, NoHostAvailable):
         return not any(
             isinstance(error, (Unauthorized, AuthenticationFailed, InvalidRequest))
-            for error in exc.errors.values()
+            for error in host_errors(exc).values()
         )
     return isinstance(exc, _PASSING)
 
@@ -122,7 +129,7 @@ def translate(exc: BaseException, what: str) -> CassandraRosError:
     if isinstance(exc, AuthenticationFailed):
         return LoginFailed(f"{what}: the server refuses this user: {exc}")
     if isinstance(exc, NoHostAvailable):
-        causes = "; ".join(f"{host}: {error}" for host, error in exc.errors.items())
+        causes = "; ".join(f"{host}: {error}" for host, error in host_errors(exc).items())
         return StoreUnavailable(f"{what}: no Cassandra node answers ({causes or exc.args[0]})")
     if isinstance(exc, Unavailable):
         return StoreUnavailable(
@@ -140,9 +147,8 @@ def translate(exc: BaseException, what: str) -> CassandraRosError:
     return StoreUnavailable(f"{what}: {type(exc).__name__}: {exc}")
 
 
-# "User ann has no MODIFY permission on <table ros.imu> or any of its parents", and of a node that
-# several rights would open: "has none of the following permissions (CREATE, ALTER) on ...".
-_RIGHT = re.compile(r"User (\S+) has no(?: | .*\()([A-Z, ]+?)\)? permission.*?<(.*?)>")
+# "User ann has no MODIFY permission on <table ros.imu> or any of its parents".
+_RIGHT = re.compile(r"User (.+?) has no ([A-Z_]+) permission on <(.*?)>")
 
 
 def _denied(exc: Unauthorized, what: str) -> AccessDenied:

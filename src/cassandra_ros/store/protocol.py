@@ -203,14 +203,24 @@ def connection_class(tls: Tls | None) -> type[LargeBuffers]:
     """Return the class of connections, which with TLS trust what is trusted of their host."""
     if tls is None or not tls.certfiles:
         return LargeBuffers
-    make = functools.lru_cache(maxsize=None)(tls.context)
+    files, make = tls.certfiles, functools.lru_cache(maxsize=None)(tls.context)
+    # The driver knows nodes by their addresses; the file may name them.
+    names = {address: name for name in files for address in _addresses_of(name)}
 
     class Encrypted(LargeBuffers):
         def _wrap_socket_from_context(self) -> ssl.SSLSocket:
-            self.ssl_context = make(self.endpoint.address)
+            address = self.endpoint.address
+            self.ssl_context = make(address if address in files else names.get(address, address))
             return super()._wrap_socket_from_context()  # type: ignore[no-any-return]
 
     return Encrypted
+
+
+def _addresses_of(name: str) -> set[object]:
+    try:
+        return {found[4][0] for found in socket.getaddrinfo(name, None)}
+    except (OSError, UnicodeError):  # one that we do not connect to, perhaps
+        return set()
 
 
 class _RawResultMessage(_Decoding):  # type: ignore[misc, valid-type]
