@@ -60,8 +60,9 @@ TEXT
 # --- 1: packages of the distribution ---------------------------------------------------------
 
 package_list() {
-  # Java without a display, Maven for the jars, a compiler because catkin's CMake asks for one.
-  echo openjdk-17-jre-headless maven gcc g++ cmake python3-venv
+  # Java without a display, Maven for the jars, a compiler because catkin's CMake asks for one;
+  # openssl makes certificates for tests of logging in.
+  echo openjdk-17-jre-headless maven gcc g++ cmake python3-venv openssl
   if [ -d /opt/ros/noetic ]; then
     echo ros-noetic-ros-base ros-noetic-rostest ros-noetic-tf ros-noetic-tf2-msgs ros-noetic-tf2-py
     echo ros-noetic-{diagnostic,geometry,std}-msgs ros-noetic-std-srvs

@@ -82,6 +82,8 @@ class Security:
         """Return what a node's cassandra.yaml says of logging in."""
         return {
             "authenticator": "PasswordAuthenticator",
+            # A password that was changed, the superuser's known one above all, is refused at once.
+            "credentials_validity": "0ms",
             "authorizer": "CassandraAuthorizer",
             "role_manager": "CassandraRoleManager",
             "client_encryption_options": {
