@@ -55,13 +55,16 @@ def lay_out(rows: Bytes, cost: Callable[[bytes], int]) -> bytes:
     if rows.nbytes < _SMALL:
         return bytes(1 + (size + 7) // 8) + np.ascontiguousarray(rows.T).tobytes()
     sample = rows[: max(_LEAST, min(count // _SAMPLE_SHARE, _SAMPLE_BYTES // size))]
-    planes = np.ascontiguousarray(sample.T)
-    steps = np.diff(planes, axis=1)
-    still = np.count_nonzero(steps == 0, axis=1)
-    rises = np.count_nonzero(steps[:, 1:] == steps[:, :-1], axis=1) > still
+    steps = np.diff(sample, axis=0)
+    still = _counts(steps == 0)
+    rises = _counts(steps[1:] == steps[:-1]) > still
     if size >= _UNIT:
-        planes[rises, 1:] = steps[rises]
-        if cost(_columns(sample)) < _WORTH * cost(planes.tobytes()):
+        # Of long messages the ends, lest to try costs more than to pack.
+        tried = slice(-max(_UNIT, _SAMPLE_BYTES // len(sample) // _UNIT * _UNIT), None)
+        ends = sample[:, tried]
+        planes, rising = np.array(ends.T, order="C"), rises[tried]
+        planes[rising, 1:] = steps[:, tried].T[rising]
+        if cost(_columns(ends)) < _WORTH * cost(planes.tobytes()):
             return bytes((_COLUMNS,)) + _columns(rows)
     planes = np.array(rows.T, order="C")  # always a copy: rows of one byte lie as planes already
     if rises.any():
@@ -88,6 +91,13 @@ def read_layout(data: memoryview, size: int, count: int) -> Laid:
     planes = np.frombuffer(data, np.uint8, size * count, begin).reshape(size, count).copy()
     planes[rises] = np.add.accumulate(planes[rises], axis=1, dtype=np.uint8)
     return Laid(planes.tobytes(), True, end)
+
+
+def _counts(found: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Count for each column of a matrix where it is true."""
+    # Row by row: along columns numpy would take one byte at a time.
+    counts: NDArray[np.int32] = np.add.reduce(found, axis=0, dtype=np.int32)
+    return counts
 
 
 def _columns(rows: Bytes) -> bytes:
