@@ -43,7 +43,9 @@ def machine(results: Results) -> str:
         f"{seconds / 60:.0f} minutes."
     )
     anew = found.get("anew", {})
-    text += "".join(f" Measured anew: {name}, {when}." for name, when in sorted(anew.items()))
+    for when in sorted(set(anew.values())):
+        names = ", ".join(sorted(name for name in anew if anew[name] == when))
+        text += f" By the run of {when}: {names}."
     failed = [f"{one['experiment']}, {one['part']}: {one['error']}" for one in results.failures]
     return text + "".join(f"\n\n**Failed:** {line}" for line in failed)
 
