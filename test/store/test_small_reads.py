@@ -159,8 +159,8 @@ def test_what_matches_in_numbers_is_not_fetched_by_its_keys(rosCas, monkeypatch)
             assert (found[0][0] if what == "count(*)" else len(found)) == 3 * (1000 - least)
             assert told.requests <= requests
             # Each row once, and once the keys of the buckets that were begun before the first had
-            # been read: on a busy machine all three. Behind that the directory's, not 3,000 rows.
-            assert told.rows <= 6 * (1000 - least) + 100
+            # been read: on a busy machine all three.
+            assert told.rows <= 6 * (1000 - least) + 20
 
 
 ENTRIES = st.lists(
