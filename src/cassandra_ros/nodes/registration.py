@@ -14,6 +14,7 @@ import time
 from typing import Any, Callable, NamedTuple, Optional
 
 import rospy
+from rospy.core import is_shutdown_requested
 from rospy.impl.registration import (
     get_registration_listeners,
     get_service_manager,
@@ -57,6 +58,9 @@ class _Ours(NamedTuple):
 
 
 def _ours() -> _Ours:
+    # rospy unregisters all before is_shutdown() says so, and forgets it only then.
+    if is_shutdown_requested():
+        return _Ours(set(), set(), set())
     manager = get_topic_manager()
     with manager.lock:
         publications = {(str(name), str(kind)) for name, kind in manager.get_publications()}
@@ -93,7 +97,7 @@ class Registration:
             self._thread.join(JOIN_SEC)
 
     def _watch(self) -> None:
-        while not self._stop.wait(POLL_SEC) and not rospy.is_shutdown():
+        while not self._stop.wait(POLL_SEC) and not is_shutdown_requested():
             try:
                 self._look()
             except MASTER_ERRORS as exc:
@@ -112,10 +116,9 @@ class Registration:
         ours = _ours()
         _, _, state = master.getSystemState(rospy.get_name())
         seen_ns = _now()
-        # What was given up while the master answered is not missing: rospy unregisters it, and
-        # all of it where the node shuts down.
+        # What was given up while the master answered is not missing: rospy unregisters it.
         missing = ours.but(state).still(_ours())
-        if rospy.is_shutdown() or self._stop.is_set():
+        if is_shutdown_requested() or self._stop.is_set():
             return
         if any(missing):
             _log.warning(
