@@ -66,7 +66,7 @@ def test_conditions_and_windows_are_read():
 WRONG = {
     ("/scann",): "/scan",
     ("-e", "/scan.*("): "not a regular expression",
-    ("-e", "/nothing.*"): "no stored topic matches",
+    ("-e", "/nothing.*"): "no topic in keyspace",
     ("-x", ".*"): "leaves none",
     ("-s", "yesterday"): "no time to play",
     ("-s", "2000-01-01T00:00:00Z"): "lies before all that is chosen",

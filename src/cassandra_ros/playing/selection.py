@@ -5,15 +5,15 @@
 from __future__ import annotations
 
 import logging
-import re
 from dataclasses import dataclass, field
 from typing import List, Mapping, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_ros_name, check_topics
-from cassandra_ros.errors import DefinitionError, InvalidOption, TopicNotFound
+from cassandra_ros.errors import DefinitionError, TopicNotFound
 from cassandra_ros.playing.times import PlayTime
 from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.finding import Where
+from cassandra_ros.topics.patterns import compiled, matching
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
@@ -78,16 +78,8 @@ def chosen_topics(ros_cas: RosCassandra, selection: PlaySelection) -> List[str]:
     """
     wanted, names = check_topics(selection.topics), set()
     if selection.regex and wanted is not None:
-        every = [topic.name for topic in ros_cas.getAllTopics()]
-        for text in wanted:
-            pattern = compiled("topic", text)
-            found = {name for name in every if pattern.fullmatch(name)}
-            if not found:
-                raise TopicNotFound(
-                    f"no stored topic matches {text!r:.80}: an expression must match the whole "
-                    f"name; keyspace {ros_cas.keyspace} holds {len(every)} topics"
-                )
-            names |= found
+        every = {topic.name for topic in ros_cas.getAllTopics()}
+        names = matching("topic", wanted, every, f"keyspace {ros_cas.keyspace}")
     elif wanted is not None:
         names = {ros_cas.getTopic(name).name for name in wanted}
     else:
@@ -112,14 +104,6 @@ def _is_readable(ros_cas: RosCassandra, topic: str) -> bool:
         _log.error("topic %s is left out, it cannot be read here: %s", topic, exc)
         return False
     return True
-
-
-def compiled(option: str, text: str) -> re.Pattern[str]:
-    """Compile a regular expression of an option, or raise InvalidOption."""
-    try:
-        return re.compile(text)
-    except (re.error, OverflowError, RecursionError, TypeError) as exc:
-        raise InvalidOption(f"{option} {text!r:.80} is not a regular expression: {exc}") from exc
 
 
 class Names:

@@ -14,6 +14,7 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Iterator
 
+from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_origin_options,
     add_store_options,
@@ -21,6 +22,7 @@ from cassandra_ros.cli.options import (
     store_place,
 )
 from cassandra_ros.cli.text import format_bytes, format_length, format_table, format_time, shown
+from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.runs import time_of
 from cassandra_ros.keys import NAMED_FORMATS
 
@@ -35,9 +37,11 @@ _RUNS_SHOWN = 20
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add topics, the form of the output and the store."""
-    parser.add_argument("topics", nargs="*", metavar="TOPIC", help="only these topics")
+    add_topics(parser)
     add_origin_options(parser)
-    parser.add_argument("-y", "--yaml", action="store_true", help="print YAML")
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("-y", "--yaml", action="store_true", help="print YAML")
+    add_json_option(form)
     add_store_options(parser)
 
 
@@ -45,20 +49,22 @@ def run(options: argparse.Namespace) -> int:
     """Print the description."""
     with open_store(options) as ros_cas:
         asked = {"nodeID": options.node_id, "run": options.run}
-        infos = ros_cas.info(options.topics or None, **asked)
-        losses = ros_cas.losses(options.topics or None, nodeID=options.node_id, run=options.run)
+        topics = stored_topics(ros_cas, options)
+        infos = ros_cas.info(topics, **asked)
+        losses = ros_cas.losses(topics, **asked)
         runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
     if options.run:
         runs = [run for run in runs if options.run in (run.name, str(run.writer))]
-    if options.yaml:
-        _print_yaml(options, infos, losses, runs)
+    if options.yaml or options.json:
+        answer = _answer(options, infos, losses, runs)
+        (_print_yaml if options.yaml else print_json)(answer)
         return 0
     total = sum(info.count for info in infos)
     size = sum(info.bytes for info in infos)
-    topics = len({info.topic for info in infos})
+    names = {info.topic for info in infos}
     hosts, port = store_place(options)
     print(f"keyspace:  {options.keyspace} at {','.join(hosts)}:{port}")
-    print(f"messages:  {total} of {topics} topics, {format_bytes(size)}")
+    print(f"messages:  {total} of {len(names)} topics, {format_bytes(size)}")
     if infos:
         print()
         with_keys = any(info.key != "time" for info in infos)
@@ -126,12 +132,10 @@ def _loss_rows(losses: list[Loss], runs: list[Run]) -> Iterator[tuple[str, ...]]
         )
 
 
-def _print_yaml(
+def _answer(
     options: argparse.Namespace, infos: list[TopicInfo], losses: list[Loss], runs: list[Run]
-) -> None:
-    import yaml
-
-    found = {
+) -> dict[str, object]:
+    return {
         "keyspace": options.keyspace,
         "topics": [asdict(info) for info in infos],
         "losses": [{**asdict(loss), "kind": loss.kind.value} for loss in losses],
@@ -140,4 +144,9 @@ def _print_yaml(
             for run in runs
         ],
     }
-    print(yaml.safe_dump(found, sort_keys=False, allow_unicode=True), end="")
+
+
+def _print_yaml(answer: object) -> None:
+    import yaml
+
+    print(yaml.safe_dump(answer, sort_keys=False, allow_unicode=True), end="")

@@ -1,0 +1,63 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Answers of verbs for other programs: one JSON document on standard output.
+
+Times are integer nanoseconds in fields that end in _ns; the clock's, as when a run began, ISO 8601
+in UTC. Sizes are bytes. What has no value is null. Warnings and errors go to standard error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import json
+import math
+from dataclasses import asdict, is_dataclass
+from datetime import datetime, timezone
+from enum import Enum
+from typing import Mapping
+
+
+def add_json_option(parser: argparse._ActionsContainer) -> None:
+    """Add --json."""
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="print the answer as one JSON document, for other programs: times in nanoseconds, "
+        "sizes in bytes",
+    )
+
+
+def print_json(answer: object) -> None:
+    """Print an answer as JSON: all that plain() takes."""
+    print(json.dumps(plain(answer), ensure_ascii=False, allow_nan=False, indent=1))
+
+
+def plain(value: object) -> object:
+    """Return a value as JSON has it, or raise TypeError for what no answer should hold.
+
+    Taken are records, mappings, sequences, texts, numbers, datetimes and bytes (base64).
+    """
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Enum):
+        return plain(value.value)
+    if value is None or isinstance(value, (str, int)):
+        return value
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(name): plain(inner) for name, inner in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(inner) for inner in value]
+    if isinstance(value, (bytes, bytearray)):
+        return base64.b64encode(value).decode("ascii")
+    if isinstance(value, datetime):
+        return _utc(value)
+    raise TypeError(f"{type(value).__name__} cannot be part of an answer")
+
+
+def _utc(when: datetime) -> str:
+    # Those of the driver bear no zone, and are UTC.
+    aware = when if when.tzinfo else when.replace(tzinfo=timezone.utc)
+    return aware.astimezone(timezone.utc).isoformat().replace("+00:00", "Z")

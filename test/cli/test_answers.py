@@ -1,0 +1,99 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Verbs answer other programs in JSON, and take topics by name or by regular expression."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from dataclasses import dataclass
+from datetime import datetime, timedelta, timezone
+
+import pytest
+from bag.truth import string_connection, string_wire
+
+from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.cli.answers import plain
+from cassandra_ros.cli.topic_options import add_topics_option, topics_among
+from cassandra_ros.errors import InvalidOption, TopicNotFound
+from cassandra_ros.store.registry import LossKind
+
+
+@pytest.fixture
+def three_topics(call, tmp_path):
+    """Import a bag of /cam/left, /cam/right and /tf, 6 messages in all; return its path."""
+    path = tmp_path / "three.bag"
+    with BagWriter(path) as writer:
+        names = ("/cam/left", "/cam/right", "/tf")
+        numbers = [writer.connection(string_connection(name)) for name in names]
+        for n in range(6):
+            writer.write(numbers[n % 3], 10**18 + n * 10**9, string_wire(str(n)))
+    assert call("import", path, "-q") == (0, "", "")
+    return path
+
+
+def test_list_and_info(call, three_topics):
+    status, out, err = call("list", "--json")
+    assert (status, err) == (0, "")
+    found = json.loads(out)
+    assert [row["topic"] for row in found] == ["/cam/left", "/cam/right", "/tf"]
+    assert found[0] == {"topic": "/cam/left", "type": "std_msgs/String", "format": "ros"}
+    for words in (["/cam/.*"], ["-e", "/cam/.*"]):
+        assert len(json.loads(call("list", "--json", *words)[1])) == 2
+    assert call("list", "/cam/.*", "-e", "/tf")[0] == 2
+    assert call("list", "--json", "/none")[:2] == (0, "[]\n")
+
+    found = json.loads(call("info", "--json")[1])
+    assert [(t["topic"], t["count"], t["first_ns"]) for t in found["topics"]] == [
+        ("/cam/left", 2, 10**18),
+        ("/cam/right", 2, 10**18 + 10**9),
+        ("/tf", 2, 10**18 + 2 * 10**9),
+    ]
+    run = found["runs"][0]
+    assert (run["name"], run["stored"]["/tf"]) == ("three.bag", 2)
+    assert datetime.fromisoformat(run["started"].replace("Z", "+00:00")).tzinfo is not None
+
+    for words in (["-e", "/cam/.*"], ["/cam/(left|right)", "--regex"], ["cam/left", "/cam/right"]):
+        found = json.loads(call("info", "--json", *words)[1])
+        assert [t["topic"] for t in found["topics"]] == ["/cam/left", "/cam/right"]
+
+
+def test_what_no_topic_matches(call, three_topics):
+    status, out, err = call("info", "--json", "-e", "/cam")
+    assert (status, out, err.count("\n")) == (1, "", 1)
+    assert "matches '/cam': an expression must match the whole name" in err
+    assert "with -e (--regex) they are regular expressions" in call("info", "/cam/.*")[2]
+    assert "not a regular expression" in call("info", "-e", "/cam/(")[2]
+
+
+def test_topics_of_a_file():
+    parser = argparse.ArgumentParser()
+    add_topics_option(parser, "FILE")
+
+    def chosen(*words):
+        return topics_among(parser.parse_args(words), {"/a", "/b", "/bb"}, "x.bag")
+
+    assert chosen() is None
+    assert chosen("-e", "/b+") == ["/b", "/bb"]
+    assert chosen("-e", "/a", "--topics", "b", "c", "-e", "/b") == ["/a", "/b", "b", "c"]
+    for words, error in ((["-e", "b"], TopicNotFound), (["-e", "*"], InvalidOption)):
+        with pytest.raises(error):
+            chosen(*words)
+
+
+def test_values_of_an_answer():
+    @dataclass
+    class Part:
+        kind: LossKind
+        when: datetime
+
+    zone = timezone(timedelta(hours=2))
+    kind = next(iter(LossKind))
+    naive = plain(Part(kind, datetime(2026, 1, 2, 3, 4, 5)))
+    assert naive == {"kind": kind.value, "when": "2026-01-02T03:04:05Z"}
+    assert plain(datetime(2026, 1, 2, 3, tzinfo=zone)) == "2026-01-02T01:00:00Z"
+    found = plain({1: (math.nan, math.inf, 2.5), "b": b"\0\xff", "c": {"x"}})
+    assert found == {"1": [None, None, 2.5], "b": "AP8=", "c": ["x"]}
+    with pytest.raises(TypeError):
+        plain(object())
