@@ -220,8 +220,4 @@ def test_options_of_a_writer(rosCas):
     refused(writer("run"), (5, "run"), InvalidOption, "run=")
     refused(writer("format"), (5, 0, "Ros"), UnknownFormat, "format")
     refused(writer("ttl"), (-1, None, "5"), InvalidOption, "ttl=")
-    for table in (5, None, SURROGATE, LONG):
-        with pytest.raises(InvalidKey, match="table="):
-            rosCas.connection(table, 1)
-    refused(lambda conn: rosCas.connection("t", conn), (None, "1", 2**63), InvalidKey, "conn=")
     assert issubclass(InvalidKey, CassandraRosError)

@@ -8,8 +8,7 @@ import hashlib
 from functools import lru_cache
 from typing import Callable, Container, Iterator
 
-from cassandra_ros.arguments import MAX_TOPIC_BYTES, check_integer, check_text
-from cassandra_ros.errors import CorruptMessage, InvalidKey
+from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.connection import Connection, cut_definition, join_definition
 from cassandra_ros.store.registry import Registry, StoredHeader
 
@@ -25,11 +24,6 @@ class ConnectionCache:
         """Store a connection of a table, by its name, before its first row; return its number."""
         self.get: Callable[[str, int], Connection] = lru_cache(MAX_KNOWN)(self._read)
         """Read a connection of a table by its number, or raise CorruptMessage."""
-
-    def checked(self, table: str, conn: int) -> Connection:
-        """Read a connection as ``get`` does; InvalidKey where the arguments cannot be."""
-        check_text("table", table, MAX_TOPIC_BYTES, InvalidKey, "row.table.name")
-        return self.get(table, check_integer("conn", conn, -(2**63), 2**63 - 1, InvalidKey))
 
     def _store(self, table: str, connection: Connection) -> int:
         topic, number, md5sum = connection.topic, connection.number, connection.md5sum

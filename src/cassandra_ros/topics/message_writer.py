@@ -92,9 +92,20 @@ class Handle:
 class MessageWriter:
     """Writes messages of any topic under one writer id. Thread-safe.
 
-    The arguments are those of RosCassandra.messageWriter, but with a ttl of None the rows expire
-    as the topic was made, and limits are those of a block. The run is stored at once, and with
-    counts at close.
+    The run is stored at once, and with counts at close.
+
+    Args:
+        keyspace: Where to.
+        writer_id: 1 to 2**31 - 1; repeats of the same import give the same.
+        linger_sec: How long a message may wait to be sent together with others.
+        block_sec: How long one may wait in a block (format packed); None = until it is full:
+            only then the same messages make the same blocks, as repeated imports need it.
+        limits: Those of a block.
+        give_up_after_sec: How long the writing of a message is tried.
+        format, node, ttl: As addTopic takes them, for all topics; but with a ttl of None the rows
+            expire as the topic was made.
+        run: Description of the recording or import, kept in the store.
+        on_loss: Called with (topic, messages, error) for what is lost; None: the writer raises.
     """
 
     given = False
@@ -425,18 +436,18 @@ class MessageWriter:
 
 def make_writer(
     keyspace: Keyspace,
-    writer_id: Optional[int],
     *,
-    format: Optional[str],
-    node: str,
-    ttl: int,
-    linger_sec: float,
-    block_sec: Optional[float],
-    give_up_after_sec: float,
-    run: Optional[Run],
-    on_loss: Optional[LossCallback],
+    writer_id: Optional[int] = None,
+    format: Optional[str] = None,
+    node: str = "",
+    ttl: int = 0,
+    linger_sec: float = 0.2,
+    block_sec: Optional[float] = 0.5,
+    give_up_after_sec: float = 60.0,
+    run: Optional[Run] = None,
+    on_loss: Optional[LossCallback] = None,
 ) -> MessageWriter:
-    """Check the arguments of RosCassandra.messageWriter and make the writer."""
+    """Check the arguments of RosCassandra.messageWriter and make the writer; None: any id."""
     if run is not None and not isinstance(run, Run):
         raise InvalidOption(f"run={run!r:.80} describes no run: give a store.registry.Run")
     if run is not None:

@@ -9,7 +9,6 @@ from typing import Any, Iterable, Iterator, Mapping, Optional, Sequence
 from cassandra_ros.arguments import check_new_topic, check_text, check_topics
 from cassandra_ros.errors import InvalidName, KeyspaceNotFound
 from cassandra_ros.keys import Position
-from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.stamps import duration_ns
 from cassandra_ros.query.explain import Explanation
 from cassandra_ros.query.run import QueryResult, Rows
@@ -17,7 +16,6 @@ from cassandra_ros.store.address import from_environment
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.registry import Loss, Run
 from cassandra_ros.store.run_context import RunContext
-from cassandra_ros.store.writer import LossCallback
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
 from cassandra_ros.topics.convert import Converted
@@ -149,30 +147,26 @@ class RosCassandra:
 
         Args:
             topic: Its name, kept as it is given.
-            format: Name of a storage format; None = the one in which the topic is stored, that of
-                its newest table where there are several, and of a new one 'ros'. Another one than
-                that means a second table, and a warning.
-            msg_type: 'pkg/Name' of an installed type; None = the type that the ROS master
-                knows, else that of the first message.
+            format: Name of a storage format; None = that of its newest table, of a new topic
+                'ros'. Another than it is stored in means a second table, and a warning.
+            msg_type: 'pkg/Name' of an installed type; None = that which the ROS master knows,
+                else the first message's.
             nodeID: The entity (robot) that produces its messages.
             ttl: Seconds until a message expires, 0 to MAX_TTL_SEC (some 18 years); 0 = never.
             comment: Free text.
-            key_format: What finds a message: 'time' (when it was received), 'msg_part' (a field
-                of it), 'hash' (its content) or 'manual' (a name that you give); None = as the
-                topic is stored, else 'time'. See CassandraTopic.
+            key_format: What finds a message: 'time' (when it was received), 'msg_part' (a field),
+                'hash' (its content) or 'manual' (a name that you give); None = as the topic is
+                stored, else 'time'. See CassandraTopic.
             key_part: The field of 'msg_part', as 'header.stamp'.
             metadata: Keys of your own, for getMeta; values that JSON gives back as they are.
-            index: Fields that are to have an index, as 'linear.x'; see createIndex. Those that a
-                stored topic lacks are made.
+            index: Fields that are to have an index, as 'linear.x'; see createIndex.
 
         Raises:
             TopicExists: It is stored with another type, key_format or ttl than given. (The comment
                 and metadata of a stored topic stay as they are: setMeta changes them.)
-            InvalidKey: The type has no such field as key_part.
-            InvalidName: It has no such field as one of index, or topic, nodeID or a key of
-                metadata cannot be a name.
-            InvalidOption: comment is no text, or ttl no number of seconds.
-            UnknownFormat, DefinitionError.
+            InvalidKey, InvalidName: The type has no such field as key_part, or one of index; topic,
+                nodeID or a key of metadata cannot be a name.
+            InvalidOption, UnknownFormat, DefinitionError.
         """
         if msg_type is not None:
             check_text("msg_type", msg_type, error=InvalidName, wanted="one like 'std_msgs/String'")
@@ -228,47 +222,15 @@ class RosCassandra:
         """Keep a stored topic in another format, while others read it; see convert_topic."""
         return self._open.convert(topic, format, progress)
 
-    def messageWriter(
-        self,
-        *,
-        writer_id: Optional[int] = None,
-        format: Optional[str] = None,
-        nodeID: str = "",
-        ttl: int = 0,
-        linger_sec: float = 0.2,
-        block_sec: Optional[float] = 0.5,
-        give_up_after_sec: float = 60.0,
-        run: Optional[Run] = None,
-        on_loss: Optional[LossCallback] = None,
-    ) -> MessageWriter:
-        """Make a writer of serialised messages; close it.
+    def messageWriter(self, *, nodeID: str = "", **options: Any) -> MessageWriter:
+        """Make a writer of serialised messages of any topics; close it.
 
         Args:
-            writer_id: 1 to 2**31 - 1; repeats of the same import give the same; None = any.
-            format, nodeID, ttl: As addTopic takes them, for all topics.
-            linger_sec: How long a message may wait to be sent together with others.
-            block_sec: How long one may wait in a block (format packed); None = until it is full:
-                only then the same messages make the same blocks, as repeated imports need it.
-            give_up_after_sec: How long the writing of a message is tried.
-            run: Description of the recording or import, kept in the store.
-            on_loss: Called with (topic, messages, error) for what is lost; None: the writer raises.
+            nodeID: As addTopic takes it, for all topics.
+            options: ``writer_id format ttl linger_sec block_sec give_up_after_sec run on_loss``, as
+                class MessageWriter describes them.
         """
-        return make_writer(
-            self.parts,
-            writer_id,
-            format=format,
-            node=nodeID,
-            ttl=ttl,
-            linger_sec=linger_sec,
-            block_sec=block_sec,
-            give_up_after_sec=give_up_after_sec,
-            run=run,
-            on_loss=on_loss,
-        )
-
-    def connection(self, table: str, conn: int) -> Connection:
-        """Return the connection that a row of a table names."""
-        return self.parts.connections.checked(table, conn)
+        return make_writer(self.parts, node=nodeID, **options)
 
     def info(
         self,
@@ -368,21 +330,15 @@ class RosCassandra:
         ApproximateTime; with ``unpaired`` it comes with None, as by pandas' merge_asof.
 
         Args:
-            topic_a: Each of its messages looks for a partner.
-            topic_b: Where the partners are.
+            topic_a, topic_b: Each message of the first looks for a partner in the second.
             tolerance: How far a partner may be, before or behind: seconds or a Duration.
-            key, to_key: Ends for the first topic, both included; None = open. Partners may lie
-                outside of them.
-            nodeID, run: Only messages of these; None = of all: partners may be of two nodes.
-            where: Topic -> condition, as readMessages takes it: what does not satisfy it is
-                nobody's partner.
+            key, to_key: Ends for the first topic, as of readMessages; partners may lie outside.
+            nodeID, run, where: As of readMessages, for both topics.
             unpaired: Give (row, None) for messages that have no partner.
 
         Raises:
-            TopicNotFound: One of the topics is not stored.
-            InvalidOption: A condition is for another topic.
             InvalidKey: tolerance is no length of time, or negative.
-            InvalidQuery: A condition is none.
+            TopicNotFound, InvalidOption, InvalidQuery: As of readMessages.
         """
         reach, stretch, space = duration_ns(tolerance), Stretch.between(key, to_key), self._open
         first, second = space.get(topic_a), space.get(topic_b)
@@ -467,20 +423,16 @@ class RosCassandra:
     ) -> Any:
         """Return the transform between two frames at any past time, as tf2 computes it.
 
-        The time is that of the stamps in the headers; all that was recorded counts. A slash in
-        front of a frame's name is ignored. A frame that is on tf_static is fixed: what was recorded
-        of it last holds at every time. No more is read as soon as both frames are connected and the
-        time lies between two transforms of each frame on the way (one received over 2 s out of
-        order may be missed); before an error, everything.
+        The time is that of the stamps in the headers. What was recorded last of a frame on
+        tf_static holds at every time. Reading ends as soon as both frames are connected and the
+        time lies between two transforms of each frame on the way: one received over 2 s out of
+        order may be missed.
 
         Args:
-            target: Frame to which the transform takes points.
-            source: Frame from which it takes them.
-            time: As a key: genpy.Time, int (ns), float (s) or ISO 8601 text. 0 means, as in tf2,
-                the newest time that is recorded for all frames on the way.
+            target, source: Frames to which, and from which, the transform takes points.
+            time: As a key. 0 means, as in tf2, the newest that all frames on the way have.
             nodeID, run: Only transforms of these, of both topics; None = of all.
-            tf: Topic of the moving transforms.
-            tf_static: Topic of the fixed ones. One of the two may be missing.
+            tf, tf_static: Topics of moving and of fixed transforms. One of them may be missing.
 
         Returns:
             A geometry_msgs/TransformStamped: ``header.frame_id`` is target, ``child_frame_id``
@@ -490,8 +442,7 @@ class RosCassandra:
             LookupException, ConnectivityException, ExtrapolationException: As of tf2; each is a
                 TransformException of this package.
             TopicNotFound: Neither topic is stored.
-            TypeMismatch: A topic holds no transforms.
-            MissingDependency: tf2_py is not installed.
+            TypeMismatch, MissingDependency: A topic holds no transforms; there is no tf2_py.
             InvalidKey, InvalidName.
         """
         writers = self.parts.runs.writers(run)
