@@ -19,7 +19,8 @@ from std_msgs.msg import String
 from cassandra_ros.bag.exporter import export_bag
 from cassandra_ros.bag.identity import earlier_writer_id, read_content
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.reader import BagReader, match_topics
+from cassandra_ros.bag.message_file import match_topics
+from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.verify import verify_bag
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import (

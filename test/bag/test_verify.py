@@ -13,7 +13,8 @@ from std_msgs.msg import Header
 
 from cassandra_ros.bag.exporter import export_bag
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.reader import BagReader, read_in_order
+from cassandra_ros.bag.message_file import read_in_order
+from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.verify import Comparison, Entry, VerifyReport, verify_bag, verify_content
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError

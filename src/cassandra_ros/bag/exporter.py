@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Iterable, Sequence
 
-from cassandra_ros.bag.reader import Progress
+from cassandra_ros.bag.message_file import Progress
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError, MessageNotFound
 from cassandra_ros.keys import split_seq

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from cassandra_ros.bag.chunk import Places
-from cassandra_ros.bag.reader import BagReader, Progress
+from cassandra_ros.bag.message_file import MessageFile, Progress
 from cassandra_ros.errors import BagError
 from cassandra_ros.keys import MAX_WRITER
 from cassandra_ros.store.registry import Run
@@ -63,7 +63,7 @@ class BagContent(NamedTuple):
         return run.labels.get(CONTENT) == self.digest
 
 
-def read_content(reader: BagReader, reading: Progress | None = None) -> BagContent:
+def read_content(reader: MessageFile, reading: Progress | None = None) -> BagContent:
     """Read all messages of a bag and hash them in the order of the file.
 
     A chunk that is damaged counts as such. Nothing of it can be stored: the import that reaches it
@@ -130,7 +130,7 @@ def is_earlier(run: Run) -> bool:
     return run.kind == "import" and CONTENT not in run.labels
 
 
-def earlier_writer_id(reader: BagReader, node: str) -> int:
+def earlier_writer_id(reader: MessageFile, node: str) -> int:
     """Compute the writer id that an earlier release gave to a bag's import.
 
     Only the first and the last 1,000 messages counted: bags that differ in between share it.
@@ -145,7 +145,7 @@ def earlier_writer_id(reader: BagReader, node: str) -> int:
     return _number(digest)
 
 
-def _begin(head: bytes, reader: BagReader) -> tuple[hashlib._Hash, dict[int, int]]:
+def _begin(head: bytes, reader: MessageFile) -> tuple[hashlib._Hash, dict[int, int]]:
     """Hash what the index says of a bag; return the hash and each connection's place in it."""
     digest = hashlib.sha256(head)
     connections = reader.connections

@@ -15,7 +15,8 @@ from cassandra_ros.bag import identity
 from cassandra_ros.bag.identity import BagContent
 from cassandra_ros.bag.job_process import Part, bag_writer, connect, stretches
 from cassandra_ros.bag.jobs import MAX_JOBS, run_parts, spans_of_jobs
-from cassandra_ros.bag.reader import BagReader, Progress, chosen_connections
+from cassandra_ros.bag.message_file import MessageFile, Progress, chosen_connections
+from cassandra_ros.bag.opening import open_file
 from cassandra_ros.bag.verify import holds_nothing_else
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
@@ -109,7 +110,7 @@ def import_bag(
     """
     jobs = check_integer("jobs", jobs, 1, MAX_JOBS)
     store = {**ros_cas.cassandra.arguments(), "keyspace": ros_cas.keyspace} if jobs > 1 else {}
-    with BagReader(path) as reader:
+    with open_file(path) as reader:
         numbers = chosen_connections(reader, topics)
         content = identity.read_content(reader, reading)
         writer_id = _writer_id(ros_cas, reader, nodeID, content)
@@ -138,7 +139,7 @@ def import_bag(
 
 
 def _run(
-    reader: BagReader, node: str, writer_id: int, format: str | None, content: BagContent
+    reader: MessageFile, node: str, writer_id: int, format: str | None, content: BagContent
 ) -> Run:
     """Describe the import for the list of runs."""
     # The name of a file may be no text.
@@ -148,7 +149,7 @@ def _run(
     return Run(node, writer_id, "import", name, path, format or "", labels=labels)
 
 
-def _refuse_names(reader: BagReader, numbers: AbstractSet[int], report: ImportReport) -> set[int]:
+def _refuse_names(reader: MessageFile, numbers: AbstractSet[int], report: ImportReport) -> set[int]:
     """Note the topics whose names cannot be kept; return the other connections."""
     kept: set[int] = set()
     for number in sorted(numbers):
@@ -167,7 +168,7 @@ def _refuse_names(reader: BagReader, numbers: AbstractSet[int], report: ImportRe
     return kept
 
 
-def _writer_id(ros_cas: RosCassandra, reader: BagReader, node: str, content: BagContent) -> int:
+def _writer_id(ros_cas: RosCassandra, reader: MessageFile, node: str, content: BagContent) -> int:
     """Return the writer id of this bag's import: that of an earlier one where there is one."""
     runs = {run.writer: run for run in ros_cas.parts.registry.runs() if run.node == node}
     known = next(filter(content.is_of, runs.values()), None)
@@ -190,7 +191,7 @@ def _writer_id(ros_cas: RosCassandra, reader: BagReader, node: str, content: Bag
 
 
 def _formats(
-    ros_cas: RosCassandra, reader: BagReader, numbers: AbstractSet[int], run: Run
+    ros_cas: RosCassandra, reader: MessageFile, numbers: AbstractSet[int], run: Run
 ) -> dict[int, str]:
     """Return in which format the messages of each connection are kept.
 
@@ -236,7 +237,7 @@ def _remove_other_blocks(ros_cas: RosCassandra, handles: Mapping[int, Handle], r
 
 
 def _write_messages(
-    reader: BagReader,
+    reader: MessageFile,
     writer: MessageWriter,
     handles: dict[int, Handle],
     report: ImportReport,
@@ -261,7 +262,7 @@ def _write_messages(
 
 
 def _write_parts(
-    reader: BagReader,
+    reader: MessageFile,
     writer: MessageWriter,
     handles: dict[int, Handle],
     report: ImportReport,
@@ -317,7 +318,7 @@ class _Rate:
         self.start_ns, self.count, self.bytes = start_ns, 0, 0.0
 
 
-def table_lengths(reader: BagReader, sizes: Mapping[int, int]) -> dict[int, Lengths]:
+def table_lengths(reader: MessageFile, sizes: Mapping[int, int]) -> dict[int, Lengths]:
     """Choose the lengths of each connection's table, equal for those that share one.
 
     The highest rate over stretches of at least 10 s decides, as the counts of the chunks and the

@@ -17,7 +17,8 @@ from types import FrameType
 from typing import Dict, Iterator, List, Optional, Tuple
 
 from cassandra_ros.arguments import check_node
-from cassandra_ros.bag.reader import BagReader, Stretch
+from cassandra_ros.bag.message_file import MessageFile, Stretch
+from cassandra_ros.bag.opening import open_file
 from cassandra_ros.errors import BagError, CassandraRosError
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.store.blocks.limits import limits_for
@@ -84,7 +85,7 @@ class Stored:
         return Stored(counts, **values)
 
 
-def stretches(reader: BagReader, spans: Dict[int, Span]) -> Iterator[Stretch]:
+def stretches(reader: MessageFile, spans: Dict[int, Span]) -> Iterator[Stretch]:
     """Read the messages of some connections and times; chunks without any are not unpacked.
 
     Which they are is told by the index: where it is wrong messages are missed.
@@ -102,7 +103,7 @@ def stretches(reader: BagReader, spans: Dict[int, Span]) -> Iterator[Stretch]:
 
 def bag_writer(
     ros_cas: RosCassandra,
-    reader: BagReader,
+    reader: MessageFile,
     writer_id: int,
     node: str,
     *,
@@ -160,7 +161,7 @@ def _say(line: str) -> None:
 
 def _write(part: Part, teller: _Teller) -> None:
     """Store the messages of a part; those that the teller has counted are acknowledged then."""
-    with RosCassandra(**part.store) as ros_cas, BagReader(part.path) as reader:  # type: ignore[arg-type]
+    with RosCassandra(**part.store) as ros_cas, open_file(part.path) as reader:  # type: ignore[arg-type]
         # The import's run, its heartbeat and its tables are those of the process that started us.
         with bag_writer(ros_cas, reader, part.writer_id, part.node) as writer:
             handles = {

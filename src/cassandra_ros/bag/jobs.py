@@ -18,7 +18,7 @@ from typing import Iterable, Mapping, Sequence
 from cassandra_ros import errors
 from cassandra_ros.bag.identity import BagContent
 from cassandra_ros.bag.job_process import Part, Span, Stored
-from cassandra_ros.bag.reader import BagReader, Progress
+from cassandra_ros.bag.message_file import MessageFile, Progress
 from cassandra_ros.errors import WriteFailed
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.metadata import TopicMetadata
@@ -36,7 +36,7 @@ _PROGRAM = (
 
 
 def spans_of_jobs(
-    reader: BagReader, handles: Mapping[int, Handle], content: BagContent, jobs: int
+    reader: MessageFile, handles: Mapping[int, Handle], content: BagContent, jobs: int
 ) -> list[dict[int, Span]]:
     """Divide the messages of a bag among processes, about equally by bytes.
 
@@ -69,7 +69,7 @@ def spans_of_jobs(
     return [part for part in parts if part]
 
 
-def _moments(reader: BagReader, sizes: Mapping[int, int], jobs: int) -> list[int]:
+def _moments(reader: MessageFile, sizes: Mapping[int, int], jobs: int) -> list[int]:
     """Return the times, ns, between which equal parts of the bag lie, as its index tells."""
     means = {number: sizes[number] / count for number, count in reader.counts.items()}
     chunks = sorted(map(reader.chunk_info, range(reader.chunk_count)), key=lambda c: c.start_ns)

@@ -12,7 +12,8 @@ from itertools import groupby, islice
 from typing import AbstractSet, Iterable, Iterator, Mapping, NamedTuple
 
 from cassandra_ros.bag.identity import earlier_writer_id, is_earlier, read_content
-from cassandra_ros.bag.reader import BagReader, Progress, chosen_connections, read_in_order
+from cassandra_ros.bag.message_file import MessageFile, Progress, chosen_connections, read_in_order
+from cassandra_ros.bag.opening import open_file
 from cassandra_ros.errors import CorruptMessage, InvalidKey
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection import Connection
@@ -98,7 +99,7 @@ def verify_bag(
         RunNotFound: The store has no such run.
         InvalidKey: The bag was imported for several nodes, and nodeID does not choose.
     """
-    with BagReader(path) as reader:
+    with open_file(path) as reader:
         numbers = chosen_connections(reader, topics)
         chosen = {n: reader.connections[n].topic for n in numbers}
         stored = _stored_topics(ros_cas, chosen.values())
@@ -156,7 +157,7 @@ def verify_content(
     """
     renamed = dict(mapping or {})
     writers = ros_cas.parts.runs.writers(run)
-    with BagReader(path) as reader:
+    with open_file(path) as reader:
         numbers = chosen_connections(reader, topics)
         report = VerifyReport(reader.path, "all stored messages on its topics, by content")
         if start is not None and to_ns(start) <= reader.start_ns:
@@ -176,14 +177,14 @@ def verify_content(
     return report
 
 
-def _leave_out(reader: BagReader, numbers: AbstractSet[int], report: VerifyReport) -> set[int]:
+def _leave_out(reader: MessageFile, numbers: AbstractSet[int], report: VerifyReport) -> set[int]:
     """Return the connections of messages from before the window of a bag, and count these."""
     early = {n for n in numbers if reader.connections[n].from_before}
     report.left_out = sum(reader.counts[n] for n in early)
     return early
 
 
-def holds_nothing_else(ros_cas: RosCassandra, reader: BagReader, found: Run) -> bool:
+def holds_nothing_else(ros_cas: RosCassandra, reader: MessageFile, found: Run) -> bool:
     """Say whether an import has rows, and each of them is a message of this bag."""
     topics = {c.topic for c in reader.connections.values()}
     report = VerifyReport(reader.path, "")
@@ -199,7 +200,7 @@ def _stored_topics(ros_cas: RosCassandra, names: Iterable[str]) -> AbstractSet[s
 
 def _find_import(
     ros_cas: RosCassandra,
-    reader: BagReader,
+    reader: MessageFile,
     topics: AbstractSet[str],
     node: str | None,
     reading: Progress | None,
@@ -238,7 +239,7 @@ def _find_import(
 
 def _by_place(
     ros_cas: RosCassandra,
-    reader: BagReader,
+    reader: MessageFile,
     topics: AbstractSet[str],
     found: Run | None,
     node: str | None,
@@ -322,7 +323,7 @@ def _in_order(rows: Iterable[StoredRow], ranks: _Ranks) -> Iterator[Entry]:
 
 
 def _compare(
-    reader: BagReader,
+    reader: MessageFile,
     numbers: AbstractSet[int],
     comparisons: Mapping[str, Comparison],
     progress: Progress | None,

@@ -24,7 +24,7 @@ from cassandra_ros.cli.text import MessageBar, format_bytes, format_table, shown
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.importer import ImportReport
-    from cassandra_ros.bag.reader import Progress
+    from cassandra_ros.bag.message_file import Progress
     from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 
@@ -69,9 +69,10 @@ def run(options: argparse.Namespace) -> int:
 
 def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> ImportReport:
     from cassandra_ros.bag.importer import import_bag
-    from cassandra_ros.bag.reader import BagReader, chosen_connections
+    from cassandra_ros.bag.message_file import chosen_connections
+    from cassandra_ros.bag.opening import open_file
 
-    with BagReader(path) as reader:
+    with open_file(path) as reader:
         chosen = chosen_connections(reader, options.topics)
         count = sum(reader.counts[number] for number in chosen)
         total = reader.message_count

@@ -74,11 +74,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> VerifyReport:
-    from cassandra_ros.bag.reader import BagReader
+    from cassandra_ros.bag.opening import open_file
     from cassandra_ros.bag.verify import verify_bag, verify_content
 
     start, end = read_times(options)
-    with BagReader(options.bag) as reader:
+    with open_file(options.bag) as reader:
         count = reader.message_count
     first = MessageBar(f"reading {options.bag}", count)
     bar = MessageBar(f"verifying {options.bag}", count)

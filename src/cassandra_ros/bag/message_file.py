@@ -1,0 +1,225 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A file of messages, whatever its format: connections, and messages chunk by chunk."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from bisect import bisect_left
+from collections import Counter
+from difflib import get_close_matches
+from typing import AbstractSet, Callable, Iterable, Iterator, Mapping, NamedTuple, TypeVar
+
+import numpy as np
+
+from cassandra_ros.bag.chunk import Longs, Places
+from cassandra_ros.bag.index import ChunkInfo
+from cassandra_ros.errors import BagError, TopicNotFound
+from cassandra_ros.keys import MAX_NS
+from cassandra_ros.messages.connection import Connection
+
+LISTED = 10
+"""Topics that an error names."""
+
+Progress = Callable[[int, int], None]
+"""Called with the messages and bytes that were handled since the last call."""
+
+Self = TypeVar("Self", bound="MessageFile")
+
+
+class RawMessage(NamedTuple):
+    """A message as it lies in the bag."""
+
+    position: int
+    """Place among all messages of the bag, in the order of the file, from 0."""
+    number: int
+    """Key of MessageFile.connections."""
+    t_ns: int
+    data: bytes
+
+
+class Stretch(NamedTuple):
+    """The messages of one connection in one chunk, in its order."""
+
+    number: int
+    """Key of MessageFile.connections."""
+    positions: Longs
+    """Their places among all messages of the bag, in the order of the file, from 0."""
+    times: Longs
+    """ns."""
+    wires: list[bytes]
+
+
+class MessageFile(ABC):
+    """A bag or an MCAP that is open for reading; also a context manager.
+
+    Attributes:
+        path: Of the file, as it was given.
+        connections: By number, in the order of the index. Like rosbag, we leave out those that
+            no message refers to.
+        counts: Messages of each connection, by number.
+        message_count, chunk_count: Of the whole file.
+        start_ns, end_ns: Times of the first and the last message, ns; 0 in an empty file.
+    """
+
+    path: str
+    connections: dict[int, Connection]
+    counts: Counter[int]
+    message_count: int
+    chunk_count: int
+    start_ns: int
+    end_ns: int
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the file; twice is harmless."""
+
+    @abstractmethod
+    def chunk_info(self, chunk: int) -> ChunkInfo:
+        """Read what the index says about a chunk, in [0, chunk_count), in the file's order."""
+
+    @abstractmethod
+    def chunk_times(self, chunk: int) -> tuple[int, int]:
+        """Return the first and last time in a chunk as the index has them, ns."""
+
+    @abstractmethod
+    def chunk_content(self, chunk: int) -> tuple[bytes, Places]:
+        """Read what a chunk holds, and where its messages lie in it; see messages.
+
+        Their ids are those of ``connections``. Before each message stand 20 bytes or more that
+        are no part of one.
+        """
+
+    def __enter__(self: Self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def messages(
+        self, numbers: AbstractSet[int] | None = None, start: int = 0
+    ) -> Iterator[RawMessage]:
+        """Read the messages in the order of the file, of some connections or of all.
+
+        Args:
+            start: Skip the messages whose position is lower.
+
+        Raises:
+            BagError: A chunk is damaged or contradicts the index; the text names it.
+        """
+        if start >= self.message_count:
+            return
+        first = self.chunk_count - 1
+        while self.chunk_info(first).first > start:
+            first -= 1
+        for chunk in range(first, self.chunk_count):
+            for message in self.chunk_messages(chunk, numbers):
+                if message.position >= start:
+                    yield message
+
+    def chunk_messages(
+        self, chunk: int, numbers: AbstractSet[int] | None = None
+    ) -> Iterator[RawMessage]:
+        """Read the messages of one chunk; see messages."""
+        info = self.chunk_info(chunk)
+        if numbers is not None and numbers.isdisjoint(info.counts):
+            return
+        content, places = self.chunk_content(chunk)
+        columns = zip(*(column.tolist() for column in places))
+        for position, (number, t_ns, start, stop) in enumerate(columns, info.first):
+            if numbers is None or number in numbers:
+                yield RawMessage(position, number, t_ns, content[start:stop])
+
+    def stretches(self, chunk: int, spans: Mapping[int, tuple[int, int]]) -> Iterator[Stretch]:
+        """Read the messages of a chunk, connection by connection; see messages.
+
+        Args:
+            spans: Only these connections, and their messages from one time on and before another,
+                ns.
+        """
+        info = self.chunk_info(chunk)
+        wanted = [number for number in info.counts if number in spans]
+        if not wanted:
+            return
+        content, places = self.chunk_content(chunk)
+        for number in wanted:
+            since, until = spans[number]
+            fits = (places.ids == number) & (places.times >= since) & (places.times < until)
+            chosen = np.flatnonzero(fits)
+            ends = zip(places.starts[chosen].tolist(), places.stops[chosen].tolist())
+            wires = [content[start:stop] for start, stop in ends]
+            yield Stretch(number, info.first + chosen, places.times[chosen], wires)
+
+
+class Ordered(NamedTuple):
+    """A message of a bag, comparable in the order of reading."""
+
+    t_ns: int
+    rank: int
+    """Place of the connection in the bag's index."""
+    position: int
+    value: bytes
+    """What was asked to be kept of the message."""
+
+
+def read_in_order(
+    reader: MessageFile,
+    keep: Callable[[RawMessage], bytes],
+    numbers: AbstractSet[int] | None = None,
+) -> Iterator[Ordered]:
+    """Yield the messages of a bag in the order in which rosbag reads them.
+
+    Chunks are read by their first time, each once. Held in memory are the largest chunk, and
+    about 250 bytes beside the kept value for each message that a later chunk may still precede:
+    one or two chunks' worth in a recorded bag, all of the bag when every chunk spans all of it.
+
+    Raises:
+        BagError: A chunk is damaged, or holds times that the index denies.
+    """
+    rank = {number: place for place, number in enumerate(reader.connections)}
+    order = sorted(range(reader.chunk_count), key=reader.chunk_times)
+    starts = [reader.chunk_times(chunk)[0] for chunk in order]
+    waiting: list[Ordered] = []
+    for chunk, next_ns in zip(order, [*starts[1:], MAX_NS + 1]):
+        start_ns, end_ns = reader.chunk_times(chunk)
+        for message in reader.chunk_messages(chunk, numbers):
+            if not start_ns <= message.t_ns <= end_ns:
+                raise BagError(
+                    f"{reader.path}: chunk {chunk + 1} holds a message outside the times that "
+                    f"the index states; repair it with: rosbag reindex {reader.path}"
+                )
+            entry = Ordered(message.t_ns, rank[message.number], message.position, keep(message))
+            waiting.append(entry)
+        waiting.sort()  # runs that are in order already cost one comparison a message
+        ready = bisect_left(waiting, (next_ns,))
+        yield from waiting[:ready]
+        del waiting[:ready]
+
+
+def match_topics(names: Iterable[str], present: AbstractSet[str], where: str) -> set[str]:
+    """Find topics by name, with or without the leading slash; TopicNotFound lists what is there."""
+    found: set[str] = set()
+    for name in names:
+        matches = {name} & present or {t for t in present if t.strip("/") == name.strip("/")}
+        if not matches:
+            raise TopicNotFound(f"there is no topic {name} in {where}; {_listing(name, present)}")
+        found |= matches
+    return found
+
+
+def _listing(name: str, present: AbstractSet[str]) -> str:
+    if not present:
+        return "it has none"
+    near = get_close_matches(name, sorted(present), n=LISTED, cutoff=0.4)
+    every = [*near, *sorted(present - set(near))]
+    more = f" and {len(every) - LISTED} more" if len(every) > LISTED else ""
+    return f"it has {', '.join(every[:LISTED])}{more} ({len(every)} topics)"
+
+
+def chosen_connections(reader: MessageFile, topics: Iterable[str] | None) -> set[int]:
+    """Return the numbers of the connections of some topics of a bag (None = of all)."""
+    connections = reader.connections
+    if topics is None:
+        return set(connections)
+    names = match_topics(topics, {c.topic for c in connections.values()}, reader.path)
+    return {number for number, c in connections.items() if c.topic in names}
