@@ -84,7 +84,7 @@ def test_errors_are_one_line_on_stderr_and_status_1(type_in):
     done = type_in("start", "--host", "10.0.0.1")
     assert done.returncode == 1
     assert done.stdout == ""
-    assert done.stderr.startswith("error: ")
+    assert done.stderr.startswith("local_cassandra: ")
     assert "loopback" in done.stderr
 
 

@@ -9,7 +9,8 @@ import logging
 import sys
 from typing import Sequence
 
-from cassandra_ros.cli.options import strip_remappings, verbs_parser
+from cassandra_ros.cli.options import strip_remappings
+from cassandra_ros.cli.parsers import error_line, verbs_parser
 from cassandra_ros.cli.verbs import VERBS
 from cassandra_ros.errors import CassandraRosError, InvalidQuery
 
@@ -37,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     options = make_parser().parse_args(strip_remappings(argv))
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter(f"{PROGRAM}: %(message)s"))
+    handler.setFormatter(logging.Formatter(error_line(PROGRAM, "%(message)s")))
     logger = logging.getLogger("cassandra_ros")
     logger.addHandler(handler)
     # The driver's own warnings speak of things that its caller chose.
@@ -47,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except CassandraRosError as exc:
         # One line; a question that is none with a caret under the spot.
         text = str(exc) if isinstance(exc, InvalidQuery) else " ".join(str(exc).split())
-        print(f"{PROGRAM}: {text}", file=sys.stderr)
+        print(error_line(PROGRAM, text), file=sys.stderr)
         return 1
     finally:
         logger.removeHandler(handler)

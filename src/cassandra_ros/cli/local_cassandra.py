@@ -13,7 +13,8 @@ import time
 from pathlib import Path
 from typing import Sequence
 
-from cassandra_ros.cli.options import strip_remappings, verbs_parser
+from cassandra_ros.cli.options import strip_remappings
+from cassandra_ros.cli.parsers import verbs_parser
 from cassandra_ros.cli.text import format_bytes
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import LocalCluster, NodeStatus, install_jars
@@ -244,7 +245,8 @@ def _number_or_nothing(text: str) -> int | None:
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser with all verbs."""
-    return verbs_parser("local_cassandra", __doc__, VERBS, _add_arguments)
+    more = f"  {EXIT_NOT_RUNNING:<4} of status: not every node answers"
+    return verbs_parser("local_cassandra", __doc__, VERBS, _add_arguments, more)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

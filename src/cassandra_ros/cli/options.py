@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import argparse
-import inspect
 import os
 import re
 import sys
@@ -13,7 +12,7 @@ import time
 from decimal import Decimal
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Callable, Sequence
 
 from cassandra_ros.errors import ConnectionFailed, InvalidKey, InvalidOption, TlsMismatch
 from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
@@ -44,34 +43,6 @@ def add_format_option(parser: argparse._ActionsContainer) -> None:
         f"as {DEFAULT_FORMAT}); another one than a topic is stored in gives it a second table "
         "('cassandra_bag convert' changes the one that it has)",
     )
-
-
-def program_parser(program: str, text: str | None) -> argparse.ArgumentParser:
-    """Return a parser that shows a docstring as it is written."""
-    return argparse.ArgumentParser(
-        prog=program,
-        description=inspect.cleandoc(text or ""),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-
-
-def verbs_parser(
-    program: str,
-    text: str | None,
-    verbs: Mapping[str, object],
-    add_arguments: Callable[[str, argparse.ArgumentParser], None],
-) -> argparse.ArgumentParser:
-    """Return the parser of a program with verbs, whose docstrings are their help texts."""
-    parser = argparse.ArgumentParser(prog=program, description=text)
-    verb_parsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    raw = argparse.RawDescriptionHelpFormatter
-    for name, verb in verbs.items():
-        doc = inspect.getdoc(verb) or ""
-        first = doc.splitlines()[0]
-        found = verb_parsers.add_parser(name, help=first, description=doc, formatter_class=raw)
-        found.set_defaults(parser=found)
-        add_arguments(name, found)
-    return parser
 
 
 def add_store_options(parser: argparse.ArgumentParser) -> None:

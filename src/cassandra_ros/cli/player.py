@@ -25,12 +25,12 @@ from cassandra_ros.cli.options import (
     add_store_options,
     add_where_option,
     open_store,
-    program_parser,
     read_pair,
     read_where,
     strip_remappings,
     without_empty,
 )
+from cassandra_ros.cli.parsers import program_parser
 from cassandra_ros.cli.readers import (
     duration,
     factor,

@@ -17,10 +17,10 @@ from typing import Callable, Sequence
 from cassandra_ros.cli.options import (
     add_store_options,
     open_store,
-    program_parser,
     read_port,
     strip_remappings,
 )
+from cassandra_ros.cli.parsers import program_parser
 
 PROGRAM = "query_server"
 

@@ -25,10 +25,10 @@ from cassandra_ros.cli.options import (
     add_format_option,
     add_store_options,
     open_store,
-    program_parser,
     store_place,
     strip_remappings,
 )
+from cassandra_ros.cli.parsers import error_line, program_parser
 from cassandra_ros.cli.readers import byte_size, checked, duration, megabytes, whole_number
 from cassandra_ros.cli.recorder_report import StatusLine, closing_table, failures, plan_table
 from cassandra_ros.errors import InvalidName, InvalidOption, UnknownFormat
@@ -298,5 +298,5 @@ def main() -> int:
     say(closing_table(reports, rates=not chosen.snapshot))
     problems = failures(reports)
     for text in problems:
-        print(f"{PROGRAM}: {text}", file=sys.stderr)
+        print(error_line(PROGRAM, text), file=sys.stderr)
     return 1 if problems else 0

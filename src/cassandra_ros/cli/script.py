@@ -40,11 +40,11 @@ def run_script(module: str) -> None:
         status = importlib.import_module(module).main()
         sys.stdout.flush()
     except CassandraRosError as exc:
-        status = f"error: {exc}"
+        status = f"{module.rsplit('.', 1)[-1]}: {exc}"
     except ModuleNotFoundError as exc:
         if (exc.name or "").split(".")[0] not in _NEEDED:
             raise
-        status = explain_missing(exc)
+        status = f"{module.rsplit('.', 1)[-1]}: {explain_missing(exc)}"
     except KeyboardInterrupt:
         status = EXIT_INTERRUPTED
     except BrokenPipeError:
@@ -57,18 +57,19 @@ def run_script(module: str) -> None:
 def explain_missing(error: ImportError) -> str:
     """Return what to do when a Python package that we need is not there."""
     return (
-        f"error: {error}; this Python ({sys.executable}) lacks what cassandra_ros needs.\n"
+        f"{error}; this Python ({sys.executable}) lacks what cassandra_ros needs.\n"
         "In a checkout of cassandra_ros: make setup\n"
         "In a catkin workspace of your own (the scripts then run with the Python of the venv):\n"
         "  /usr/bin/python3 -m venv --system-site-packages ~/cassandra_ros_venv\n"
-        f"  ~/cassandra_ros_venv/bin/pip install -r {_requirements()}\n"
+        f"  ~/cassandra_ros_venv/bin/pip install -r {shipped_file('requirements.txt')}\n"
         "  catkin_make -DPYTHON_EXECUTABLE=$HOME/cassandra_ros_venv/bin/python"
     )
 
 
-def _requirements() -> Path:
+def shipped_file(name: str) -> Path:
+    """Return where a file of the package's folder lies: in a checkout, or where it is installed."""
     for parent in Path(__file__).parents:
         for place in (parent, parent / "share" / "cassandra_ros"):
-            if (place / "requirements.txt").is_file():
-                return place / "requirements.txt"
-    return Path("requirements.txt")
+            if (place / name).is_file():
+                return place / name
+    return Path(name)

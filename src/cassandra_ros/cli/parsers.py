@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How every program explains itself, which exit statuses it has and how it words an error."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import re
+import sys
+from typing import Callable, Mapping, NoReturn
+
+from cassandra_ros.cli.script import shipped_file
+
+_STATUSES = """\
+exit status:
+  0    all was done
+  1    it failed, or some of it did: each line '%(prog)s: …' on standard error says what
+  2    wrong usage; nothing was done"""
+_ENDED = "  130  ended by Ctrl-C, 143 by SIGTERM, 141 by the reader of its output (| head)"
+_RAW = argparse.RawDescriptionHelpFormatter
+
+
+def error_line(program: str, text: object) -> str:
+    """Return what a program prints on standard error where something failed: PROGRAM: why."""
+    return f"{program}: {text}"
+
+
+def _closing(program: str, more: str) -> str:
+    # Verbs bear the program's name before theirs, and errors only that.
+    return "\n".join(filter(None, (_STATUSES.replace("%(prog)s", program), more, _ENDED)))
+
+
+class Parser(argparse.ArgumentParser):
+    """Reads a command line; wrong usage is reported as all errors are."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the usage and what is wrong with the words, and end with status 2."""
+        self.print_usage(sys.stderr)
+        program = self.prog.split()[0]
+        self.exit(2, error_line(program, f"{message} (see {self.prog} --help)") + "\n")
+
+
+def program_parser(program: str, text: str | None, more: str = "") -> Parser:
+    """Return a parser that shows a docstring as it is written; more: further exit statuses."""
+    description, closing = inspect.cleandoc(text or ""), _closing(program, more)
+    return Parser(prog=program, description=description, epilog=closing, formatter_class=_RAW)
+
+
+def verbs_parser(
+    program: str,
+    text: str | None,
+    verbs: Mapping[str, object],
+    add_arguments: Callable[[str, argparse.ArgumentParser], None],
+    more: str = "",
+) -> Parser:
+    """Return the parser of a program with verbs, whose docstrings are their help texts."""
+    parser = program_parser(program, text, more)
+    parser.add_argument("--version", action="version", version=f"{program} {version()}")
+    verb_parsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    for name, verb in verbs.items():
+        doc = inspect.getdoc(verb) or ""
+        found = verb_parsers.add_parser(
+            name,
+            help=doc.splitlines()[0],
+            description=doc,
+            epilog=_closing(program, more),
+            formatter_class=_RAW,
+        )
+        found.set_defaults(parser=found)
+        add_arguments(name, found)
+    return parser
+
+
+def version() -> str:
+    """Return the version that package.xml states."""
+    file = shipped_file("package.xml")
+    text = file.read_text("utf-8") if file.is_file() else ""
+    found = re.search(r"<version>([^<]+)</version>", text)
+    return found[1] if found else "unknown"
