@@ -16,17 +16,18 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup demo test campaign lint bench bench-quick bench-page bench-formats bench-play clean distclean
+.PHONY: help setup demo test campaign lint doc bench bench-quick bench-page bench-formats bench-play clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, workspace .ws"
 	@echo "make demo           record, ask and export a real robot's topics, end to end"
 	@echo "make test           all tests, on a real Cassandra and a real roscore (ARGS='-k name')"
 	@echo "make campaign       random searches and faults, ten times as far (LENGTH=short: once, for CI)"
-	@echo "make lint           ruff, mypy, catkin_lint"
+	@echo "make lint           ruff, mypy, catkin_lint, make doc"
+	@echo "make doc            the pages of doc/, as build/doc/index.html; a warning is an error"
 	@echo "make bench          measure beside rosbag, MCAP, SQLite and the bare driver (40 minutes)"
 	@echo "make bench-quick    the same with small numbers (5 minutes)"
-	@echo "make bench-page     fill the tables of README.md and doc/performance.md from the last make bench"
+	@echo "make bench-page     fill the tables of doc/performance.md from the last make bench"
 	@echo "make bench-formats  measure formats on messages of real bags: bytes on disk, time"
 	@echo "make bench-play     measure how late messages are played, beside rosbag play"
 	@echo "make clean          remove what was built; make distclean: also .venv"
@@ -44,11 +45,15 @@ campaign: LENGTH ?= long
 campaign: setup
 	@$(IN_WORKSPACE) CASSANDRA_ROS_CAMPAIGN=$(LENGTH) $(PYTHON) -m pytest -n 3 $(ARGS)
 
-lint: setup
+lint: setup doc
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m mypy
 	@$(IN_WORKSPACE) .venv/bin/catkin_lint --strict -W2 $(LINT_OPTIONS) .ws/src/cassandra_ros
+
+doc: setup
+	@$(IN_WORKSPACE) $(PYTHON) -m sphinx -q -W --keep-going -d build/doctrees doc build/doc
+	@echo "doc: build/doc/index.html"
 
 bench: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench.py $(ARGS)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Fill the tables of README.md and doc/performance.md from the last full run.
+"""Fill the tables of doc/performance.md from the last full run.
 
 Everything between <!-- bench:NAME --> and <!-- /bench:NAME --> is made anew, so that no figure is
 ever typed by hand.
@@ -17,11 +17,11 @@ from suite.results import Results
 from suite.tables import fill
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = ("README.md", "doc/performance.md")
+PAGE = ROOT / "doc/performance.md"
 
 
 def main() -> int:
-    """Read the results and write the pages; with --check only tell whether they agree."""
+    """Read the results and write the page; with --check only tell whether they agree."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
     default = ROOT / "benchmark/results/full.json"
     parser.add_argument("results", nargs="?", type=Path, default=default, help="(%(default)s)")
@@ -30,19 +30,16 @@ def main() -> int:
     )
     args = parser.parse_args()
     results = Results.load(args.results)
-    differ = 0
-    for name in PAGES:
-        page = ROOT / name
-        text = page.read_text(encoding="utf-8")
-        filled = fill(text, results)
-        if filled != text:
-            differ = 1
-            print(f"{name}: {'differs' if args.check else 'filled'}")
-            if not args.check:
-                page.write_text(filled, encoding="utf-8")
-    if not args.check:
-        save_all(results, args.results.parent, args.results.stem)
-    return differ if args.check else 0
+    text = PAGE.read_text(encoding="utf-8")
+    filled = fill(text, results)
+    differs = filled != text
+    if differs:
+        print(f"{PAGE.name}: {'differs' if args.check else 'filled'}")
+    if args.check:
+        return int(differs)
+    PAGE.write_text(filled, encoding="utf-8")
+    save_all(results, args.results.parent, args.results.stem)
+    return 0
 
 
 if __name__ == "__main__":

@@ -149,7 +149,7 @@ def test_the_storyboard_finds_what_the_bag_holds(cassandra, keyspace, ros_env):
     at = re.search(r"then at x (\S+) m, y (\S+) m", done.stdout)
     assert abs(float(at[1]) - pose.x - math.cos(pose.theta)) < 0.05
     assert abs(float(at[2]) - pose.y - math.sin(pose.theta)) < 0.05
-    assert done.stdout.partition("replay:")[0] in (ROOT / "README.md").read_text()
+    assert done.stdout.partition("replay:")[0] in (ROOT / "doc/examples.md").read_text()
 
 
 def test_the_storyboard_replays_the_window(cassandra, keyspace, rosCas, roscore):

@@ -22,7 +22,10 @@ from packaging.specifiers import SpecifierSet
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = sorted(path.name for path in (ROOT / "scripts").iterdir())
 LAUNCH = ROOT / "launch" / "cassandra_ros.launch"
-REQUIREMENTS = ("requirements.txt", "requirements-tables.txt", "requirements-dev.txt")
+REQUIREMENTS = (
+    *("requirements.txt", "requirements-tables.txt", "requirements-doc.txt"),
+    "requirements-dev.txt",
+)
 PYTHONS = ("3.8", "3.9", "3.10", "3.11", "3.12")
 
 
@@ -163,7 +166,7 @@ def test_no_python_is_given_a_release_that_refuses_it(version):
             assert version in SpecifierSet(needed or ""), f"{pin} needs Python {needed}"
 
 
-@pytest.mark.parametrize("folder", ["src", "scripts", "examples", "benchmark", "test"])
+@pytest.mark.parametrize("folder", ["src", "scripts", "examples", "benchmark", "test", "doc"])
 def test_every_file_is_syntax_of_python_3_8(folder):
     files = [path for path in (ROOT / folder).rglob("*") if path.suffix == ".py"]
     files += (ROOT / folder).iterdir() if folder == "scripts" else []

@@ -250,18 +250,6 @@ def cluster(results: Results) -> str:
     return markdown(["Imu", "one node", f"{nodes:.0f} nodes, factor {nodes:.0f}"], rows)
 
 
-def short(results: Results) -> str:
-    """Show the least that a reader wants to know."""
-    kinds = [kind for kind in ("imu", "tf", "scan", "image") if _has(results, kind)]
-    names = ("packed", "binary", "ros", "rosbag", "mcap", "sqlite")
-    rows = []
-    for what, label in (("write", "write"), ("read", "read")):
-        for name in names:
-            cells = [_rate(results, what, name, kind).partition(" (")[0] for kind in kinds]
-            rows.append([f"{label}, {name}", *cells])
-    return markdown(["messages a second", *(NAMES[kind] for kind in kinds)], rows)
-
-
 TABLES: Dict[str, Callable[[Results], str]] = {
     "machine": machine,
     "done": done,
@@ -278,7 +266,6 @@ TABLES: Dict[str, Callable[[Results], str]] = {
     "live": live,
     "writers": writers,
     "cluster": cluster,
-    "short": short,
 }
 
 
