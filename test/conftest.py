@@ -84,6 +84,9 @@ def pytest_configure(config):
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
     os.environ.setdefault("JAVA_TOOL_OPTIONS", ONE_COMPILER)
+    # Whoever runs them may have a cluster that asks for a login, and data of a local one to lose.
+    os.environ["CASSANDRA_ROS_CQLSHRC"] = os.devnull
+    os.environ.pop("CASSANDRA_ROS_DIR", None)
 
 
 def pytest_sessionstart(session):

@@ -6,7 +6,7 @@
   - ConnectionFailed
     + LoginFailed, CertificateRefused, TlsMismatch
   - StoreUnavailable, WriteFailed, AccessDenied, KeyspaceNotFound, SchemaConflict,
-    UnsupportedSchema, TopicExists, ClockNotSet, ServerError
+    UnsupportedSchema, TopicExists, ClockNotSet, NotConfirmed, ServerError
   - TopicNotFound, MessageNotFound, RunNotFound (also a KeyError)
   - TransformException
     + LookupException, ConnectivityException, ExtrapolationException
@@ -55,6 +55,10 @@ class TlsMismatch(ConnectionFailed):
     """One side speaks TLS and the other one does not."""
 
     refused = True
+
+
+class NotConfirmed(CassandraRosError):
+    """A person did not agree to what cannot be undone, or nobody was there to be asked."""
 
 
 class AccessDenied(CassandraRosError):

@@ -80,6 +80,14 @@ def test_stop_and_clear_where_nothing_ever_ran(type_in):
     assert type_in("clear").returncode == 0
 
 
+def test_the_environment_names_the_directory(type_in, env, tmp_path):
+    env["CASSANDRA_ROS_DIR"] = str(tmp_path / "named")
+    for verb, status in (("status", 3), ("stop", 0), ("clear", 0)):
+        done = type_in(verb)
+        assert (done.returncode, str(tmp_path / "named") in done.stdout) == (status, True)
+    assert str(tmp_path / "other") in type_in("stop", "--dir", str(tmp_path / "other")).stdout
+
+
 def test_errors_are_one_line_on_stderr_and_status_1(type_in):
     done = type_in("start", "--host", "10.0.0.1")
     assert done.returncode == 1
@@ -116,7 +124,28 @@ def test_a_python_without_the_driver_is_told_what_to_do(env, tmp_path):
     assert "catkin_make -DPYTHON_EXECUTABLE=" in done.stderr
 
 
-def test_start_status_stop_clear(type_in, tmp_path):
+def answered(env, answer):
+    """Type clear on a terminal, and an answer; return the exit status."""
+    ours, theirs = os.openpty()
+    try:
+        child = subprocess.Popen(
+            [sys.executable, str(ROOT / "scripts/local_cassandra"), "clear"],
+            stdin=theirs,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=env,
+        )
+        os.write(ours, answer.encode())  # the terminal keeps it until it is read
+        asked = child.communicate(timeout=60)[1]
+        assert "Delete all data in" in asked and "[y/N]" in asked
+        return child.returncode
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_start_status_stop_clear(type_in, env, tmp_path):
     try:
         done = type_in("start", "--port", str(free_port()), "--heap", "256M")
         assert done.returncode == 0, done.stderr
@@ -129,11 +158,13 @@ def test_start_status_stop_clear(type_in, tmp_path):
         assert type_in("clear", "--yes").returncode == 1
     finally:
         done = type_in("stop")
-    assert "stopped" in done.stdout
+    assert "stopped after" in done.stdout and str(tmp_path / "cassandra_ros") in done.stdout
     done = type_in("clear")
     assert done.returncode == 1
-    assert "--yes" in done.stderr
-    assert type_in("clear", "--yes").returncode == 0
+    assert "--yes" in done.stderr and str(tmp_path / "cassandra_ros") in done.stderr
+    assert answered(env, "n\n") == 1
+    assert (tmp_path / "cassandra_ros" / "node1").exists()
+    assert answered(env, "y\n") == 0
     assert not (tmp_path / "cassandra_ros" / "node1").exists()
 
 

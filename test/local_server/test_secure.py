@@ -27,6 +27,7 @@ from cassandra_ros.errors import (
     CertificateRefused,
     InvalidOption,
     LoginFailed,
+    ServerError,
     TlsMismatch,
 )
 from cassandra_ros.local_server import LocalCluster, free_port
@@ -120,6 +121,10 @@ def test_it_answers_when_its_user_is_made(cluster, monkeypatch):
         assert [status.answers for status in cluster.status()] == [False]
         kept.unlink()
         assert [status.answers for status in cluster.status()] == [False]
+        # Others in its place would open neither the data nor the key.
+        with pytest.raises(ServerError, match=r"secrets\.json is gone.*local_cassandra clear"):
+            cluster.security.make_files("java")
+        assert not kept.exists()
     finally:
         write_private(kept, text)
     assert [status.answers for status in cluster.status()] == [True]

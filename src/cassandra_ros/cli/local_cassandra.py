@@ -13,10 +13,10 @@ import time
 from pathlib import Path
 from typing import Sequence
 
+from cassandra_ros.cli.confirming import add_yes_option, confirm
 from cassandra_ros.cli.options import strip_remappings
 from cassandra_ros.cli.parsers import verbs_parser
 from cassandra_ros.cli.text import format_bytes
-from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import LocalCluster, NodeStatus, install_jars
 from cassandra_ros.local_server.disk import full_disk
 from cassandra_ros.local_server.jars import cassandra_version, jars_directory
@@ -69,7 +69,9 @@ def stop(options: argparse.Namespace) -> int:
     cluster = open_cluster(options)
     begun = time.monotonic()
     if cluster.stop():
-        say(f"Cassandra at {where(cluster)} stopped after {time.monotonic() - begun:.0f} s")
+        seconds = time.monotonic() - begun
+        stays = f"its data stay in {cluster.directory}"
+        say(f"Cassandra at {where(cluster)} stopped after {seconds:.0f} s; {stays}")
     else:
         say(f"no Cassandra of {cluster.directory} was running")
     return 0
@@ -177,17 +179,10 @@ def clear(options: argparse.Namespace) -> int:
         return 0
     if not options.yes:
         size = sum(_disk_bytes(node.directory) for node in cluster.nodes) / 1e6
-        _ask(f"Delete all data in {cluster.directory} ({size:.0f} MB)?")
+        confirm(f"Delete all data in {cluster.directory} ({size:.0f} MB)?")
     cluster.clear()
     say(f"cleared {cluster.directory}")
     return 0
-
-
-def _ask(question: str) -> None:
-    if not sys.stdin.isatty():
-        raise ServerError(f"{question} Nobody can be asked here; say so with --yes")
-    if input(f"{question} [y/N] ").strip().lower() not in ("y", "yes"):
-        raise ServerError("nothing was deleted")
 
 
 VERBS = {verb.__name__: verb for verb in (install, start, stop, status, run, clear)}
@@ -201,7 +196,8 @@ def _add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
     add(
         "--dir",
         metavar="DIR",
-        help="where its data lie (default: $ROS_HOME/cassandra_ros, else ~/.ros/cassandra_ros)",
+        help="where its data lie (default: $CASSANDRA_ROS_DIR, else $ROS_HOME/cassandra_ros, else "
+        "~/.ros/cassandra_ros)",
     )
     if name in ("start", "run"):
         _add_server_options(parser)
@@ -209,7 +205,7 @@ def _add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
         text = "wait until it answers, at most this many seconds (default: 0)"
         add("--wait", metavar="SEC", type=float, default=0.0, help=text)
     elif name == "clear":
-        add("--yes", action="store_true", help="delete without asking")
+        add_yes_option(parser)
 
 
 def _add_server_options(parser: argparse.ArgumentParser) -> None:

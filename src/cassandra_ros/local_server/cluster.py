@@ -44,7 +44,8 @@ class LocalCluster:
     """The one to three Cassandra nodes of a directory, on loopback addresses.
 
     Args:
-        directory: Where settings, data and logs lie; default: $ROS_HOME/cassandra_ros.
+        directory: Where settings, data and logs lie; default: $CASSANDRA_ROS_DIR, else
+            $ROS_HOME/cassandra_ros.
         nodes: How many nodes; default: as before, 1 for a new cluster.
         host: Loopback address of the first node; default: as before, 127.0.0.1.
         port: CQL port; default: as before, 9042.

@@ -29,8 +29,14 @@ _JVM_ROOT = Path("/usr/lib/jvm")
 def default_directory() -> Path:
     """Return the directory of the local Cassandra that is used when none is named.
 
-    It lies in the ROS home: $ROS_HOME, else ~/.ros, as roslaunch resolves it.
+    It is $CASSANDRA_ROS_DIR, else it lies in the ROS home: $ROS_HOME, else ~/.ros, as roslaunch
+    resolves it.
     """
+    named = os.environ.get("CASSANDRA_ROS_DIR")
+    return Path(named) if named else _in_ros_home()
+
+
+def _in_ros_home() -> Path:
     return Path(os.environ.get("ROS_HOME") or Path.home() / ".ros") / "cassandra_ros"
 
 
@@ -40,7 +46,7 @@ def jars_directory() -> Path:
     $CASSANDRA_ROS_JARS names another place, for example one that several users share.
     """
     named = os.environ.get("CASSANDRA_ROS_JARS")
-    return Path(named) if named else default_directory() / "jars" / cassandra_version()
+    return Path(named) if named else _in_ros_home() / "jars" / cassandra_version()
 
 
 def server_file(name: str) -> Path:

@@ -62,12 +62,14 @@ class Security:
         """Make what is missing, and write the address as it is now.
 
         Raises:
-            ServerError: The folder cannot be written, or keytool makes no certificate.
+            ServerError: The folder cannot be written, keytool makes no certificate, or the
+                passwords that were chosen before are lost.
         """
         try:
             self.folder.mkdir(mode=0o700, exist_ok=True)
             self.folder.chmod(0o700)
             if not (self.folder / _SECRETS).exists():
+                self._require_new()
                 chosen = {name: secrets.token_urlsafe(24) for name in ("keystore", "user", "root")}
                 write_private(self.folder / _SECRETS, json.dumps(chosen))
             if not self.certificate.exists():
@@ -77,6 +79,15 @@ class Security:
             write_private(self.cqlshrc, self._cqlshrc())
         except OSError as exc:
             raise ServerError(f"{self.folder} cannot be written: {exc}") from exc
+
+    def _require_new(self) -> None:
+        """Raise ServerError where passwords were chosen before: others would open nothing."""
+        if self._keystore.exists() or self.certificate.exists():
+            raise ServerError(
+                f"{self.folder / _SECRETS} is gone, and with it the passwords of the local "
+                "Cassandra: its data can be opened with those alone. Put the file back from a "
+                "backup, or delete the data: local_cassandra clear"
+            )
 
     def yaml(self) -> dict[str, object]:
         """Return what a node's cassandra.yaml says of logging in."""

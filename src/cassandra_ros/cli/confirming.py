@@ -1,0 +1,30 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A person agrees to what cannot be undone, on the terminal or beforehand with --yes."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from cassandra_ros.errors import NotConfirmed
+
+
+def add_yes_option(parser: argparse._ActionsContainer) -> None:
+    """Add -y and --yes."""
+    text = "do it without asking; needed where nobody can be asked, as in a script (default: ask)"
+    parser.add_argument("-y", "--yes", action="store_true", help=text)
+
+
+def confirm(question: str) -> None:
+    """Ask a person; the answer is no unless it says yes.
+
+    Raises:
+        NotConfirmed: It is no, or standard input is no terminal.
+    """
+    if not sys.stdin.isatty():
+        raise NotConfirmed(f"{question} Nobody can be asked here; say so with --yes")
+    # Standard output may be an answer for another program.
+    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+        raise NotConfirmed("nothing was deleted")
