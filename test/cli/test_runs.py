@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import datetime
+import json
 import xmlrpc.client
 
 import pytest
@@ -55,6 +56,12 @@ def test_runs_are_listed(store, call):
         ("corridor", "7", "husky", "ended", "5"),
         ("yard", "8", "husky", "recording", "2"),
     ]
+    found = json.loads(call("runs", "--json")[1])
+    assert [(run["name"], run["writer"], run["state"]) for run in found] == [
+        ("corridor", 7, "ended"),
+        ("yard", 8, "recording"),
+    ]
+    assert found[0]["stored"] == {"/n": 5} and found[0]["started"].endswith("Z")
 
 
 def test_info_tells_of_losses_and_of_one_run(store, call):
@@ -97,6 +104,8 @@ def test_parameters_are_printed_and_loaded(store, call, roscore, monkeypatch):
     assert found["arm"] == PARAMS["arm"] and found["list"] == PARAMS["list"]
     assert (found["raw"], found["when"]) == (b"\x00\xff", datetime.datetime(2026, 1, 2, 3, 4, 5))
     assert yaml.safe_load(call("params", "7", "--namespace", "/arm/gains")[1]) == {"p": 1.5, "i": 2}
+    found = json.loads(call("params", "corridor", "--json")[1])
+    assert (found["arm"]["gains"], found["raw"]) == ({"p": 1.5, "i": 2}, "AP8=")
     graph = yaml.safe_load(call("params", "corridor", "--graph")[1])
     assert graph["/laser"]["publishes"] == {"/scan": "sensor_msgs/LaserScan"}
     assert graph["/map"] == {

@@ -16,6 +16,12 @@ def add_yes_option(parser: argparse._ActionsContainer) -> None:
     parser.add_argument("-y", "--yes", action="store_true", help=text)
 
 
+def add_dry_run_option(parser: argparse._ActionsContainer) -> None:
+    """Add --dry-run."""
+    text = "only say what would be deleted; nothing is asked or changed"
+    parser.add_argument("--dry-run", action="store_true", help=text)
+
+
 def confirm(question: str) -> None:
     """Ask a person; the answer is no unless it says yes.
 

@@ -21,6 +21,7 @@ from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pair
 from cassandra_ros.topics.convert import Converted
 from cassandra_ros.topics.copying import Progress
 from cassandra_ros.topics.keyspace import Keyspace, wished_topic, with_key
+from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
 from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.runs import RunName
@@ -97,6 +98,10 @@ class RosCassandra:
         if self._opened is not None:
             self._opened.adder.close()
         self._opened = Catalog(parts, self._clock)
+
+    def getKeyspaces(self) -> list[KeyspaceInfo]:
+        """List the keyspaces of the cluster that hold topics, sorted by name."""
+        return list_keyspaces(self.cassandra)
 
     @property
     def keyspace(self) -> Optional[str]:

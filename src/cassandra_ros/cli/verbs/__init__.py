@@ -10,11 +10,15 @@ from cassandra_ros.cli.verbs import (
     import_,
     index,
     info,
+    keyspaces,
     list_,
+    meta,
     params,
     query,
+    rename,
     roles,
     runs,
+    truncate,
     verify,
 )
 
@@ -29,5 +33,9 @@ VERBS = {
     "query": query,
     "index": index,
     "convert": convert,
+    "rename": rename,
+    "meta": meta,
+    "truncate": truncate,
+    "keyspaces": keyspaces,
     "roles": roles,
 }

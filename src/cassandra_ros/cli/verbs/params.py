@@ -19,6 +19,7 @@ import xmlrpc.client
 from datetime import datetime
 from typing import TYPE_CHECKING, Iterator, Mapping
 
+from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 
@@ -35,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--load", action="store_true", help="set them on the running master")
     what.add_argument("--graph", action="store_true", help="print instead which nodes there were")
+    add_json_option(parser)
     add("--namespace", metavar="NS", default="/", help="only parameters below NS (default: all)")
     add_store_options(parser)
 
@@ -48,12 +50,13 @@ def run(options: argparse.Namespace) -> int:
             f"run {options.name!r} has no parameters: it was not recorded live, or by an earlier "
             "release"
         )
+    show = print_json if options.json else _print_yaml
     if options.graph:
-        _print_yaml(_graph(context.graph))
+        show(_graph(context.graph))
     elif options.load:
-        _load(context, options.namespace)
+        _load(context, options)
     else:
-        _print_yaml(_readable(_below(context.params, options.namespace)))
+        show(_readable(_below(context.params, options.namespace)))
     return 0
 
 
@@ -66,9 +69,10 @@ def _below(params: Mapping[str, object], namespace: str) -> object:
     return found
 
 
-def _load(context: RunContext, namespace: str) -> None:
+def _load(context: RunContext, options: argparse.Namespace) -> None:
     from cassandra_ros.messages.graph import set_parameters
 
+    namespace = options.namespace
     wanted = "/" + "/".join(filter(None, namespace.split("/")))
     leaves = dict(_leaves(_below(context.params, namespace), wanted.rstrip("/")))
     own = [name for name in leaves if _is_masters(name)]
@@ -76,6 +80,9 @@ def _load(context: RunContext, namespace: str) -> None:
     count = set_parameters(
         (name, value) for name, value in leaves.items() if name not in {*own, *empty}
     )
+    if options.json:
+        print_json({"set": count, "masters_own": own, "without_value": empty})
+        return
     print(f"{count} parameters set")
     if own:
         print(f"left out, they are the running master's own: {', '.join(own)}")

@@ -13,6 +13,7 @@ import argparse
 from datetime import datetime
 from typing import TYPE_CHECKING, Mapping
 
+from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
 from cassandra_ros.cli.text import format_table, shown
 
@@ -25,7 +26,8 @@ _OWN_LABELS = ("content",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the store."""
+    """Add the form of the answer and the store."""
+    add_json_option(parser)
     add_store_options(parser)
 
 
@@ -33,15 +35,21 @@ def run(options: argparse.Namespace) -> int:
     """Print a line for each run, the oldest first."""
     with open_store(options) as ros_cas:
         runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
-    if runs:
+    if options.json:
+        print_json([_answer(run) for run in runs])
+    elif runs:
         print(format_table(_HEADER, [_row(run) for run in runs], right=("messages", "lost")))
     else:
         print(f"keyspace {options.keyspace} holds no run")
     return 0
 
 
+def _answer(run: Run) -> dict[str, object]:
+    """Return a run as it is, but for what an import notes for itself."""
+    return {**vars(run), "labels": _public(run.labels)}
+
+
 def _row(run: Run) -> tuple[str, ...]:
-    labels = {name: text for name, text in run.labels.items() if name not in _OWN_LABELS}
     return (
         shown(run.name) or str(run.writer),
         str(run.writer),
@@ -52,13 +60,18 @@ def _row(run: Run) -> tuple[str, ...]:
         run.state,
         str(sum(run.stored.values())),
         str(sum(run.lost.values())),
-        _labels(labels) or "-",
+        _labels(run.labels) or "-",
     )
 
 
 def _labels(labels: Mapping[str, str]) -> str:
     # A label may be a word alone.
-    return shown(", ".join(f"{k}={v}" if v else k for k, v in sorted(labels.items())))
+    named = sorted(_public(labels).items())
+    return shown(", ".join(f"{k}={v}" if v else k for k, v in named))
+
+
+def _public(labels: Mapping[str, str]) -> dict[str, str]:
+    return {name: text for name, text in labels.items() if name not in _OWN_LABELS}
 
 
 def time_of(when: datetime | None) -> str:

@@ -1,0 +1,45 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""List the keyspaces of the cluster that hold topics, with how many topics and copies.
+
+Copies are how many nodes of a data centre keep each row: with one, a lost node loses data. The
+keyspace that the other verbs would work in (--keyspace) is marked with a star.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.cli.text import format_table
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the form of the answer and the store."""
+    add_json_option(parser)
+    add_store_options(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print a line for each keyspace."""
+    with open_store(options, make=True) as ros_cas:
+        found = ros_cas.getKeyspaces()
+    if options.json:
+        print_json(found)
+    elif found:
+        header = ("", "keyspace", "topics", "tables", "copies")
+        rows = [
+            (
+                "*" if each.name == options.keyspace else "",
+                each.name,
+                str(each.topics),
+                str(each.tables),
+                ", ".join(f"{where} {count}" for where, count in each.copies.items()),
+            )
+            for each in found
+        ]
+        print(format_table(header, rows, right=("topics", "tables")))
+    else:
+        print("no keyspace of the cluster holds topics; a recording or an import makes one")
+    return 0

@@ -1,0 +1,75 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Print what is known of a topic, or note keys of your own in it.
+
+  cassandra_bag meta /camera/image_raw
+  cassandra_bag meta /camera/image_raw site=lab lens_mm=3.5 comment='left camera'
+  cassandra_bag meta /camera/image_raw --remove site
+
+A value is JSON (3.5, true, [1, 2], "3.5"), else the text as it stands. comment sets the topic's
+comment; the other keys that are printed without being yours are facts and cannot be set.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.options import add_store_options, open_store, read_pair
+
+_FORM = "KEY=VALUE"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the topic, what is to be noted, the form of the answer, and the store."""
+    add = parser.add_argument
+    add("topic", metavar="TOPIC", help="a stored topic")
+    add(
+        "keys",
+        nargs="*",
+        metavar=_FORM,
+        type=lambda text: read_pair(text, "=", _FORM),
+        help="set this key of your own, or the comment (default: only print)",
+    )
+    add("--remove", metavar="KEY", action="append", default=[], help="remove a key of your own")
+    add(
+        "--definition",
+        action="store_true",
+        help="print the message definition alone, as rosmsg show --raw does",
+    )
+    add_json_option(parser)
+    add_store_options(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Set what is to be set, and print what is known then."""
+    keys: dict[str, Any] = {name: _value(text) for name, text in options.keys}
+    keys.update({name: "" if name == "comment" else None for name in options.remove})
+    with open_store(options) as ros_cas:
+        topic = ros_cas.getTopic(options.topic)
+        if keys:
+            topic.setMeta(**keys)
+        found = dict(topic.getMeta)
+    if options.definition:
+        print(found["definition"].rstrip("\n"))
+    elif options.json:
+        print_json(found)
+    else:
+        del found["definition"]
+        _print_yaml(found)
+    return 0
+
+
+def _value(text: str) -> object:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return text
+
+
+def _print_yaml(found: object) -> None:
+    import yaml
+
+    print(yaml.safe_dump(found, sort_keys=False, allow_unicode=True), end="")

@@ -1,0 +1,34 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Give a stored topic another name; its messages stay where they are, so this takes no time.
+
+  cassandra_bag rename /camera/image_raw /front/image_raw
+
+Losses that are noted of the topic follow it. A recorder that is writing it goes on into the renamed
+topic for the publishers that it knows; the next recording makes the topic anew under the old name.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.cli.text import shown
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add both names and the store."""
+    parser.add_argument("topic", metavar="TOPIC", help="a stored topic")
+    parser.add_argument("new_name", metavar="NEW", help="the name that it is to have")
+    parser.add_argument("-q", "--quiet", action="store_true", help="print errors only")
+    add_store_options(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Rename, and say so."""
+    with open_store(options) as ros_cas:
+        name = ros_cas.getTopic(options.topic).name
+        ros_cas.renameTopic(name, options.new_name)
+    if not options.quiet:
+        print(f"topic {shown(name)} is called {shown(options.new_name)} now")
+    return 0

@@ -1,0 +1,53 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Remove all messages of topics; the topics stay, with format, metadata, indexes and ttl.
+
+  cassandra_bag truncate /camera/image_raw
+  cassandra_bag truncate -e '/camera/.*' --dry-run
+
+It works while nodes of the cluster are down, and the disk is free at once. To remove some messages,
+or the topic itself, see delete.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.confirming import add_dry_run_option, add_yes_option, confirm
+from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.cli.text import format_bytes, format_table, shown
+from cassandra_ros.cli.topic_options import add_topics, stored_topics
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add topics, whether it is asked, the form of the answer, and the store."""
+    add_topics(parser, "stored topics", nargs="+")
+    add_dry_run_option(parser)
+    add_yes_option(parser)
+    parser.add_argument("-q", "--quiet", action="store_true", help="print errors only")
+    add_json_option(parser)
+    add_store_options(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Say what is there, ask, and remove it."""
+    with open_store(options) as ros_cas:
+        topics = stored_topics(ros_cas, options) or []
+        counts = {name: [0, 0] for name in topics}
+        for info in ros_cas.info(topics):
+            counts[info.topic][0] += info.count
+            counts[info.topic][1] += info.bytes
+        rows = [(shown(name), str(n), format_bytes(size)) for name, (n, size) in counts.items()]
+        table = format_table(("topic", "messages", "size"), rows, right=("messages", "size"))
+        total = sum(count for count, _ in counts.values())
+        what = f"{total} messages of {len(topics)} topics in keyspace {options.keyspace}"
+        if not (options.dry_run or options.yes):
+            confirm(f"{table}\nRemove all {what}?")
+        for name in [] if options.dry_run else topics:
+            ros_cas.truncateTopic(name)
+    if options.json:
+        print_json({"removed": dict(zip(counts, (n for n, _ in counts.values())))})
+    elif not options.quiet:
+        print(f"{table}\n{what} {'would be' if options.dry_run else 'are'} removed")
+    return 0

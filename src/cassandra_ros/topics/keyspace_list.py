@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The keyspaces of a cluster that hold topics."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Counter as Counts
+from typing import Dict, List, Mapping, Set
+
+from cassandra_ros.errors import UnsupportedSchema
+from cassandra_ros.metadata import from_comment
+from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.side_tables import SIDE_TABLES
+
+
+@dataclass(frozen=True)
+class KeyspaceInfo:
+    """One keyspace with topics, or that was made for them."""
+
+    name: str
+    topics: int
+    tables: int
+    """Tables of topics: one for each definition and format."""
+    copies: Mapping[str, int]
+    """Data centre -> how many of its nodes keep each row; 'any' = whatever data centre."""
+
+
+def list_keyspaces(cassandra: Cassandra) -> List[KeyspaceInfo]:
+    """List the keyspaces that hold topics or our side tables, sorted by name."""
+    what = "listing the keyspaces"
+    factors = cassandra.execute(
+        "SELECT keyspace_name, replication FROM system_schema.keyspaces", what=what
+    )
+    replication: Dict[str, Mapping[str, str]] = {name: found for name, found in factors}
+    rows = cassandra.execute(
+        "SELECT keyspace_name, table_name, comment FROM system_schema.tables", what=what
+    )
+    topics: Dict[str, Set[str]] = {}
+    tables: Counts[str] = Counter()
+    for keyspace, table, comment in rows:
+        if table in SIDE_TABLES:
+            topics.setdefault(keyspace, set())
+        try:
+            metadata = from_comment(comment or "", f"{keyspace}.{table}")
+        except UnsupportedSchema:
+            continue  # of a newer release: it is told where the keyspace is worked in
+        if metadata is not None and not metadata.filling:
+            topics.setdefault(keyspace, set()).add(metadata.topic)
+            tables[keyspace] += 1
+    return [
+        KeyspaceInfo(name, len(topics[name]), tables[name], _copies(replication.get(name) or {}))
+        for name in sorted(topics)
+    ]
+
+
+def _copies(replication: Mapping[str, str]) -> Dict[str, int]:
+    factors = {name: text for name, text in replication.items() if name != "class"}
+    return {
+        "any" if name == "replication_factor" else name: int(text)
+        for name, text in factors.items()
+        if text.isdigit()
+    }
