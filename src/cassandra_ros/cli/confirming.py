@@ -22,8 +22,11 @@ def add_dry_run_option(parser: argparse._ActionsContainer) -> None:
     parser.add_argument("--dry-run", action="store_true", help=text)
 
 
-def confirm(question: str) -> None:
+def confirm(question: str, details: str = "") -> None:
     """Ask a person; the answer is no unless it says yes.
+
+    Args:
+        details: Lines that are shown above the question.
 
     Raises:
         NotConfirmed: It is no, or standard input is no terminal.
@@ -31,6 +34,8 @@ def confirm(question: str) -> None:
     if not sys.stdin.isatty():
         raise NotConfirmed(f"{question} Nobody can be asked here; say so with --yes")
     # Standard output may be an answer for another program.
+    if details:
+        print(details, file=sys.stderr)
     print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
         raise NotConfirmed("nothing was deleted")

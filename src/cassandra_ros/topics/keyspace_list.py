@@ -33,7 +33,7 @@ def list_keyspaces(cassandra: Cassandra) -> List[KeyspaceInfo]:
     factors = cassandra.execute(
         "SELECT keyspace_name, replication FROM system_schema.keyspaces", what=what
     )
-    replication: Dict[str, Mapping[str, str]] = {name: found for name, found in factors}
+    replication: Dict[str, Mapping[str, str]] = dict(factors)
     rows = cassandra.execute(
         "SELECT keyspace_name, table_name, comment FROM system_schema.tables", what=what
     )

@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
         total = sum(count for count, _ in counts.values())
         what = f"{total} messages of {len(topics)} topics in keyspace {options.keyspace}"
         if not (options.dry_run or options.yes):
-            confirm(f"{table}\nRemove all {what}?")
+            confirm(f"Remove all {what}?", table)
         for name in [] if options.dry_run else topics:
             ros_cas.truncateTopic(name)
     if options.json:
