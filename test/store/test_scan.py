@@ -22,6 +22,8 @@ T0 = 1_500_000_000 * SEC
 class Chooser:
     """Asks for the same in each bucket."""
 
+    checks = True
+
     def __init__(self, *queries, indexed=False, few=False):
         self.few_found = few
         self.queries = [(terms, indexed) for terms in queries]

@@ -113,6 +113,71 @@ def test_what_was_stored_meanwhile_before_the_first_slot_hides_nothing(rosCas):
     assert [key.ns for key, _ in topic.items(limit=30)] == wanted
 
 
+@contextmanager
+def counted_before_an_answer(monkeypatch):
+    """Count the requests that are sent before the first answer is waited for."""
+    told = SimpleNamespace(sent=0, waited=False)
+    send, result = ResponseFuture.send_request, ResponseFuture.result
+
+    def sending(future, *args, **kwargs):
+        told.sent += not told.waited
+        return send(future, *args, **kwargs)
+
+    def waiting(future):
+        told.waited = True
+        return result(future)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ResponseFuture, "send_request", sending)
+        patch.setattr(ResponseFuture, "result", waiting)
+        yield told
+
+
+READS = [
+    lambda topic, select: [row.t for row in topic.rows(limit=4)],
+    lambda topic, select: [row.t for row in topic.rows(limit=4, reverse=True)],
+    lambda topic, select: [k.ns for (k,) in select("select KEY from a limit 4")],
+    lambda topic, select: [k.ns for (k,) in select("select KEY from a order by KEY desc limit 4")],
+]
+
+
+@pytest.mark.parametrize("format_name", ["ros", "packed"])
+def test_rows_are_asked_for_beside_the_directory_and_it_has_the_last_word(
+    rosCas, monkeypatch, format_name
+):
+    kind = api_connection("/a", definition_of(UInt32), "/x")
+
+    def add(times, node="", writer_id=2):
+        with rosCas.messageWriter(writer_id=writer_id, nodeID=node, format=format_name) as writer:
+            handle = writer.connect(kind, bucket_ns=SEC)
+            for n, t in enumerate(times):
+                writer.write(handle, T0 + t, writer_id << 16 | n, serialize(UInt32(data=n)))
+
+    def check(*wanted):
+        every = [T0 + t for t in sorted(wanted)]
+        for ask, ordered in zip(READS, (every, every[::-1]) * 2):
+            assert ask(topic, rosCas.executeCQL) == ordered[:4]
+
+    add(range(0, 10))
+    topic = rosCas.getTopic("/a")
+    check(*range(10))
+    for ask in READS:  # nodes, buckets, and the rows (of blocks their headers besides)
+        with counted_before_an_answer(monkeypatch) as told:
+            ask(topic, rosCas.executeCQL)
+        assert told.sent == 3 + (format_name == "packed")
+    add([-SEC, 5 * SEC], writer_id=3)  # buckets before and behind the ones that are expected
+    check(-SEC, *range(10), 5 * SEC)
+    add([-SEC + 1, -SEC + 2], node="r1", writer_id=4)  # another node in an expected one
+    check(-SEC, -SEC + 1, -SEC + 2, *range(10), 5 * SEC)
+    topic.removeData(T0 - SEC, T0 + 3)
+    check(*range(4, 10), 5 * SEC)
+    assert [row.t - T0 for row in topic.rows(T0 + 7, T0 + 2 * SEC, limit=4)] == [7, 8, 9]
+    rosCas.truncateTopic("/a")
+    assert [ask(topic, rosCas.executeCQL) for ask in READS] == [[]] * 4
+    add([2, 1])
+    check(1, 2)
+
+
 def test_of_a_full_bucket_a_row_is_read(rosCas, monkeypatch):
     write(rosCas, [(T0 + n, "", 0) for n in range(3000)])
     topic = rosCas.getTopic("/a")

@@ -141,6 +141,11 @@ class Pushdown:
         self.blocks = self.unpacked = self.kept = self.held = 0
         self.used: Used = {}
 
+    @property
+    def checks(self) -> bool:
+        """Whether there is anything to check."""
+        return self._expression is not None
+
     def choose(self, table: Table, bucket: Sequence[_Bucket]) -> Optional[Sequence[Query]]:
         """Return the queries whose rows include those that match; None = all rows."""
         chosen = self._chosen(table, bucket)

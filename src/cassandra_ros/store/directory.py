@@ -193,6 +193,9 @@ class Directory:
         self._noted: Dict[Tuple[str, int, str], float] = {}
         self.seen: Dict[str, Dict[int, Tuple[str, ...]]] = {}
         """Table -> slot -> nodes, as some were listed last: what it may be, not what it is."""
+        self.first: Dict[Tuple[str, bool], Tuple[Sequence[str], Sequence[Sequence[BucketRow]]]] = {}
+        """Table and whether the newest come first -> nodes, and buckets in which the last read of
+        few rows began; see foreseen.py."""
 
     def patient(self, retry_sec: Seconds) -> Directory:
         """Return the directory for one writer, which guards it and tries for so long."""
@@ -335,6 +338,8 @@ class Directory:
         key = ("tbl", "node", "slot")
         self._tables.delete("cr_bucket", key, slots, "clearing the directory of buckets")
         self.seen.pop(table, None)
+        for reverse in (False, True):
+            self.first.pop((table, reverse), None)
         self._tables.delete("cr_node", ("tbl",), [(table,)], "clearing the directory")
 
 

@@ -26,10 +26,11 @@ from typing import (
 from cassandra.query import PreparedStatement
 
 from cassandra_ros.errors import SchemaConflict
-from cassandra_ros.store.blocks.bucket_read import BucketRead, Opened
+from cassandra_ros.store.blocks.bucket_read import EARLY_BLOCKS, BucketRead, Opened
 from cassandra_ros.store.blocks.stream import opened, stream
 from cassandra_ros.store.directory import BucketRow, Directory
 from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_refused
+from cassandra_ros.store.foreseen import foresee, note_first
 from cassandra_ros.store.page_rows import rows_of_page
 from cassandra_ros.store.paging import GROWTH, Asked, RawRow
 from cassandra_ros.store.raw_page import RawPage
@@ -63,24 +64,26 @@ KEYED_SHARE = 0.04
 TURNED_PAGES = 2
 """So many pages of what an index finds are held to be turned."""
 _Order = Tuple[object, ...]
+_Request = Tuple[str, str, int, int, int, int]
 _T = TypeVar("_T")
 
 _ALL: Query = ((), False)
+Chosen = Optional[Sequence[Query]]
+"""What gives the rows of a bucket that may be wanted; None = all are."""
 
 
-def _open(piece: Piece, scan: Scan) -> tuple[Iterator[TableRow], bool]:
-    """Ask for the first rows of a bucket; return all in order, and whether some are left out."""
-    chosen = None if scan.chooser is None else scan.chooser.choose(piece.table, piece.rows)
+def _open(piece: Piece, scan: Scan, chosen: Chosen) -> Iterator[TableRow]:
+    """Ask for the first rows of a bucket that were chosen (None: all); return them in order."""
     if piece.table.packed:
-        return _blocks(piece, scan, chosen), chosen is not None
+        return _blocks(piece, scan, chosen)
     if chosen is None:
-        return _Stream(piece, scan, _ALL).rows(), False
+        return _Stream(piece, scan, _ALL).rows()
     # All queries of a bucket share what one may hold.
     share = piece._replace(page_rows=max(1, piece.page_rows // max(1, len(chosen))))
-    return _found(piece, scan, [_Stream(share, scan, query) for query in chosen]), True
+    return _found(piece, scan, [_Stream(share, scan, query) for query in chosen])
 
 
-def _blocks(piece: Piece, scan: Scan, chosen: Optional[Sequence[Query]]) -> Iterator[TableRow]:
+def _blocks(piece: Piece, scan: Scan, chosen: Chosen) -> Iterator[TableRow]:
     """Ask for the first blocks of a bucket; return their messages."""
     table, chooser = piece.table, scan.chooser
     columns = None if scan.columns is None else scan.columns(table)
@@ -102,13 +105,14 @@ def _part(piece: Piece, scan: Scan) -> BucketRead:
         scan.reverse,
         scan.writers,
         wanted=piece.first_rows,
+        early=min(EARLY_BLOCKS, len({row.writer for row in piece.rows})),
         page_bytes=piece.page_bytes,
     )
 
 
-def _open_blocks(piece: Piece, scan: Scan) -> tuple[Iterator[tuple[BucketRead, Opened]], bool]:
+def _open_blocks(piece: Piece, scan: Scan, chosen: Chosen) -> Iterator[tuple[BucketRead, Opened]]:
     part = _part(piece, scan)
-    return zip(repeat(part), opened(part)), False
+    return zip(repeat(part), opened(part))
 
 
 def _counted(piece: Piece, chooser: Chooser, rows: Iterator[TableRow]) -> Iterator[TableRow]:
@@ -336,15 +340,7 @@ def _inverted(text: str) -> tuple[int, ...]:
 
 
 def _walk(directory: Directory, table: RowTable, scan: Scan) -> Walk:
-    low, high = scan.low, scan.high
-    if scan.after is not None and scan.reverse:
-        high = min(high, scan.after.t)
-    elif scan.after is not None:
-        low = max(low, scan.after.t)
-    ends, (nodes, ttl) = (
-        (table.bucket_of(low), table.bucket_of(high)),
-        (scan.nodes, table.metadata.ttl),
-    )
+    ends, (nodes, ttl) = scan.buckets(table), (scan.nodes, table.metadata.ttl)
     return Walk(directory, table.name, *ends, nodes, ttl, reverse=scan.reverse, few=scan.few)
 
 
@@ -353,7 +349,7 @@ def _pieces(table: RowTable, walk: Walk, scan: Scan) -> Iterator[Piece]:
     length = table.metadata.bucket_ns
     high = scan.high if scan.after is None else min(scan.high, scan.after.t)
     for bucket, group in walk.groups():
-        if group and not (scan.lists(group) and any(scan.reaches(row) for row in group)):
+        if group and not scan.wants(group):
             continue
         start = min((bucket + 1) * length, high + 1) if scan.reverse else bucket * length
         yield Piece(start, table, group[0].node if group else "", bucket, group)
@@ -361,6 +357,12 @@ def _pieces(table: RowTable, walk: Walk, scan: Scan) -> Iterator[Piece]:
 
 def _begins(piece: Piece) -> tuple[int, str, str]:
     return piece.start, piece.node, piece.table.name
+
+
+def _request(piece: Piece) -> _Request:
+    """Return what makes the difference between what is asked for of two pieces of a scan."""
+    sizes = piece.page_rows, piece.page_bytes, piece.first_rows
+    return (piece.table.name, piece.node, piece.bucket, *sizes)
 
 
 def _page_rows(group: Sequence[BucketRow], page_bytes: int) -> int:
@@ -383,7 +385,7 @@ class _Prefetched(Generic[_T]):
     begin with it, and of more where these list less. Who goes on is given more and more.
 
     Args:
-        open_piece: Asks for what is read of a bucket; says besides whether some is left out.
+        open_piece: Asks for what is read of a bucket by the queries that were chosen.
 
     Attributes:
         left: There are buckets to be read.
@@ -395,22 +397,38 @@ class _Prefetched(Generic[_T]):
         directory: Directory,
         tables: Sequence[RowTable],
         scan: Scan,
-        open_piece: Callable[[Piece, Scan], tuple[Iterator[_T], bool]],
+        open_piece: Callable[[Piece, Scan, Chosen], Iterator[_T]],
     ) -> None:
+        self._directory = directory
         self._scan = scan
         self._open = open_piece
+        self._rows = max(1, scan.wanted or 1)
+        self._early: dict[_Request, Iterator[_T]] = {}
+        if scan.few and (scan.chooser is None or not scan.chooser.checks):
+            self._foresee(directory, tables)
         walks = [(table, _walk(directory, table, scan)) for table in tables]
         pieces = [_pieces(table, walk, scan) for table, walk in walks]
         self._pieces = heapq.merge(*pieces, key=_begins, reverse=scan.reverse)
         self._next = next(self._pieces, None)
         self._asked: deque[tuple[Piece, Iterator[_T], bool]] = deque()
         self._ahead = 0 if scan.few else 1
-        self._rows = max(1, scan.wanted or 1)
         self._listed = 0
-        self._streams = max(1, sum(len(walk.met) for _, walk in walks))
+        self._unnoted = walks if scan.few else []
+        self._share(sum(len(walk.met) for _, walk in walks))
+        self._look()
+
+    def _share(self, streams: int) -> None:
+        """Divide what may be held and what is wanted among so many streams."""
+        scan, self._streams = self._scan, max(1, streams)
         pages = self._streams + (AHEAD if scan.few or scan.chooser is not None else 1)
         self._page_bytes = min(PAGE_BYTES, max(64 * 1024, ALL_PAGES_BYTES // (2 * pages)))
-        self._look()
+
+    def _foresee(self, directory: Directory, tables: Sequence[RowTable]) -> None:
+        """Ask for what is probably read first, before the directory is."""
+        pieces, streams = foresee(directory, tables, self._scan)
+        self._share(streams)
+        for piece in map(self._sized, pieces):
+            self._early[_request(piece)] = self._open(piece, self._scan, None)
 
     def _look(self) -> None:
         first = self._asked[0][0] if self._asked else self._next
@@ -426,6 +444,10 @@ class _Prefetched(Generic[_T]):
         while self._next is not None and self._asks(self._next):
             self._ask(self._next)
             self._next = next(self._pieces, None)
+        if self._unnoted:
+            met = [(table, walk.met) for table, walk in self._unnoted]
+            note_first(self._directory, met, [each for each, _, _ in self._asked], self._scan)
+            self._unnoted = []
         piece, rows, filtered = self._asked.popleft()
         self._look()
         self._listed += max(1, piece.listed) if piece.rows else 0
@@ -443,14 +465,20 @@ class _Prefetched(Generic[_T]):
         listed = self._listed + sum(each.listed for each, _, _ in self._asked)
         return piece.start == self._asked[0][0].start or listed < self._rows
 
-    def _ask(self, piece: Piece) -> None:
-        if not piece.rows:
-            self._asked.append((piece, iter(()), False))
-            return
+    def _sized(self, piece: Piece) -> Piece:
         rows = min(self._rows, max(MERGED_ROWS, 2 * self._rows // self._streams))
-        piece = piece._replace(
+        return piece._replace(
             page_rows=_page_rows(piece.rows, self._page_bytes),
             page_bytes=self._page_bytes,
             first_rows=rows if self._scan.few else 0,
         )
-        self._asked.append((piece, *self._open(piece, self._scan)))
+
+    def _ask(self, piece: Piece) -> None:
+        if not piece.rows:
+            self._asked.append((piece, iter(()), False))
+            return
+        piece, chooser = self._sized(piece), self._scan.chooser
+        chosen = None if chooser is None else chooser.choose(piece.table, piece.rows)
+        early = self._early.pop(_request(piece), None) if chosen is None else None
+        rows = self._open(piece, self._scan, chosen) if early is None else early
+        self._asked.append((piece, rows, chosen is not None))

@@ -21,6 +21,10 @@ Query = Tuple[Terms, bool]
 class Chooser(Protocol):
     """Decides, bucket by bucket, what the server is to check."""
 
+    @property
+    def checks(self) -> bool:
+        """Whether there is anything to check."""
+
     def choose(self, table: RowTable, bucket: Sequence[BucketRow]) -> Optional[Sequence[Query]]:
         """Return the queries that give the rows that may be wanted; None = all, empty = none."""
 
@@ -59,14 +63,24 @@ class Scan(NamedTuple):
         """Whether less than a page is probably taken."""
         return self.wanted is not None and self.wanted <= FEW_ROWS
 
-    def reaches(self, row: BucketRow) -> bool:
+    def buckets(self, table: RowTable) -> Tuple[int, int]:
+        """Return the first and the last bucket of a table that may hold rows of it."""
+        low, high = self.low, self.high
+        if self.after is not None and self.reverse:
+            high = min(high, self.after.t)
+        elif self.after is not None:
+            low = max(low, self.after.t)
+        return table.bucket_of(low), table.bucket_of(high)
+
+    def wants(self, bucket: Sequence[BucketRow]) -> bool:
+        """Say whether a bucket may hold rows of it: the directory lists a superset."""
+        listed = self.writers is None or any(row.writer in self.writers for row in bucket)
+        return listed and any(map(self._reaches, bucket))
+
+    def _reaches(self, row: BucketRow) -> bool:
         """Say whether a writer may have rows of the time in a bucket."""
         inside = row.rows and row.t_min <= self.high and row.t_max >= self.low
         return bool(not row.closed or inside)
-
-    def lists(self, bucket: Sequence[BucketRow]) -> bool:
-        """Say whether a bucket may hold rows of the writers: the directory lists a superset."""
-        return self.writers is None or any(row.writer in self.writers for row in bucket)
 
 
 class Piece(NamedTuple):

@@ -37,6 +37,8 @@ _log = logging.getLogger(__name__)
 
 BLOCK_BYTES = 256 * 1024
 """Assumed of a block, in its first page."""
+EARLY_BLOCKS = 2
+"""Where it is not known how many writers there are: those of several overlap."""
 MAX_BLOCKS = 512
 """Of one page."""
 GROWTH = 4
@@ -59,6 +61,7 @@ class BucketRead:
         sift: What leaves out messages that are not wanted, once they are unpacked.
         opened: Told of each block how many messages it has, and how many of those became rows.
         wanted: So few messages are probably taken; 0 = all.
+        early: So many blocks are asked for beside their headers then: mostly those that are needed.
         page_bytes: Serialised bytes that may be held at once, about.
     """
 
@@ -73,6 +76,7 @@ class BucketRead:
     sift: Optional[Sift] = None
     opened: Callable[[int, int], None] = field(default=lambda messages, kept: None)
     wanted: int = 0
+    early: int = EARLY_BLOCKS
     page_bytes: int = 2 * 1024 * 1024
 
     def __post_init__(self) -> None:

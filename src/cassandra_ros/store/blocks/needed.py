@@ -28,8 +28,6 @@ MAX_AT_ONCE = 100
 """Blocks that are fetched with one statement, by their keys."""
 FIRST_HEADERS = 16
 """Of the first page of headers, where few messages are wanted; the next ones are larger."""
-FIRST_BLOCKS = 2
-"""So many are asked for beside it: mostly those that are needed."""
 MAX_HEADERS = 5000
 FEW_ROWS = 8
 """So many are made of a block at least, where few are wanted."""
@@ -51,7 +49,7 @@ class Headers:
             self._asked = [part.ask(HEADER, self._count)]
         # In the same moment: one round trip less.
         early = part.wanted and part.filters is None
-        self.early = part.ask(WHOLE, FIRST_BLOCKS) if early else None
+        self.early = part.ask(WHOLE, part.early) if early else None
         """The first blocks themselves."""
         self.more = bool(self._asked)
         self.last: Optional[Order] = None
@@ -100,18 +98,21 @@ class _Batch:
     """Blocks on their way, in the order in which they are needed.
 
     Args:
+        wanted: So few messages are taken of them; 0 = all.
         early: Asked for already, and may hold some of them.
     """
 
-    def __init__(self, part: BucketRead, taken: List[_Item], early: Optional[Asked] = None) -> None:
+    def __init__(
+        self, part: BucketRead, taken: List[_Item], wanted: int, early: Optional[Asked] = None
+    ) -> None:
         self._part = part
-        self.taken = taken
+        self.taken, self.wanted = taken, wanted
         self._open = [item for item in taken if isinstance(item, Opened)]
         headers = [item for item in taken if isinstance(item, BlockRow)]
         self._here: List[BlockRow] = []
         if early is not None:
-            wanted = {header.key for header in headers}
-            self._here = [row for row in part.blocks(early.page()) if row.key in wanted]
+            keys = {header.key for header in headers}
+            self._here = [row for row in part.blocks(early.page()) if row.key in keys]
         here = {row.key for row in self._here}
         missing = [header for header in headers if header.key not in here]
         self._asked = part.fetch(missing) if missing else None
@@ -146,12 +147,12 @@ class Needed:
         """Ask for the blocks that are needed next; None where all were."""
         while self._headers.more and not self._is_known():
             self.read()
-        taken = self._take()
+        taken, wanted = self._take(), self._wanted
         if self._part.wanted:
             self._wanted *= GROWTH
             self._bytes = min(self._part.page_bytes, GROWTH * self._bytes)
         early, self._headers.early = self._headers.early, None
-        return _Batch(self._part, taken, early) if taken else None
+        return _Batch(self._part, taken, wanted, early) if taken else None
 
     def read(self) -> None:
         """Read more headers."""
@@ -171,8 +172,8 @@ class Needed:
         """Yield rows of each block: of large ones no more than are wanted, the rest later."""
         for block in batch.blocks():
             taken = block
-            if self._part.wanted and block.block is not None:
-                taken = block.take(max(FEW_ROWS, self._wanted), reverse=self._part.reverse)
+            if batch.wanted and block.block is not None:
+                taken = block.take(max(FEW_ROWS, batch.wanted), reverse=self._part.reverse)
                 if block.left:
                     self._add(block)
             yield self._part.rows(taken)
