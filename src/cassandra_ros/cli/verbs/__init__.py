@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 from cassandra_ros.cli.verbs import (
+    cat,
     convert,
+    delete,
     export,
     import_,
     index,
@@ -31,10 +33,12 @@ VERBS = {
     "export": export,
     "verify": verify,
     "query": query,
+    "cat": cat,
     "index": index,
     "convert": convert,
     "rename": rename,
     "meta": meta,
+    "delete": delete,
     "truncate": truncate,
     "keyspaces": keyspaces,
     "roles": roles,

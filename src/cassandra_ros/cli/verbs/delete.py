@@ -1,0 +1,106 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Delete topics, or messages by time, robot, run or condition.
+
+  cassandra_bag delete /camera/image_raw                      the topic with all its messages
+  cassandra_bag delete --run test_drive                       all that a recording stored
+  cassandra_bag delete -e '/camera/.*' --end 2013-05-08T14:06:30Z
+  cassandra_bag delete --where '/cmd_vel: linear.x = 0' --start 1368021980
+
+Without --start, --end, --node-id, --run and --where the topics themselves go, with what is known of
+them; with any of these only messages. With --where only topics that have a condition lose messages.
+A run of which all is deleted is not listed any more. It is said first how much that is, and asked;
+--dry-run only says it. It cannot be undone; an import of the same bag brings its messages again.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.confirming import add_dry_run_option, add_yes_option, confirm
+from cassandra_ros.cli.options import (
+    add_origin_options,
+    add_store_options,
+    add_time_options,
+    add_where_option,
+    open_store,
+    read_times,
+    read_where,
+)
+from cassandra_ros.cli.text import format_table, shown
+from cassandra_ros.cli.topic_options import add_topics, stored_topics
+
+if TYPE_CHECKING:
+    from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add topics, which of their messages, whether it is asked, and the store."""
+    add_topics(parser, "these topics, or of these (default: messages of all topics)")
+    add_time_options(parser)
+    add_origin_options(parser)
+    add_where_option(parser)
+    add_dry_run_option(parser)
+    add_yes_option(parser)
+    parser.add_argument("-q", "--quiet", action="store_true", help="print errors only")
+    add_json_option(parser)
+    add_store_options(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Say how much it is, ask, and delete."""
+    start, end = read_times(options)
+    selected = {
+        "key": start,
+        "to_key": end,
+        "nodeID": options.node_id,
+        "run": options.run,
+        "where": read_where(options) or None,
+    }
+    whole = not any(value is not None for value in selected.values())
+    if whole and not options.topics:
+        options.parser.error("name topics, times, a node, a run or a condition")
+    with open_store(options) as ros_cas:
+        topics = stored_topics(ros_cas, options)
+
+        def delete(dry_run: bool) -> dict[str, int]:
+            if whole:
+                return _remove(ros_cas, topics or [], dry_run)
+            return ros_cas.deleteMessages(topics, **selected, dry_run=dry_run)
+
+        counts = delete(dry_run=True) if options.dry_run or not options.yes else {}
+        if not options.dry_run:
+            if not options.yes and (whole or any(counts.values())):
+                confirm(f"Delete {_sum(counts, whole)}?", _table(counts))
+            counts = delete(dry_run=False)
+    if options.json:
+        print_json({"deleted": counts, "topics": whole, "dry_run": options.dry_run})
+    elif not options.quiet:
+        if any(counts.values()):
+            print(_table(counts))
+        print(f"{_sum(counts, whole)} {'would be' if options.dry_run else 'are'} deleted")
+    return 0
+
+
+def _remove(ros_cas: RosCassandra, topics: list[str], dry_run: bool) -> dict[str, int]:
+    """Remove topics with all their messages; return how many each had."""
+    counts = dict.fromkeys(topics, 0)
+    for info in ros_cas.info(topics):
+        counts[info.topic] += info.count
+    for name in [] if dry_run else topics:
+        ros_cas.removeTopic(name)
+    return counts
+
+
+def _sum(counts: dict[str, int], whole: bool) -> str:
+    count = sum(counts.values())
+    if whole:
+        return f"{len(counts)} topics with their {count} messages"
+    return f"{count} messages of {len([each for each in counts.values() if each])} topics"
+
+
+def _table(counts: dict[str, int]) -> str:
+    rows = [(shown(topic), str(count)) for topic, count in sorted(counts.items())]
+    return format_table(("topic", "messages"), rows, right=("messages",))
