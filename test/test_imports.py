@@ -54,6 +54,8 @@ DOORS = {
     "roslib": {"messages", "formats"},
     "rosbag": {"bag"},
     "roslz4": {"bag"},
+    "lz4": {"bag"},
+    "mcap": {"bag"},
     "tf2_py": {"transforms"},
     "geometry_msgs": {"transforms"},
     "lark": {"query"},

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""From the store into a bag, so that rosbag reads the messages as they were recorded."""
+"""From the store into a bag or an MCAP, which holds the messages as they were recorded."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Iterable, Sequence
 
+from cassandra_ros.bag.file_writer import FileWriter
 from cassandra_ros.bag.message_file import Progress
-from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.bag.opening import make_file
 from cassandra_ros.errors import BagError, MessageNotFound
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection import Connection
@@ -52,7 +53,7 @@ def export_bag(
     start: Time | None = None,
     end: Time | None = None,
     nodeID: str | None = None,
-    compression: str = "none",
+    compression: str | None = None,
     force: bool = False,
     progress: Progress | None = None,
     where: Conditions = None,
@@ -60,19 +61,21 @@ def export_bag(
     run: RunName = None,
     latched: bool = True,
 ) -> ExportReport:
-    """Write stored messages into a bag of format 2.0.
+    """Write stored messages into a bag of format 2.0, or into an MCAP.
 
     The messages are written in the order in which they were received. Connections keep topic,
     header and number, so rosbag gives back the messages of an imported bag in their order: by
-    time, connection, position.
+    time, connection, position. In an MCAP they are the channels.
 
     Args:
-        path: The bag to make; it has the name PATH.active until it is complete.
+        path: The file to make, an MCAP where it ends with .mcap, else a bag; it has the name
+            PATH.active until it is complete.
         topics: Only these; None = all.
         start: First time of reception (genpy.Time, int ns, float s or text); None = open.
         end: Last time, included; None = open.
         nodeID: Only what this node recorded; None = all nodes.
-        compression: 'none', 'bz2' or 'lz4'.
+        compression: 'none', 'lz4', of a bag also 'bz2', of an MCAP 'zstd'; None = 'none' in a
+            bag, 'zstd' in an MCAP.
         force: Replace a file that exists.
         progress: Told what was written.
         where: Topic -> condition, as readMessages takes it: of these topics only the messages
@@ -103,7 +106,7 @@ def export_bag(
     if latched and start is not None:
         before = latched_before(ros_cas, low, names, to=high, nodeID=nodeID, run=run, where=where)
     report = ExportReport(os.fspath(path))
-    with BagWriter(path, compression) as writer:
+    with make_file(path, compression) as writer:
         numbers = ConnectionNumbers(writer)
         early = ((numbers.latched(row), low, row) for row in before)
         for number, t_ns, row in chain(early, ((numbers.of(r), r.received, r) for r in rows)):
@@ -150,7 +153,7 @@ class ConnectionNumbers:
     connection when it appears.
     """
 
-    def __init__(self, writer: BagWriter) -> None:
+    def __init__(self, writer: FileWriter) -> None:
         self._writer = writer
         self._numbers: dict[tuple[int, str, int], int] = {}
         self._bases: dict[int, int] = {}

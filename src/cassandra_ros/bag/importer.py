@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""From a bag into the store. Repeating an import, or a part of it, changes nothing."""
+"""From a bag or an MCAP into the store. Repeating an import, or a part of it, changes nothing."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def import_bag(
     reading: Progress | None = None,
     jobs: int = 1,
 ) -> ImportReport:
-    """Store the messages of a bag.
+    """Store the messages of a bag of format 2.0, or of an MCAP with messages of ROS 1.
 
     The bag is read twice, for each row's key follows from the content of the whole bag: an import
     that is repeated, or was interrupted and is started again, ends in the same rows. What it had
@@ -116,6 +116,7 @@ def import_bag(
         writer_id = _writer_id(ros_cas, reader, nodeID, content)
         report = ImportReport(reader.path, writer_id, nodeID)
         numbers = _refuse_names(reader, numbers, report)
+        _tell_left_out(reader, topics, report)
         run = _run(reader, nodeID, writer_id, format, content)
         formats = _formats(ros_cas, reader, numbers, run)
         lengths = table_lengths(reader, content.sizes)
@@ -166,6 +167,20 @@ def _refuse_names(reader: MessageFile, numbers: AbstractSet[int], report: Import
             )
             _log.warning("%s", report.warnings[-1])
     return kept
+
+
+def _tell_left_out(reader: MessageFile, topics: Iterable[str] | None, report: ImportReport) -> None:
+    """Note what an MCAP holds beside messages of ROS 1, where the whole of it is wanted."""
+    for topic, (count, why) in reader.left_out.items() if topics is None else ():
+        report.lost[topic] = report.lost.get(topic, 0) + count
+        report.warnings.append(
+            f"{reader.path}: the {count} messages of topic {topic} are not stored: {why}; choose "
+            "the others with --topics to leave them out on purpose"
+        )
+        _log.warning("%s", report.warnings[-1])
+    for what, count in reader.extras.items() if topics is None else ():
+        report.warnings.append(f"{reader.path}: its {count} {what} are not stored")
+        _log.warning("%s", report.warnings[-1])
 
 
 def _writer_id(ros_cas: RosCassandra, reader: MessageFile, node: str, content: BagContent) -> int:

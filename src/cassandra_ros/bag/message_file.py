@@ -8,6 +8,7 @@ from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections import Counter
 from difflib import get_close_matches
+from functools import cached_property
 from typing import AbstractSet, Callable, Iterable, Iterator, Mapping, NamedTuple, TypeVar
 
 import numpy as np
@@ -50,6 +51,16 @@ class Stretch(NamedTuple):
     wires: list[bytes]
 
 
+class Sent(NamedTuple):
+    """What an MCAP says of consecutive messages beside what the store keeps of each."""
+
+    first: int
+    """Position of the first of them."""
+    delays: Longs
+    """publish_time minus log_time of each, ns."""
+    sequences: Longs
+
+
 class MessageFile(ABC):
     """A bag or an MCAP that is open for reading; also a context manager.
 
@@ -60,6 +71,9 @@ class MessageFile(ABC):
         counts: Messages of each connection, by number.
         message_count, chunk_count: Of the whole file.
         start_ns, end_ns: Times of the first and the last message, ns; 0 in an empty file.
+        left_out: By topic the number of messages that are not of ROS 1, and what they are; they
+            are in none of the above.
+        extras: What else the file holds, in words, and how many of each.
     """
 
     path: str
@@ -69,6 +83,16 @@ class MessageFile(ABC):
     chunk_count: int
     start_ns: int
     end_ns: int
+
+    @cached_property
+    def left_out(self) -> dict[str, tuple[int, str]]:
+        """See the class; none unless its reader notes some."""
+        return {}
+
+    @cached_property
+    def extras(self) -> dict[str, int]:
+        """See the class; none unless its reader notes some."""
+        return {}
 
     @abstractmethod
     def close(self) -> None:
@@ -89,6 +113,13 @@ class MessageFile(ABC):
         Their ids are those of ``connections``. Before each message stand 20 bytes or more that
         are no part of one.
         """
+
+    def chunk_sent(self, chunk: int) -> Sent | None:
+        """Tell when the messages of a chunk were sent, and as which of their publisher's.
+
+        None: the file does not say, or nothing but that each was sent when it was received.
+        """
+        return None
 
     def __enter__(self: Self) -> Self:
         return self

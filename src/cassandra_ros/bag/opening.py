@@ -1,15 +1,56 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which reader a file needs: its first bytes say what it is, whatever its name."""
+"""Which reader a file needs, by its first bytes, and which writer, by its name."""
 
 from __future__ import annotations
 
 import os
 
+from cassandra_ros.bag import mcap_format
+from cassandra_ros.bag.file_writer import FileWriter
+from cassandra_ros.bag.mcap_reader import McapReader
+from cassandra_ros.bag.mcap_writer import McapWriter
 from cassandra_ros.bag.message_file import MessageFile
 from cassandra_ros.bag.reader import BagReader
+from cassandra_ros.bag.rosbag2 import METADATA, SQLITE_MAGIC, refusal
+from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.errors import BagError
+
+MCAP_ENDING = ".mcap"
 
 
 def open_file(path: str | os.PathLike[str]) -> MessageFile:
-    """Open a file of messages for reading; raises as its reader does, see BagReader."""
-    return BagReader(path)
+    """Open a bag or an MCAP for reading, whatever its name.
+
+    Raises:
+        BagError: It is none of both, as what rosbag2 records, or cannot be read; see BagReader
+            and McapReader.
+    """
+    name = os.fspath(path)
+    if os.path.exists(os.path.join(name, METADATA)):
+        raise refusal(name)
+    try:
+        with open(name, "rb") as file:
+            magic = file.read(len(SQLITE_MAGIC))
+    except OSError as exc:
+        raise BagError(f"{name} cannot be read: {exc.strerror}") from exc
+    if magic == SQLITE_MAGIC:
+        raise refusal(name)
+    if magic.startswith(mcap_format.MAGIC):
+        return McapReader(name)
+    return BagReader(name)
+
+
+def make_file(path: str | os.PathLike[str], compression: str | None = None) -> FileWriter:
+    """Begin to write an MCAP where the name ends with .mcap, else a bag.
+
+    Args:
+        compression: 'none', 'lz4', of a bag also 'bz2' and of an MCAP also 'zstd'; None = as
+            rosbag and mcap do: 'none' in a bag, 'zstd' in an MCAP.
+
+    Raises:
+        BagError: The file cannot be made, or there is no such compression for it.
+    """
+    if os.fspath(path).lower().endswith(MCAP_ENDING):
+        return McapWriter(path, compression or "zstd")
+    return BagWriter(path, compression or "none")

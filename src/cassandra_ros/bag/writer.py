@@ -4,34 +4,27 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import tempfile
 from collections import defaultdict
-from contextlib import suppress
 from operator import itemgetter
 from struct import Struct
 from typing import IO
 
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.bag.chunk import COMPRESSIONS, compress_chunk, message_head
+from cassandra_ros.bag.file_writer import FileWriter
 from cassandra_ros.errors import BagError
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.messages.connection import Connection
 
 CHUNK_BYTES = 768 * 1024
 """A chunk is closed when its content has grown over this, as in rosbag."""
 _ENTRY = Struct("<III")
 _SPOOL_BYTES = 1 << 20
-_BUFFER_BYTES = 1 << 16
-"""More than the header, so that its writing cannot fail before there is something to clean up."""
 
 
-class BagWriter:
-    """A bag that is being written; also a context manager.
-
-    The file is OUT.active until close() renames it, as with ``rosbag record``; leaving the
-    context by an exception removes it. Memory: one chunk and the connections.
+class BagWriter(FileWriter):
+    """A bag that is being written, see FileWriter. Memory: one chunk and the connections.
 
     Args:
         path: The bag to make; an existing one is replaced at the end.
@@ -51,50 +44,22 @@ class BagWriter:
         if compression not in COMPRESSIONS:
             known = ", ".join(COMPRESSIONS)
             raise BagError(f"{compression!r} is not a compression of bags; known are {known}")
-        self.path = os.fspath(path)
-        self._active = self.path + ".active"
+        super().__init__(path)
         self._compression = compression
         self._chunk_bytes = chunk_bytes
-        self._connections: dict[int, Connection] = {}
         self._used: set[int] = set()
         self._chunk = bytearray()
         # Per connection of the open chunk: time and offset of each message, for its index record.
         self._entries: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
         self._chunk_count = 0
-        self._infos: IO[bytes] = tempfile.SpooledTemporaryFile(_SPOOL_BYTES)
-        self._closed = False
-        try:
-            self._file: IO[bytes] = open(self._active, "wb", _BUFFER_BYTES)
-        except OSError as exc:
-            raise BagError(f"{self._active} cannot be written: {exc.strerror}") from exc
+        spool = tempfile.SpooledTemporaryFile(_SPOOL_BYTES)
+        self._infos: IO[bytes] = self._resources.enter_context(spool)
         self._file.write(bagformat.MAGIC + self._file_header(0))
 
-    def connection(self, connection: Connection, number: int | None = None) -> int:
-        """Add a connection, written as it is before its first message; return its number.
-
-        Args:
-            number: Its number in this bag, unique, in [0, 2**32 - 1]; None = the next free one,
-                behind all others while there is one. Between equal times the lower number is read
-                first.
-
-        Raises:
-            BagError: The number is taken.
-        """
-        if number is None:
-            number = max(self._connections, default=-1) + 1
-            if number == 2**32:
-                number = next(n for n in itertools.count() if n not in self._connections)
-        if number in self._connections or not 0 <= number < 2**32:
-            raise BagError(f"{self.path}: connection number {number} is taken or out of range")
-        self._connections[number] = connection
-        return number
-
-    def write(self, number: int, t_ns: int, data: bytes) -> None:
-        """Append a serialised message of a connection, received at t_ns, ns since 1970.
-
-        Raises:
-            BagError: The disk is full or fails.
-        """
+    def write(
+        self, number: int, t_ns: int, data: bytes, delay_ns: int = 0, sequence: int = 0
+    ) -> None:
+        """Append a message, see FileWriter; a bag does not say when it was sent."""
         if number not in self._used:
             self._chunk += self._connection_record(number)
             self._used.add(number)
@@ -104,55 +69,17 @@ class BagWriter:
         if len(self._chunk) > self._chunk_bytes:
             self._flush_chunk()
 
-    def close(self) -> None:
-        """Write the index and give the file its name; twice is harmless.
-
-        Raises:
-            BagError: The disk is full or fails; the unfinished file is removed.
-        """
-        if self._closed:
-            return
+    def _finish(self) -> None:
         if self._entries:
             self._flush_chunk()
-        try:
-            index_pos = self._file.tell()
-            for number in sorted(self._used):
-                self._file.write(self._connection_record(number))
-            self._infos.seek(0)
-            for part in iter(lambda: self._infos.read(_SPOOL_BYTES), b""):
-                self._file.write(part)
-            self._file.seek(len(bagformat.MAGIC))
-            self._file.write(self._file_header(index_pos))
-            self._file.flush()
-            os.fsync(self._file.fileno())
-            self._file.close()
-            os.replace(self._active, self.path)
-        except OSError as exc:
-            self.discard()
-            raise BagError(f"{self.path} cannot be written: {exc.strerror}") from exc
-        self._closed = True
-        self._infos.close()
-
-    def discard(self) -> None:
-        """Close and remove the unfinished file; a file that was there before stays."""
-        if self._closed:
-            return
-        self._closed = True
-        self._infos.close()
-        # Closing writes what is buffered, which fails once more where the disk is full.
-        with suppress(OSError):
-            self._file.close()
-        with suppress(OSError):
-            os.unlink(self._active)
-
-    def __enter__(self) -> BagWriter:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self.discard()
+        index_pos = self._file.tell()
+        for number in sorted(self._used):
+            self._file.write(self._connection_record(number))
+        self._infos.seek(0)
+        for part in iter(lambda: self._infos.read(_SPOOL_BYTES), b""):
+            self._file.write(part)
+        self._file.seek(len(bagformat.MAGIC))
+        self._file.write(self._file_header(index_pos))
 
     def _file_header(self, index_pos: int) -> bytes:
         counts = (len(self._used), self._chunk_count) if index_pos else (0, 0)
@@ -182,7 +109,7 @@ class BagWriter:
                 self._file.write(_index_record(number, entries))
             self._infos.write(self._info_record(position))
         except OSError as exc:
-            raise BagError(f"{self._active} cannot be written: {exc.strerror}") from exc
+            raise self._failure(exc) from exc
         self._chunk_count += 1
         self._chunk.clear()
         self._entries.clear()

@@ -1,0 +1,209 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How an MCAP lies on the disk (https://mcap.dev/spec): records, and the messages in a chunk."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from io import BytesIO
+from struct import Struct
+from typing import BinaryIO, Iterator, NamedTuple, Type, TypeVar
+
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Header, Schema
+
+from cassandra_ros.bag.chunk import MAX_CHUNK_BYTES, Longs
+from cassandra_ros.errors import BagError, BagUnindexed
+from cassandra_ros.keys import MAX_NS
+
+MAGIC = b"\x89MCAP0\r\n"
+COMPRESSIONS = ("none", "lz4", "zstd")
+RECORD = Struct("<BQ")
+"""Kind of a record, and the bytes that follow."""
+_CHUNK = Struct("<QQQII")
+_MESSAGE = Struct("<BQHIQQ")
+_INDEX = Struct("<HI")
+_ENTRY_BYTES = 16
+Parsed = TypeVar("Parsed", Channel, Header, Schema)
+
+
+class Record(NamedTuple):
+    """Where a record lies in a file."""
+
+    kind: int
+    start: int
+    stop: int
+    """Of what stands behind its kind and length."""
+
+
+class ChunkHead(NamedTuple):
+    """What stands before the compressed records of a chunk."""
+
+    start_ns: int
+    end_ns: int
+    size: int
+    """Bytes, unpacked."""
+    crc: int
+    """Of the unpacked bytes; 0 = none was computed."""
+    compression: str
+
+
+class Messages(NamedTuple):
+    """Messages that lie in some bytes, in their order; a number of each."""
+
+    channels: Longs
+    sequences: Longs
+    times: Longs
+    """log_time, ns."""
+    sent: Longs
+    """publish_time minus log_time, ns."""
+    starts: Longs
+    stops: Longs
+    """Of the serialised message."""
+
+
+def walk(file: BinaryIO, path: str) -> Iterator[Record]:
+    """List the records of a file, but not those inside of chunks; its position may be changed.
+
+    Raises:
+        BagUnindexed: The file is cut short, or still being written.
+    """
+    file_bytes = os.fstat(file.fileno()).st_size
+    position = len(MAGIC)
+    while True:
+        file.seek(position)
+        head = file.read(RECORD.size)
+        if len(head) < RECORD.size:
+            raise _cut(path, f"ends at byte {file_bytes}, without its footer")
+        kind, length = RECORD.unpack(head)
+        start = position + RECORD.size
+        position = start + length
+        if position > file_bytes:
+            raise _cut(path, f"ends at byte {file_bytes}, within a record of {length} bytes")
+        yield Record(kind, start, position)
+        if kind == Opcode.FOOTER:
+            file.seek(position)
+            if file.read(len(MAGIC)) != MAGIC:
+                raise _cut(path, f"does not end with the magic bytes at byte {position}")
+            return
+
+
+def _cut(path: str, what: str) -> BagUnindexed:
+    return BagUnindexed(
+        f"{path} is cut short, or still being written: it {what}; keep what can be read with: "
+        f"mcap recover {path} -o RECOVERED.mcap"
+    )
+
+
+def parse(kind: Type[Parsed], raw: bytes, where: str) -> Parsed:
+    """Read a channel, schema or header by the library; BagError where it is none."""
+    try:
+        found: Parsed = kind.read(ReadDataStream(BytesIO(raw)))
+        return found
+    except (McapError, ValueError, OSError) as exc:
+        raise BagError(f"{where} is damaged: {kind.__name__.lower()} record: {exc}") from exc
+
+
+def read_chunk_head(file: BinaryIO, record: Record, where: str) -> tuple[ChunkHead, Record]:
+    """Read what stands before a chunk's compressed records; return it and where those lie."""
+    file.seek(record.start)
+    raw = file.read(_CHUNK.size)
+    if len(raw) == _CHUNK.size:
+        start_ns, end_ns, size, crc, name_bytes = _CHUNK.unpack(raw)
+        rest = file.read(min(name_bytes, 64) + 8)
+        name, length = rest[:name_bytes], int.from_bytes(rest[name_bytes:], "little")
+        start = record.start + _CHUNK.size + name_bytes + 8
+        whole = len(rest) == name_bytes + 8 and start + length == record.stop
+        if whole and start_ns <= end_ns <= MAX_NS:
+            compression = name.decode("ascii", "replace") or "none"
+            head = ChunkHead(start_ns, end_ns, size, crc, compression)
+            return head, record._replace(start=start)
+    raise BagError(f"{where} is damaged: the head of the chunk at byte {record.start}")
+
+
+def count_of_index(file: BinaryIO, record: Record, where: str) -> tuple[int, int]:
+    """Read of how many messages of which channel a message index tells; return both."""
+    file.seek(record.start)
+    raw = file.read(_INDEX.size)
+    if len(raw) == _INDEX.size:
+        channel, index_bytes = _INDEX.unpack(raw)
+        if record.start + _INDEX.size + index_bytes == record.stop:
+            return channel, index_bytes // _ENTRY_BYTES
+    raise BagError(f"{where} is damaged: the message index at byte {record.start}")
+
+
+def decompress(head: ChunkHead, data: bytes, where: str) -> bytes:
+    """Give back the records of a chunk, checked by their crc; never more than are stated."""
+    if head.size > MAX_CHUNK_BYTES:
+        raise BagError(
+            f"{where} states {head.size} bytes of content; chunks of over {MAX_CHUNK_BYTES} bytes "
+            "are taken for damaged"
+        )
+    try:
+        content = _unpack(head, data)
+    except KeyError:
+        raise BagError(
+            f"{where} is compressed with {head.compression!r}; known are {', '.join(COMPRESSIONS)}"
+        ) from None
+    except (zstandard.ZstdError, RuntimeError, EOFError, ValueError) as exc:
+        raise BagError(f"{where} is damaged: its compressed data is not valid ({exc})") from exc
+    if len(content) != head.size:
+        raise BagError(f"{where} is damaged: it does not unpack to {head.size} bytes")
+    if head.crc and zlib.crc32(content) != head.crc:
+        raise BagError(f"{where} is damaged: its crc is wrong")
+    return content
+
+
+def _unpack(head: ChunkHead, data: bytes) -> bytes:
+    if head.compression == "none":
+        return data
+    if head.compression == "lz4":
+        unpacker = lz4.frame.LZ4FrameDecompressor()
+        return bytes(unpacker.decompress(data, max_length=head.size + 1))
+    if head.compression == "zstd":
+        if zstandard.frame_content_size(data) not in (-1, head.size):
+            return b""  # it would be unpacked whole, whatever is asked for
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=head.size)
+    raise KeyError(head.compression)
+
+
+def records_of(content: bytes, where: str) -> Iterator[Record]:
+    """List the records that fill some bytes."""
+    position, end = 0, len(content)
+    while position < end:
+        start = position + RECORD.size
+        kind, length = RECORD.unpack_from(content, position) if start <= end else (0, end)
+        if start + length > end:
+            raise BagError(f"{where} is damaged: a record at byte {position} of it runs over")
+        position = start + length
+        yield Record(kind, start, position)
+
+
+def find_messages(content: bytes, where: str) -> Messages:
+    """List the messages among the records that fill some bytes."""
+    found: list[tuple[int, int, int, int, int, int]] = []
+    position, end, last = 0, len(content), len(content) - _MESSAGE.size
+    read, size = _MESSAGE.unpack_from, _MESSAGE.size
+    while position < end:
+        if position > last or content[position] != Opcode.MESSAGE:
+            # Schemas and channels were read before.
+            position = next(records_of(content[position:], where)).stop + position
+            continue
+        _, length, channel, sequence, t_ns, sent_ns = read(content, position)
+        stop = position + RECORD.size + length
+        if stop > end or stop < position + size:
+            raise BagError(f"{where} is damaged: a message at byte {position} of it")
+        if t_ns > MAX_NS or sent_ns > 2**63 - 1:
+            raise BagError(
+                f"{where}: the message at byte {position} of it has log_time {t_ns} and "
+                f"publish_time {sent_ns} ns; a time of ROS 1 ends in the year 2106"
+            )
+        found.append((channel, sequence, t_ns, sent_ns - t_ns, position + size, stop))
+        position = stop
+    return Messages(*np.array(found, np.int64).reshape(-1, len(Messages._fields)).T)

@@ -1,0 +1,259 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Read MCAP files with messages of ROS 1, chunk by chunk, without message classes."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import BinaryIO, NamedTuple
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Channel, Header, Schema
+from mcap.well_known import MessageEncoding, Profile
+
+from cassandra_ros.bag import mcap_format as mcapformat
+from cassandra_ros.bag.chunk import Places
+from cassandra_ros.bag.index import ChunkInfo
+from cassandra_ros.bag.mcap_channel import to_connection, why_foreign
+from cassandra_ros.bag.mcap_format import ChunkHead, Messages, Record
+from cassandra_ros.bag.message_file import MessageFile, Sent
+from cassandra_ros.bag.rosbag2 import refusal
+from cassandra_ros.errors import BagError
+
+_LOOSE_BYTES = 1 << 20
+"""Messages that lie outside of chunks are read so many bytes at once."""
+_EXTRAS = {int(Opcode.ATTACHMENT): "attachments", int(Opcode.METADATA): "records of metadata"}
+
+
+@dataclass
+class _Chunk:
+    """A chunk, or messages that follow each other outside of any."""
+
+    record: Record
+    """Where its records lie, packed."""
+    head: ChunkHead
+    counts: Counter[int] = field(default_factory=Counter)
+    """Messages by id of the channel; none as long as nobody has counted."""
+
+    @property
+    def loose(self) -> bool:
+        """Whether it is no chunk in the file."""
+        return self.record.kind == Opcode.MESSAGE
+
+
+class _Read(NamedTuple):
+    """The messages of the chunk that was read last: reading it once more is not needed."""
+
+    chunk: int
+    content: bytes
+    messages: Messages
+
+
+class McapReader(MessageFile):
+    """An MCAP that is open for reading; also a context manager.
+
+    Its connections are its channels of ROS 1. The records are walked through once, chunks are
+    unpacked where no message index says what they hold, so that files without chunks, indexes or
+    summary are read, too. Memory: about 500 bytes for each chunk, and while reading as BagReader.
+
+    Attributes:
+        left_out: Messages of channels of other encodings, see MessageFile.
+        extras: Attachments and metadata.
+
+    Raises:
+        BagUnindexed: The file was not closed properly, or is cut short.
+        BagError: The file cannot be opened, is damaged, or holds nothing of ROS 1.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = os.fspath(path)
+        self._profile = ""
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._chunks: list[_Chunk] = []
+        self._last: _Read | None = None
+        try:
+            with ExitStack() as opened:
+                self._file: BinaryIO = opened.enter_context(open(self.path, "rb"))
+                for record in mcapformat.walk(self._file, self.path):
+                    self._note(record)
+                self._count_the_rest()
+                self._number()
+                opened.pop_all()
+        except OSError as exc:
+            raise BagError(f"{self.path} cannot be read: {exc.strerror}") from exc
+
+    def close(self) -> None:
+        """Close the file; twice is harmless."""
+        self._file.close()
+
+    def compressions(self) -> dict[str, int]:
+        """Count the chunks of each compression."""
+        return dict(Counter(chunk.head.compression for chunk in self._chunks))
+
+    def chunk_info(self, chunk: int) -> ChunkInfo:
+        """Tell what a chunk holds, see MessageFile."""
+        found = self._chunks[chunk]
+        counts = {self._numbers[c]: n for c, n in found.counts.items() if c in self._numbers}
+        return ChunkInfo(found.record.start, *self.chunk_times(chunk), counts, self._first[chunk])
+
+    def chunk_times(self, chunk: int) -> tuple[int, int]:
+        """Return the first and last time in a chunk as the file has them, ns."""
+        head = self._chunks[chunk].head
+        return head.start_ns, head.end_ns
+
+    def chunk_content(self, chunk: int) -> tuple[bytes, Places]:
+        """Unpack a chunk, and find its messages of ROS 1 in it, see MessageFile."""
+        content, found = self._messages(chunk)
+        ids = np.array([self._numbers[c] for c in found.channels.tolist()], np.int64)
+        return content, Places(ids, found.times, found.starts, found.stops)
+
+    def chunk_sent(self, chunk: int) -> Sent | None:
+        """Tell when the messages of a chunk were sent, see MessageFile."""
+        _, found = self._messages(chunk)
+        if not (found.sent.any() or found.sequences.any()):
+            return None
+        return Sent(self._first[chunk], found.sent, found.sequences)
+
+    def _messages(self, chunk: int) -> tuple[bytes, Messages]:
+        """Read the messages of ROS 1 of a chunk."""
+        if self._last is None or self._last.chunk != chunk:
+            content = self._content(chunk)
+            found = mcapformat.find_messages(content, self._where(chunk))
+            if Counter(found.channels.tolist()) != self._chunks[chunk].counts:
+                raise BagError(
+                    f"{self._where(chunk)} is damaged: its {len(found.times)} messages are not "
+                    "those that its message index lists; write the file anew with: "
+                    f"mcap recover {self.path} -o RECOVERED.mcap"
+                )
+            known = np.isin(found.channels, list(self._numbers))
+            self._last = _Read(chunk, content, Messages(*(column[known] for column in found)))
+        return self._last.content, self._last.messages
+
+    def _content(self, chunk: int) -> bytes:
+        found, where = self._chunks[chunk], self._where(chunk)
+        try:
+            data = self._bytes(found.record)
+        except OSError as exc:
+            raise BagError(f"{where} cannot be read: {exc.strerror}") from exc
+        return data if found.loose else mcapformat.decompress(found.head, data, where)
+
+    def _bytes(self, record: Record) -> bytes:
+        self._file.seek(record.start)
+        return self._file.read(record.stop - record.start)
+
+    def _where(self, chunk: int) -> str:
+        return f"{self.path}: chunk {chunk + 1} of {len(self._chunks)}"
+
+    def _note(self, record: Record) -> None:
+        """Take what a record outside of chunks says."""
+        kind = record.kind
+        if kind == Opcode.CHUNK:
+            head, place = mcapformat.read_chunk_head(self._file, record, self.path)
+            self._chunks.append(_Chunk(place, head))
+        elif kind == Opcode.MESSAGE_INDEX and self._chunks:
+            channel, count = mcapformat.count_of_index(self._file, record, self.path)
+            if count:
+                self._chunks[-1].counts[channel] += count
+        elif kind == Opcode.MESSAGE:
+            self._note_loose(record)
+        elif kind in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.HEADER):
+            self._note_text(kind, self._bytes(record), self.path)
+        elif kind in _EXTRAS:
+            self.extras[_EXTRAS[kind]] = self.extras.get(_EXTRAS[kind], 0) + 1
+
+    def _note_loose(self, record: Record) -> None:
+        """Add a message outside of chunks to those just before it."""
+        start, size = record.start - mcapformat.RECORD.size, record.stop - record.start
+        last = self._chunks[-1].record if self._chunks else None
+        if (
+            last is not None
+            and self._chunks[-1].loose
+            and last.stop == start
+            and last.stop - last.start + size < _LOOSE_BYTES
+        ):
+            self._chunks[-1].record = last._replace(stop=record.stop)
+        else:
+            head = ChunkHead(0, 0, size, 0, "none")
+            self._chunks.append(_Chunk(record._replace(start=start), head))
+
+    def _note_text(self, kind: int, raw: bytes, where: str) -> None:
+        if kind == Opcode.HEADER:
+            self._profile = mcapformat.parse(Header, raw, where).profile
+        elif kind == Opcode.SCHEMA:
+            schema = mcapformat.parse(Schema, raw, where)
+            if self._schemas.setdefault(schema.id, schema) != schema:
+                raise BagError(f"{where} is damaged: it has two different schemas {schema.id}")
+        elif kind == Opcode.CHANNEL:
+            channel = mcapformat.parse(Channel, raw, where)
+            if self._channels.setdefault(channel.id, channel) != channel:
+                raise BagError(f"{where} is damaged: it has two different channels {channel.id}")
+
+    def _count_the_rest(self) -> None:
+        """Look into the chunks whose channels or messages nothing outside of them tells."""
+        for place, chunk in enumerate(self._chunks):
+            if chunk.counts and all(map(self._is_known, chunk.counts)):
+                continue
+            content, where = self._content(place), self._where(place)
+            for record in mcapformat.records_of(content, where):
+                if record.kind in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self._note_text(record.kind, content[record.start : record.stop], where)
+            if not chunk.counts:
+                found = mcapformat.find_messages(content, where)
+                chunk.counts.update(found.channels.tolist())
+                if len(found.times):
+                    ends = int(found.times.min()), int(found.times.max())
+                    chunk.head = chunk.head._replace(start_ns=ends[0], end_ns=ends[1])
+            missing = [c for c in chunk.counts if c not in self._channels]
+            if missing:
+                raise BagError(
+                    f"{where} is damaged: it has messages of channel {missing[0]}, which is missing"
+                )
+
+    def _is_known(self, channel_id: int) -> bool:
+        channel = self._channels.get(channel_id)
+        return channel is not None and channel.schema_id in (0, *self._schemas)
+
+    def _number(self) -> None:
+        """Make connections of the channels that have messages of ROS 1."""
+        self._chunks = [chunk for chunk in self._chunks if chunk.counts]
+        totals: Counter[int] = Counter()
+        for chunk in self._chunks:
+            totals.update(chunk.counts)
+        kept = []
+        for number, count in sorted(totals.items()):
+            channel = self._channels[number]
+            schema = self._schemas.get(channel.schema_id)
+            why = why_foreign(channel, schema)
+            if why:
+                earlier = self.left_out.get(channel.topic, (0, why))
+                self.left_out[channel.topic] = (earlier[0] + count, why)
+            else:
+                kept.append((to_connection(channel, schema, self.path), number))
+        if self.left_out and not kept:
+            self._refuse(totals)
+        if len({connection.number for connection, _ in kept}) < len(kept):
+            raise BagError(f"{self.path} is damaged: two of its connections have the same number")
+        kept.sort(key=lambda each: each[0].number)
+        self._numbers = {channel_id: connection.number for connection, channel_id in kept}
+        self.connections = {connection.number: connection for connection, _ in kept}
+        self.counts = Counter({self._numbers[c]: totals[c] for c in self._numbers})
+        self.chunk_count, self.message_count = len(self._chunks), sum(self.counts.values())
+        each = [sum(n for c, n in k.counts.items() if c in self._numbers) for k in self._chunks]
+        self._first = [0, *np.cumsum(each).tolist()]
+        self.start_ns = min((chunk.head.start_ns for chunk in self._chunks), default=0)
+        self.end_ns = max((chunk.head.end_ns for chunk in self._chunks), default=0)
+
+    def _refuse(self, totals: Counter[int]) -> None:
+        encodings = {self._channels[number].message_encoding for number in totals}
+        if self._profile == Profile.ROS2 or MessageEncoding.CDR in encodings:
+            raise refusal(self.path)
+        topic, (_, why) = next(iter(self.left_out.items()))
+        raise BagError(
+            f"{self.path} holds no messages of ROS 1: of topic {topic} {why}; only MCAP files of "
+            "ROS 1 can be stored, as 'mcap convert IN.bag OUT.mcap' makes them of bags"
+        )

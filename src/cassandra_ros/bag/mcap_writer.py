@@ -1,0 +1,99 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Write MCAP files of the profile ros1, as Foxglove and the mcap tools read them."""
+
+from __future__ import annotations
+
+import os
+from typing import NamedTuple
+
+from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
+from mcap.writer import CompressionType, Writer
+
+from cassandra_ros.bag.file_writer import FileWriter
+from cassandra_ros.bag.mcap_channel import NUMBER, to_channel
+from cassandra_ros.errors import BagError
+
+CHUNK_BYTES = 1 << 20
+"""A chunk is closed when its content has grown over this, as in mcap's own writers."""
+_MAX_CHANNELS = 2**16 - 1
+_COMPRESSIONS = {
+    "none": CompressionType.NONE,
+    "lz4": CompressionType.LZ4,
+    "zstd": CompressionType.ZSTD,
+}
+
+
+class _Used(NamedTuple):
+    """What the file has registered."""
+
+    schemas: dict[tuple[str, bytes], int]
+    channels: dict[int, int]
+    """Number of a connection -> id of its channel."""
+
+
+class McapWriter(FileWriter):
+    """An MCAP that is being written, see FileWriter. Memory: one chunk, connections, the index.
+
+    A connection is a channel, whose metadata hold what the header has beside topic, type and
+    definition, see mcap_channel.
+
+    Args:
+        path: The file to make; an existing one is replaced at the end.
+        compression: 'none', 'lz4' or 'zstd'.
+        chunk_bytes: Content of a chunk at which it is closed, uncompressed bytes.
+
+    Raises:
+        BagError: The compression is unknown, or the file cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        compression: str = "zstd",
+        chunk_bytes: int = CHUNK_BYTES,
+    ) -> None:
+        if compression not in _COMPRESSIONS:
+            known = ", ".join(_COMPRESSIONS)
+            raise BagError(f"{compression!r} is not a compression of MCAP; known are {known}")
+        super().__init__(path)
+        self._used = _Used({}, {})
+        self._writer = Writer(self._file, chunk_bytes, _COMPRESSIONS[compression])
+        self._writer.start(Profile.ROS1, "cassandra_ros")
+
+    def write(
+        self, number: int, t_ns: int, data: bytes, delay_ns: int = 0, sequence: int = 0
+    ) -> None:
+        """Append a message, see FileWriter."""
+        try:
+            channel = self._used.channels.get(number)
+            if channel is None:
+                channel = self._used.channels[number] = self._register(number)
+            self._writer.add_message(channel, t_ns, data, t_ns + delay_ns, sequence)
+        except OSError as exc:
+            raise self._failure(exc) from exc
+
+    def _finish(self) -> None:
+        self._writer.finish()  # type: ignore[no-untyped-call]  # of the library
+
+    def _register(self, number: int) -> int:
+        """Write schema and channel of a connection; return the id of the channel."""
+        if len(self._used.channels) == _MAX_CHANNELS:
+            raise BagError(
+                f"{self.path}: an MCAP has at most {_MAX_CHANNELS} channels, and each publisher of "
+                "a topic is one; export fewer topics or runs, or into a bag"
+            )
+        connection = self._connections[number]
+        text = to_channel(connection)
+        schemas, key = self._used.schemas, (text.type, text.definition)
+        if key not in schemas:
+            schemas[key] = self._writer.register_schema(
+                text.type, SchemaEncoding.ROS1, text.definition
+            )
+        metadata = text.metadata
+        # The library numbers channels from 1 in the order in which they come.
+        if number != len(self._used.channels) + 1:
+            metadata[NUMBER] = str(number)
+        return self._writer.register_channel(
+            connection.topic, MessageEncoding.ROS1, schemas[key], metadata
+        )
