@@ -81,7 +81,7 @@ class BagIndex:
             number = bagformat.number(record.fields, b"conn", where)
             header = self._file.read(record.data_bytes)
             topic = _topic(record.fields, number, self.path)
-            _check_header(header, f"{self.path}: connection {number} (topic {topic})")
+            check_header(header, f"{self.path}: connection {number} (topic {topic})")
             if found.setdefault(number, (topic, header)) != (topic, header):
                 raise BagError(f"{self.path} is damaged: it has two different connections {number}")
         # Number decides between equal times. Where the records stand in another order, that is
@@ -194,7 +194,8 @@ def _topic(fields: bagformat.Fields, number: int, name: str) -> str:
     raise BagError(f"{name} is damaged: connection {number} names no topic")
 
 
-def _check_header(header: bytes, where: str) -> None:
+def check_header(header: bytes, where: str) -> None:
+    """Check that a connection's header is one, and states type and md5sum; else BagError."""
     fields = bagformat.split_fields(header, where)
     for name in (b"type", b"md5sum"):
         try:

@@ -10,12 +10,12 @@ of ours say what they are, see HEADER and NUMBER.
 from __future__ import annotations
 
 import base64
-import binascii
 from typing import NamedTuple
 
 from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
+from cassandra_ros.bag.index import check_header
 from cassandra_ros.errors import BagError, CassandraRosError
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection import (
@@ -68,20 +68,21 @@ def to_connection(channel: Channel, schema: Schema | None, where: str) -> Connec
     Raises:
         BagError: Our own fields in its metadata are damaged.
     """
+    place = f"{where}: channel {channel.id} (topic {channel.topic})"
     text = ChannelText("", b"", channel.metadata)
     if schema is not None:
         text = ChannelText(schema.name, schema.data, channel.metadata)
-    number = channel.metadata.get(NUMBER, str(channel.id))
     try:
-        header = _kept_header(channel.metadata.get(HEADER), text.definition)
-        if not 0 <= int(number) < 2**32:
-            raise ValueError(f"number {number}")
-    except (ValueError, binascii.Error) as exc:
-        raise BagError(
-            f"{where} is damaged: the metadata {HEADER} and {NUMBER} of channel {channel.id} "
-            f"(topic {channel.topic}): {exc}"
-        ) from exc
-    return Connection(channel.topic, header or _header(channel.topic, text), int(number))
+        header = _header(channel.topic, text)
+        if HEADER in channel.metadata:
+            header = _kept_header(channel.metadata[HEADER], text.definition)
+        number = int(channel.metadata.get(NUMBER, channel.id))
+        if not 0 <= number < 2**32:
+            raise ValueError(f"{number} is out of range")
+    except ValueError as exc:
+        raise BagError(f"{place} is damaged: its metadata {HEADER} or {NUMBER}: {exc}") from exc
+    check_header(header, place)
+    return Connection(channel.topic, header, number)
 
 
 def why_foreign(channel: Channel, schema: Schema | None) -> str:
@@ -120,9 +121,7 @@ def _md5sum(type_name: str, definition: bytes) -> str:
         return _ANY_MD5  # as a subscriber says who takes any
 
 
-def _kept_header(text: str | None, definition: bytes) -> bytes:
-    if text is None:
-        return b""
+def _kept_header(text: str, definition: bytes) -> bytes:
     offset, _, coded = text.partition(":")
     return join_definition(base64.b64decode(coded, validate=True), int(offset), definition)
 

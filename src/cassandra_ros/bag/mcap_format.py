@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import zlib
 from io import BytesIO
 from struct import Struct
@@ -16,7 +17,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Header, Schema
+from mcap.records import Channel, Footer, Header, Schema, Statistics
 
 from cassandra_ros.bag.chunk import MAX_CHUNK_BYTES, Longs
 from cassandra_ros.errors import BagError, BagUnindexed
@@ -30,7 +31,9 @@ _CHUNK = Struct("<QQQII")
 _MESSAGE = Struct("<BQHIQQ")
 _INDEX = Struct("<HI")
 _ENTRY_BYTES = 16
-Parsed = TypeVar("Parsed", Channel, Header, Schema)
+_CRC_BYTES = 4
+_READ_BYTES = 1 << 20
+Parsed = TypeVar("Parsed", Channel, Footer, Header, Schema, Statistics)
 
 
 class Record(NamedTuple):
@@ -102,12 +105,30 @@ def _cut(path: str, what: str) -> BagUnindexed:
 
 
 def parse(kind: Type[Parsed], raw: bytes, where: str) -> Parsed:
-    """Read a channel, schema or header by the library; BagError where it is none."""
+    """Read a record of some kind by the library; BagError where it is none."""
     try:
         found: Parsed = kind.read(ReadDataStream(BytesIO(raw)))
         return found
-    except (McapError, ValueError, OSError) as exc:
+    except (McapError, struct.error, ValueError, OverflowError, MemoryError) as exc:
         raise BagError(f"{where} is damaged: {kind.__name__.lower()} record: {exc}") from exc
+
+
+def check_summary(file: BinaryIO, footer: Record, path: str) -> None:
+    """Compare what a file says of itself at its end with the crc in its footer, if it has one."""
+    file.seek(footer.start)
+    found = parse(Footer, file.read(footer.stop - footer.start), path)
+    if not found.summary_crc:
+        return
+    file.seek(found.summary_start or footer.start - RECORD.size)
+    crc, left = 0, footer.stop - _CRC_BYTES - file.tell()
+    while left > 0:
+        part = file.read(min(left, _READ_BYTES))
+        crc, left = zlib.crc32(part, crc), left - len(part)
+    if crc != found.summary_crc:
+        raise BagError(
+            f"{path} is damaged: the crc of its summary is wrong; write the file anew with: "
+            f"mcap recover {path} -o RECOVERED.mcap"
+        )
 
 
 def read_chunk_head(file: BinaryIO, record: Record, where: str) -> tuple[ChunkHead, Record]:
@@ -151,7 +172,7 @@ def decompress(head: ChunkHead, data: bytes, where: str) -> bytes:
         raise BagError(
             f"{where} is compressed with {head.compression!r}; known are {', '.join(COMPRESSIONS)}"
         ) from None
-    except (zstandard.ZstdError, RuntimeError, EOFError, ValueError) as exc:
+    except (zstandard.ZstdError, RuntimeError, EOFError, ValueError, MemoryError) as exc:
         raise BagError(f"{where} is damaged: its compressed data is not valid ({exc})") from exc
     if len(content) != head.size:
         raise BagError(f"{where} is damaged: it does not unpack to {head.size} bytes")

@@ -12,7 +12,7 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Channel, Header, Schema
+from mcap.records import Channel, Header, Schema, Statistics
 from mcap.well_known import MessageEncoding, Profile
 
 from cassandra_ros.bag import mcap_format as mcapformat
@@ -23,6 +23,7 @@ from cassandra_ros.bag.mcap_format import ChunkHead, Messages, Record
 from cassandra_ros.bag.message_file import MessageFile, Sent
 from cassandra_ros.bag.rosbag2 import refusal
 from cassandra_ros.errors import BagError
+from cassandra_ros.messages.connection import Connection
 
 _LOOSE_BYTES = 1 << 20
 """Messages that lie outside of chunks are read so many bytes at once."""
@@ -72,6 +73,8 @@ class McapReader(MessageFile):
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = os.fspath(path)
         self._profile = ""
+        self._stated: int | None = None
+        """Messages of the file, as it says at its end."""
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._chunks: list[_Chunk] = []
@@ -161,6 +164,11 @@ class McapReader(MessageFile):
                 self._chunks[-1].counts[channel] += count
         elif kind == Opcode.MESSAGE:
             self._note_loose(record)
+        elif kind == Opcode.STATISTICS:
+            raw = self._bytes(record)
+            self._stated = mcapformat.parse(Statistics, raw, self.path).message_count
+        elif kind == Opcode.FOOTER:
+            mcapformat.check_summary(self._file, record, self.path)
         elif kind in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.HEADER):
             self._note_text(kind, self._bytes(record), self.path)
         elif kind in _EXTRAS:
@@ -224,7 +232,12 @@ class McapReader(MessageFile):
         totals: Counter[int] = Counter()
         for chunk in self._chunks:
             totals.update(chunk.counts)
-        kept = []
+        if self._stated not in (None, sum(totals.values())):
+            raise BagError(
+                f"{self.path} is damaged: of the {self._stated} messages that it should hold "
+                f"{sum(totals.values())} are found"
+            )
+        kept: list[tuple[Connection, int]] = []
         for number, count in sorted(totals.items()):
             channel = self._channels[number]
             schema = self._schemas.get(channel.schema_id)
@@ -236,6 +249,10 @@ class McapReader(MessageFile):
                 kept.append((to_connection(channel, schema, self.path), number))
         if self.left_out and not kept:
             self._refuse(totals)
+        self._take(kept, totals)
+
+    def _take(self, kept: list[tuple[Connection, int]], totals: Counter[int]) -> None:
+        """Fill in what MessageFile tells, of connections and the ids of their channels."""
         if len({connection.number for connection, _ in kept}) < len(kept):
             raise BagError(f"{self.path} is damaged: two of its connections have the same number")
         kept.sort(key=lambda each: each[0].number)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Write stored messages into a bag of format 2.0.
+"""Write stored messages into a bag of format 2.0, or into an MCAP where OUT ends with .mcap.
 
 The messages stand in the order of their times; connections keep topic, header and number, so what
 was imported from a bag reads back in the same order. Times are seconds (1368021980 or
@@ -11,6 +11,9 @@ With --start the bag begins with what was latched before it (/tf_static, say): f
 the recordings that the bag shows its last message. They stand at the time of the start, each with a
 connection of its own whose header says latched_from and the time of reception in nanoseconds;
 import stores them as they stand.
+
+An MCAP has the profile ros1, so Foxglove and the mcap tools read it; a publisher of a topic is a
+channel, whose metadata hold the connection's header. cassandra_bag import gives all of it back.
 """
 
 from __future__ import annotations
@@ -33,7 +36,7 @@ from cassandra_ros.cli.text import MessageBar, format_bytes, format_table, shown
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bag, selection, compression and the store."""
     add = parser.add_argument
-    add("bag", metavar="OUT.bag", help="the bag to make")
+    add("bag", metavar="OUT.bag", help="the bag to make; OUT.mcap makes an MCAP")
     add("--topics", nargs="+", metavar="TOPIC", help="only these topics (after OUT.bag)")
     add_time_options(parser)
     add_origin_options(parser)
@@ -50,6 +53,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     packing.add_argument(
         "--lz4", dest="compression", action="store_const", const="lz4", help="use LZ4"
+    )
+    packing.add_argument(
+        "--compression",
+        choices=("none", "bz2", "lz4", "zstd"),
+        metavar="NAME",
+        help="none, lz4, of a bag also bz2, of an MCAP also zstd (default: none in a bag, zstd in "
+        "an MCAP)",
     )
     add("-f", "--force", action="store_true", help="replace OUT.bag if it exists")
     add("-q", "--quiet", action="store_true", help="print errors only")
@@ -70,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
             start=start,
             end=end,
             nodeID=options.node_id,
-            compression=options.compression or "none",
+            compression=options.compression,
             force=options.force,
             progress=bar.add,
             where=where,

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Store the messages of bags.
+"""Store the messages of bags, or of MCAP files with messages of ROS 1.
 
 Every message keeps its topic, type, time, bytes and connection. Importing the same bag again, or
 first a part of it and then all, or once more after an interruption, ends in the same messages. A
 topic whose definition is empty or broken is kept as binary, with a warning. One whose name cannot
 be kept (it holds a NUL) is left out: a warning says how many messages that are, and the exit status
-is 1.
+is 1. So are the messages of an MCAP that are none of ROS 1, as JSON or protobuf.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add bags, format, selection and the store."""
     add = parser.add_argument
-    add("bags", nargs="+", metavar="FILE", help="bags of format 2.0")
+    add("bags", nargs="+", metavar="FILE", help="bags of format 2.0, or MCAP files of ROS 1")
     add_format_option(parser)
     add("--topics", nargs="+", metavar="TOPIC", help="only these topics (after the FILEs)")
     add(

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Compare a bag with what is stored, message by message; exit status 0 only when equal.
+"""Compare a bag or an MCAP with what is stored, message by message; exit status 0 only when equal.
 
 Compared are topic, time, type, md5sum, bytes, connection header and order, as rosbag reads them.
 Where the store holds an import of this very bag, exactly its messages are compared, so other bags
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bag, what is compared, and the store."""
     add = parser.add_argument
-    add("bag", metavar="FILE.bag", help="a bag of format 2.0")
+    add("bag", metavar="FILE.bag", help="a bag of format 2.0, or an MCAP of ROS 1")
     add(
         "--topics", nargs="+", metavar="TOPIC", help="only these topics of the bag (after FILE.bag)"
     )

@@ -1,0 +1,200 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""MCAP files, read and written; judged by the mcap packages and by the bags they were made of."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from bag.truth import string_connection, string_wire
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.records import Channel, Schema
+from mcap.writer import CompressionType, IndexType, Writer
+from mcap_ros1.decoder import DecoderFactory
+
+from cassandra_ros.bag.identity import read_content
+from cassandra_ros.bag.mcap_channel import HEADER, to_channel, to_connection
+from cassandra_ros.bag.mcap_writer import McapWriter
+from cassandra_ros.bag.opening import make_file, open_file
+from cassandra_ros.errors import BagError, BagUnindexed
+from cassandra_ros.messages.connection import Connection, live_connection
+
+BAGS = ("turtlesim_tf", "primitive_arrays", "empty_message_definition", "ros_numpy_types")
+
+
+def copy(source, target, **options):
+    """Write the messages of a file into another one."""
+    with open_file(source) as reader, McapWriter(target, chunk_bytes=50_000, **options) as writer:
+        for number, connection in reader.connections.items():
+            writer.connection(connection, number)
+        for message in reader.messages():
+            writer.write(message.number, message.t_ns, message.data)
+    return target
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+@pytest.mark.parametrize("name", BAGS)
+def test_mcap_holds_what_the_bag_holds(bags, tmp_path, name, compression):
+    source = bags / f"{name}.bag"
+    path = copy(source, tmp_path / "a.mcap", compression=compression)
+    with open_file(source) as bag, open_file(path) as mcap:
+        assert set(mcap.compressions()) == {compression}
+        assert mcap.connections == bag.connections
+        assert (mcap.counts, mcap.start_ns, mcap.end_ns) == (bag.counts, bag.start_ns, bag.end_ns)
+        messages = list(mcap.messages())
+        assert messages == list(bag.messages())
+        assert read_content(mcap).digest == read_content(bag).digest
+        late = list(mcap.messages(start=len(messages) - 3))
+        assert late == messages[-3:]
+
+
+def test_the_packages_of_mcap_read_it(bags, tmp_path):
+    path = copy(bags / "turtlesim_tf.bag", tmp_path / "a.mcap")
+    with open_file(path) as ours, open(path, "rb") as file:
+        expected = {(m.t_ns, ours.connections[m.number].topic, m.data) for m in ours.messages()}
+        count = ours.message_count
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros1"
+        summary = reader.get_summary()
+        assert summary.statistics.message_count == count
+        found, poses = set(), 0
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
+            found.add((message.log_time, channel.topic, message.data))
+            assert message.publish_time == message.log_time
+            if schema.name == "turtlesim/Pose":
+                poses += decoded.x > 0
+        assert found == expected
+        assert poses > 100
+        rosout = [c.metadata for c in summary.channels.values() if c.topic == "/rosout"]
+        assert {"callerid": "/sim", "latching": "true"}.items() <= rosout[1].items()
+
+
+def foreign(path, messages=40, **options):
+    """Write what another program might: no header but the type, several channels."""
+    compression = options.pop("compression", CompressionType.ZSTD)
+    with open(path, "wb") as file:
+        writer = Writer(file, chunk_size=200, compression=compression, **options)
+        writer.start("ros1")
+        schema = writer.register_schema("std_msgs/String", "ros1msg", b"string data\n")
+        channels = [writer.register_channel(f"/c{n}", "ros1", schema) for n in range(3)]
+        channels.append(
+            writer.register_channel("/latched", "ros1", schema, {"latching": "true", "x": "y"})
+        )
+        for n in range(messages):
+            writer.add_message(channels[n % 4], 10 + n, string_wire(str(n)), 10 + n)
+        writer.finish()
+    return path
+
+
+LAYOUTS = {
+    "whole": {},
+    "no chunks": {"use_chunking": False},
+    "no indexes": {"index_types": IndexType.NONE},
+    "no summary": {"repeat_channels": False, "repeat_schemas": False, "use_statistics": False},
+    "nothing": {
+        "repeat_channels": False,
+        "repeat_schemas": False,
+        "use_statistics": False,
+        "use_summary_offsets": False,
+        "index_types": IndexType.NONE,
+        "enable_crcs": False,
+    },
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_every_layout_of_other_writers_is_read(tmp_path, layout):
+    with open_file(foreign(tmp_path / "a", **LAYOUTS[layout])) as reader:  # whatever its name
+        assert [(m.t_ns, m.position, m.data) for m in reader.messages()] == [
+            (10 + n, n, string_wire(str(n))) for n in range(40)
+        ]
+        assert (reader.start_ns, reader.end_ns) == (10, 49)
+        latched = reader.connections[4]
+        assert latched.topic == "/latched"
+        assert latched.latching
+        assert latched.fields["x"] == b"y"
+        assert latched.fields["topic"] == b"/latched"
+        # Computed, for nobody says it.
+        assert {c.md5sum for c in reader.connections.values()} == {string_connection().md5sum}
+        assert {c.type for c in reader.connections.values()} == {"std_msgs/String"}
+        assert latched.definition_text == "string data\n"
+
+
+def test_a_file_that_is_cut_says_so(tmp_path):
+    whole = foreign(tmp_path / "a.mcap").read_bytes()
+    path = tmp_path / "b.mcap"
+    for length in (*range(8, len(whole), 97), len(whole) - 1):
+        path.write_bytes(whole[:length])
+        with pytest.raises(BagUnindexed, match=f"mcap recover {path} -o") as caught:
+            open_file(path)
+        assert "\n" not in str(caught.value)
+
+
+def test_damage_is_found_or_changes_nothing(tmp_path):
+    """Of each message its bytes come back, or BagError says where the damage is."""
+    whole = foreign(tmp_path / "a.mcap").read_bytes()
+    path = tmp_path / "b.mcap"
+    with open_file(tmp_path / "a.mcap") as reader:
+        expected = [m.data for m in reader.messages()]
+    refused = 0
+    for at in range(8, len(whole), 5):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :])
+        try:
+            with open_file(path) as reader:
+                assert [m.data for m in reader.messages()] == expected
+        except BagError as exc:
+            assert str(path) in str(exc)
+            refused += 1
+    assert refused > 100
+
+
+TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
+NAMES = st.sampled_from(["callerid", "latching", "x", "type", "topic", "message_definition", "é"])
+
+
+@given(
+    st.lists(st.tuples(NAMES, st.one_of(TEXTS, st.binary(max_size=6), st.just("1"))), max_size=8),
+    st.binary(max_size=9),
+)
+@settings(max_examples=150, deadline=None)
+def test_any_header_comes_back_to_the_bit(fields, definition):
+    """Whatever a publisher writes into its header, in whatever order, twice too."""
+    base = {"type": "std_msgs/String", "md5sum": "*", "message_definition": definition}
+    # Of equal names the last one counts, and a bag has a type and an md5sum.
+    header = b"".join(live_connection("/a", {name: value}).header for name, value in fields)
+    header += live_connection("/a", base).header
+    connection = Connection("/a", header, 7)
+    text = to_channel(connection)
+    stream = io.BytesIO()
+    writer = Writer(stream)
+    writer.start()
+    schema = writer.register_schema(text.type, "ros1msg", text.definition)
+    writer.register_channel("/a", "ros1", schema, text.metadata)
+    writer.finish()
+    summary = make_reader(io.BytesIO(stream.getvalue())).get_summary()
+    channel, schema = summary.channels[1], summary.schemas[1]
+    channel.id = 7
+    assert to_connection(channel, schema, "") == connection
+
+
+def test_hostile_metadata_is_refused():
+    for text in ("x", "1:=", "99999999999999999999999:AAAA", ":"):
+        channel = Channel(1, "/a", "ros1", {HEADER: text}, 1)
+        with pytest.raises(BagError, match=r"^a.mcap: channel 1 \(topic /a\) is damaged: "):
+            to_connection(channel, Schema(1, b"", "ros1msg", "std_msgs/String"), "a.mcap")
+
+
+def test_what_cannot_be_written_is_an_error(tmp_path):
+    with pytest.raises(BagError, match="'bz2' is not a compression of MCAP"):
+        make_file(tmp_path / "a.mcap", "bz2")
+    with pytest.raises(BagError, match="'zstd' is not a compression of bags"):
+        make_file(tmp_path / "a.bag", "zstd")
+    with pytest.raises(BagError, match="cannot be written"):
+        make_file(tmp_path / "no" / "a.mcap")
+    with pytest.raises(ZeroDivisionError), make_file(tmp_path / "A.MCAP") as writer:
+        writer.write(writer.connection(string_connection()), 1, b"")
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""cassandra_bag import, verify and export of MCAP files, and what it says of rosbag2's."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+
+import pytest
+from bag.truth import read_with_rosbag, string_wire
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from mcap_ros1.decoder import DecoderFactory
+
+TOPICS = ("/fix", "/imu/data", "/husky/cmd_vel")
+
+
+def words(text, first):
+    """Return the words of the line of a table that begins with a word."""
+    return next(line.split() for line in text.splitlines() if line.split()[:1] == [first])
+
+
+def test_bag_to_mcap_to_bag_loses_nothing(call, keyspaces, bags, tmp_path):
+    bag, mcap, again = bags / "husky_gps_data.bag", tmp_path / "a.mcap", tmp_path / "again.bag"
+    assert call("import", bag, "--topics", *TOPICS)[0] == 0
+    status, text, err = call("export", mcap, "--topics", *TOPICS)
+    assert (status, err) == (0, "")
+    assert words(text, "/fix") == ["/fix", "95"]
+    expected = [m for m in read_with_rosbag(bag)[1] if m.topic in TOPICS]
+    with open(mcap, "rb") as file:  # as Foxglove does
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros1"
+        fixes = [m for *_, m in reader.iter_decoded_messages(topics=["/fix"])]
+    assert len(fixes) == 95
+    assert str(fixes[0].latitude).startswith("43.40")
+    with keyspaces.lend() as other:
+        assert call("import", mcap, "-q", keyspace=other) == (0, "", "")
+        status, text, _ = call("verify", mcap, keyspace=other)
+        assert (status, text.split(":")[0]) == (0, "equal")
+        assert call("import", mcap, "-q", "--jobs", "2", keyspace=other)[0] == 0
+        assert f"messages:  {len(expected)} of 3 topics" in call("info", keyspace=other)[1]
+        assert call("export", again, keyspace=other)[0] == 0
+        assert read_with_rosbag(again)[1] == expected
+        assert call("export", mcap, "--compression", "none", keyspace=other)[0] == 1  # it exists
+        assert call("export", mcap, "-f", "--compression", "none", keyspace=other)[0] == 0
+        raw = bytearray(mcap.read_bytes())
+        raw[raw.index(expected[0].data) + 3] ^= 1
+        mcap.write_bytes(raw)
+        status, _, err = call("verify", mcap, keyspace=other)
+        assert (status, err.count("\n")) == (1, 1)
+        assert "its crc is wrong" in err
+
+
+def write(path, channels, profile="ros1", messages=6, extras=False):
+    """Write an MCAP of any encodings: topic -> message encoding, schema encoding."""
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start(profile)
+        ids = []
+        for topic, (encoding, schema_encoding) in channels.items():
+            schema = writer.register_schema("std_msgs/String", schema_encoding, b"string data\n")
+            ids.append(writer.register_channel(topic, encoding, schema))
+        for n in range(messages):
+            writer.add_message(ids[n % len(ids)], 5 + n, string_wire(str(n)), 5 + n)
+        if extras:
+            writer.add_metadata("where", {"site": "lab"})
+        writer.finish()
+    return path
+
+
+ROS1, CDR, JSON = ("ros1", "ros1msg"), ("cdr", "ros2msg"), ("json", "jsonschema")
+
+
+def test_what_is_none_of_ros_1_is_told(call, tmp_path):
+    mixed = write(tmp_path / "a.mcap", {"/a": ROS1, "/j": JSON}, extras=True)
+    status, text, err = call("import", mixed)
+    assert status == 1
+    assert words(text, "/a")[1] == "3"
+    assert "the 3 messages of topic /j are not stored: its messages are encoded as 'json'" in err
+    assert "its 1 records of metadata are not stored" in err
+    assert call("verify", mixed)[0] == 0
+    assert call("import", mixed, "--topics", "/a", "-q") == (0, "", "")
+    status, _, err = call("import", write(tmp_path / "j.mcap", {"/j": JSON}))
+    assert (status, err.count("\n")) == (1, 1)
+    assert "holds no messages of ROS 1: of topic /j" in err
+
+
+@pytest.mark.parametrize("kind", ["folder", "db3", "mcap"])
+def test_bags_of_ros_2_are_named_with_what_to_do(call, tmp_path, kind):
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 5}\n")
+    path = folder if kind == "folder" else folder / f"drive_0.{kind}"
+    if kind == "db3":
+        with sqlite3.connect(path) as file:
+            file.execute("CREATE TABLE topics (id INTEGER)")
+    elif kind == "mcap":
+        write(path, {"/a": CDR}, profile="ros2")
+    for verb in ("import", "verify"):
+        status, _, err = call(verb, path)
+        assert (status, err.count("\n")) == (1, 1)
+        assert f"{path} is a bag of ROS 2 (rosbag2)" in err
+        assert f"rosbags-convert --src {folder} --dst OUT.bag" in err
+    shutil.copy(path, tmp_path / "x") if path.is_file() else None
+    if path.is_file():  # alone, and whatever its name
+        assert f"--src {tmp_path / 'x'} " in call("import", tmp_path / "x")[2]
