@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import copy
 import pickle
+from datetime import date, datetime, timedelta, timezone
 from decimal import Decimal
 
 import genpy
 import numpy
+import pandas
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.messages.stamps import Stamp, iso_time, to_ns
+from cassandra_ros.messages.stamps import Stamp, duration_ns, iso_time, time_or_length, to_ns
 
 NS = st.integers(0, MAX_NS)
 DAY = 86_400 * 10**9
@@ -137,6 +139,15 @@ def test_row_is_kept_by_copies_but_not_by_arithmetic():
         ("1970-01-02T01:30:00+01:30", DAY),
         ("1970-01-02T01:30:00+0130", DAY),
         ("1970-01-01T22:00:00.25-02", DAY + 25 * 10**7),
+        (datetime(1970, 1, 2, 0, 0, 1, 5), DAY + 10**9 + 5000),  # without a zone: UTC
+        (datetime(1970, 1, 2, 2, tzinfo=timezone(timedelta(hours=2))), DAY),
+        (numpy.datetime64("1970-01-02"), DAY),
+        (numpy.datetime64("1970-01-02T00:00:00.000000001"), DAY + 1),
+        (pandas.Timestamp(1368021980123456789), 1368021980123456789),
+        (pandas.Timestamp("1970-01-02T02:00:00.000000007", tz="Europe/Athens"), DAY + 7),
+        (pandas.Timestamp("2100-01-01").as_unit("s"), 4102444800 * 10**9),
+        (pandas.Series([DAY + 3]).astype("M8[ns]")[0], DAY + 3),
+        (pandas.Series([DAY + 3]).astype("M8[ns]").values[0], DAY + 3),
     ],
 )
 def test_forms_of_a_time(value, ns):
@@ -150,6 +161,14 @@ def test_forms_of_a_time(value, ns):
         True,
         b"17",
         genpy.Duration(1),
+        timedelta(1),
+        numpy.timedelta64(1, "s"),
+        numpy.datetime64("NaT"),
+        numpy.datetime64("2600-01-01"),
+        numpy.datetime64(10**18, "Y"),
+        pandas.NaT,
+        datetime(1969, 12, 31),
+        date(2013, 5, 8),
         float("nan"),
         float("inf"),
         -1,
@@ -173,6 +192,53 @@ def test_forms_of_a_time(value, ns):
 def test_no_times(value):
     with pytest.raises(InvalidKey):
         to_ns(value)
+
+
+ONE_SECOND = (1, 1.0, Decimal(1), numpy.int64(1), genpy.Duration(1), timedelta(seconds=1))
+ONE_SECOND += (numpy.timedelta64(1, "s"), pandas.Timedelta(1, "s"))
+
+
+@pytest.mark.parametrize("second", ONE_SECOND)
+def test_forms_of_a_length_of_time(second):
+    assert duration_ns(second) == 10**9
+    assert Stamp(5) + second == second + Stamp(5) == Stamp(6)
+    assert Stamp(5) - second == Stamp(4)
+    assert time_or_length(second) == (10**9, True)
+
+
+def test_lengths_keep_nanoseconds():
+    assert duration_ns(pandas.Timedelta(10**18 + 7)) == 10**18 + 7
+    for wrong in (pandas.NaT, numpy.timedelta64("NaT"), -timedelta(1), Stamp(1), datetime.max):
+        with pytest.raises(InvalidKey, match="of time|not a time"):
+            duration_ns(wrong)
+
+
+def test_stamps_and_the_times_of_others():
+    stamp = Stamp(10, 5)
+    for other in (datetime(1970, 1, 1, 0, 0, 4), numpy.datetime64(4, "s"), pandas.Timestamp(4e9)):
+        assert stamp - other == genpy.Duration(6, 5)
+        assert stamp > other
+        assert not stamp <= other
+        assert other < stamp
+
+
+def test_where_a_time_or_a_length_may_be_meant_a_number_means_what_it_does_elsewhere():
+    now = 1_368_021_980
+    assert time_or_length(600) == time_or_length(600.0) == (600 * 10**9, True)
+    assert time_or_length(now + 0.5) == (now * 10**9 + 5 * 10**8, False)
+    assert time_or_length(now * 10**9 + 1) == (now * 10**9 + 1, False)
+    assert time_or_length(datetime(1970, 1, 2)) == (DAY, False)
+    assert time_or_length(genpy.Time(5)) == (5 * 10**9, False)
+    with pytest.raises(InvalidKey, match=rf"write seconds since 1970 as {now}\.0$"):
+        time_or_length(now)
+    for wrong in (-1, float("nan"), float("inf"), "600", None, True):
+        with pytest.raises(InvalidKey):
+            time_or_length(wrong)
+
+
+def test_a_stamp_says_what_it_is():
+    assert repr(Stamp(1, 5)) == "Stamp[1000000005: 1970-01-01T00:00:01.000000005Z]"
+    assert repr(Stamp.from_ns(0, node="r1")) == "Stamp[0: 1970-01-01T00:00:00.000000000Z of r1]"
 
 
 @given(st.text(max_size=40))

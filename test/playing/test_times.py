@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.playing.times import When, check_length, read_when, resolve_times
+from cassandra_ros.messages.stamps import When, iso_time
+from cassandra_ros.playing.times import check_length, read_when, resolve_times
 from cassandra_ros.topics.selection import Stretch
 
 SEC = 10**9

@@ -15,12 +15,12 @@ from cassandra_ros.bag.opening import make_file
 from cassandra_ros.errors import BagError, MessageNotFound
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.messages.stamps import Time, iso_time
 from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.latched import latched_before
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.runs import RunName
-from cassandra_ros.topics.selection import Stretch, Time
+from cassandra_ros.topics.selection import Stretch
 from cassandra_ros.topics.stored_row import StoredRow
 
 _RUN_NUMBERS = 1 << 16

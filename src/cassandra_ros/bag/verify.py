@@ -17,11 +17,10 @@ from cassandra_ros.bag.opening import open_file
 from cassandra_ros.errors import CorruptMessage, InvalidKey
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.messages.stamps import iso_time, to_ns
+from cassandra_ros.messages.stamps import Time, iso_time, to_ns
 from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.runs import RunName, Writers
-from cassandra_ros.topics.selection import Time
 from cassandra_ros.topics.stored_row import StoredRow
 
 SHOWN = 10

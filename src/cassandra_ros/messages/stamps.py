@@ -9,15 +9,25 @@ import re
 from datetime import datetime, timedelta
 from decimal import Decimal, InvalidOperation
 from numbers import Integral, Real
-from typing import Any, Callable
+from typing import Any, Callable, NamedTuple, Union
 
 import genpy
+import numpy as np
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import MAX_NS, SECOND_NS
 
 SECONDS_BELOW = 10**12
 """An integer time below is 17 minutes after 1970, or was meant as seconds."""
+LENGTHS_BELOW = 10**9
+"""Where a time or a length may be given, a number below is one of seconds: 31 years; as a time
+it would lie before 2001."""
+
+Time = Union[genpy.Time, datetime, "np.datetime64", int, float, Decimal, str]
+"""Whatever means a time, see to_ns. genpy.Time: also Stamp and rospy.Time; datetime: also
+pandas.Timestamp."""
+Length = Union[genpy.Duration, timedelta, "np.timedelta64", int, float, Decimal]
+"""Whatever means a length of time; a number is seconds."""
 
 _EPOCH = datetime(1970, 1, 1)
 _DECIMAL = re.compile(r"[0-9]+\.?[0-9]*|\.[0-9]+")
@@ -66,9 +76,10 @@ def _ordering(compare: Callable[[float, float], bool]) -> Callable[[Stamp, objec
 class Stamp(genpy.Time):
     """Key of a stored message: a ROS time with exact nanosecond arithmetic.
 
-    ``stamp + 5`` and ``stamp - 0.1`` mean seconds; minus stops at 0. ``str(stamp)`` is the
-    integer nanoseconds. ``==`` and ``hash`` are genpy.Time's; ``<`` and its kin also take int
-    (nanoseconds) and float (seconds), from both sides.
+    ``stamp + 5`` and ``stamp - 0.1`` mean seconds; minus stops at 0. Durations, timedelta and their
+    kin of numpy and pandas go too. ``str(stamp)`` is the integer nanoseconds. ``==`` and ``hash``
+    are genpy.Time's; ``<`` and its kin also take whatever to_ns does but text: int is nanoseconds,
+    float seconds, from both sides.
 
     Attributes:
         node: nodeID of the row, None when the stamp came from no row.
@@ -77,6 +88,8 @@ class Stamp(genpy.Time):
     """
 
     __slots__ = ["node", "seq", "table"]
+    __array_ufunc__ = None
+    """Numpy leaves sums and comparisons with its numbers to us."""
 
     def __init__(
         self,
@@ -121,7 +134,8 @@ class Stamp(genpy.Time):
         self.node, self.seq, self.table = state[2:]
 
     def __repr__(self) -> str:
-        return f"Stamp[{self.ns}]"
+        node = f" of {self.node}" if self.node else ""
+        return f"Stamp[{self.ns}: {iso_time(self.ns)}{node}]"
 
     def __add__(self, other: object) -> Stamp:
         offset = _offset_ns(other)
@@ -132,8 +146,9 @@ class Stamp(genpy.Time):
     __radd__ = __add__
 
     def __sub__(self, other: object) -> Stamp | genpy.Duration:
-        if isinstance(other, genpy.Time):
-            return genpy.Duration(0, self.ns - other.to_nsec())
+        time = _object_ns(other)
+        if time is not None:
+            return genpy.Duration(0, self.ns - time)
         offset = _offset_ns(other)
         if offset is None:
             return NotImplemented
@@ -146,31 +161,71 @@ class Stamp(genpy.Time):
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, (Real, Decimal)) and not isinstance(value, bool)
+    # numpy counts its lengths of time among the whole numbers.
+    return isinstance(value, (Real, Decimal)) and not isinstance(value, (bool, np.timedelta64))
 
 
-def _offset_ns(value: object) -> int | None:
+def _object_ns(value: Any) -> int | None:
+    """Return the nanoseconds of an object that is a time and nothing else, or None.
+
+    One without a zone is in UTC, as the times of numpy and pandas and those that the store gives.
+    Raises InvalidKey where it is one that is no time (NaT), or finer than nanoseconds.
+    """
+    if isinstance(value, genpy.Time):
+        return int(value.to_nsec())
+    if isinstance(value, datetime):
+        if value != value:
+            raise InvalidKey(f"{value!r} is not a time: the value is missing")
+        zone = value.utcoffset()
+        # A pandas.Timestamp has nanoseconds beside; what it subtracts to is bounded to 292 years.
+        local = datetime(*value.timetuple()[:6], value.microsecond) - _EPOCH
+        return _delta_ns(local - (zone or timedelta())) + int(getattr(value, "nanosecond", 0))
+    if isinstance(value, np.datetime64):
+        return _numpy_ns(value, "M8[ns]")
+    return None
+
+
+def _delta_ns(value: timedelta) -> int:
+    # Those of a pandas.Timedelta have nanoseconds beside.
+    whole = (value.days * 86_400 + value.seconds) * 10**6 + value.microseconds
+    return whole * 1000 + int(getattr(value, "nanoseconds", 0))
+
+
+def _numpy_ns(value: Any, unit: str) -> int:
+    ns = value.astype(unit)
+    if np.isnat(value) or ns.astype(value.dtype) != value:
+        why = "the value is missing" if np.isnat(value) else "nanoseconds cannot express it"
+        raise InvalidKey(f"{value!r} is not a time: {why}")
+    return int(ns.astype("i8"))
+
+
+def _offset_ns(value: Any) -> int | None:
     """Return the nanoseconds of something that can be added to a stamp, or None."""
     if isinstance(value, genpy.Duration):
         return int(value.to_nsec())
+    if isinstance(value, timedelta):
+        if value != value:
+            raise InvalidKey(f"{value!r} is no length of time: the value is missing")
+        return _delta_ns(value)
+    if isinstance(value, np.timedelta64):
+        return _numpy_ns(value, "m8[ns]")
     return seconds_to_ns(value) if _is_number(value) else None
 
 
 def duration_ns(value: object) -> int:
-    """Return the ns of a genpy.Duration or a number of seconds; InvalidKey below 0 or of others."""
+    """Return the ns of any Length; InvalidKey where it is none, or below 0."""
     ns = _offset_ns(value)
     if ns is None or ns < 0:
-        known = "seconds, at least 0, or a genpy.Duration"
+        known = "seconds, at least 0, a genpy.Duration or a timedelta"
         raise InvalidKey(f"{value!r:.80} is no length of time: give {known}")
     return ns
 
 
 def _comparable(value: Any) -> int | float | None:
     """Nanoseconds of something that a stamp can be compared with, or None."""
-    if isinstance(value, genpy.Time):
-        return int(value.to_nsec())
-    if not _is_number(value):
-        return None
+    ns = _object_ns(value)
+    if ns is not None or not _is_number(value):
+        return ns
     if isinstance(value, Integral):
         return int(value)
     if value != value or value in (float("inf"), float("-inf")):
@@ -179,26 +234,58 @@ def _comparable(value: Any) -> int | float | None:
 
 
 def to_ns(value: object) -> int:
-    """Return the nanoseconds since 1970 of any form of a time.
+    """Return the nanoseconds since 1970 of any form of a time: the one place that decides it.
 
     Args:
-        value: genpy.Time (exact), int (nanoseconds), float or Decimal (seconds), or text: ISO 8601
-            (no zone means UTC, up to 9 digits), only digits (nanoseconds), or digits with a point
-            (seconds).
+        value: genpy.Time (exact; Stamp and rospy.Time are such), datetime, pandas.Timestamp or
+            numpy.datetime64 (without a zone: UTC), int (nanoseconds), float or Decimal (seconds),
+            or text: ISO 8601 (no zone means UTC, up to 9 digits), only digits (nanoseconds), or
+            digits with a point (seconds).
 
     Raises:
         InvalidKey: It is none of these, or outside 1970 to 2106.
     """
-    if isinstance(value, genpy.Time):
-        return check_ns(int(value.to_nsec()), value)
+    ns = _object_ns(value)
+    if ns is not None:
+        return check_ns(ns, value)
     if isinstance(value, str):
         return check_ns(_text_to_ns(value), value)
-    if isinstance(value, Integral) and not isinstance(value, bool):
-        return check_ns(int(value), value)
     if _is_number(value):
-        return check_ns(seconds_to_ns(value), value)
-    known = "a genpy.Time, an int (nanoseconds), a float (seconds) or ISO 8601 text"
+        whole = isinstance(value, Integral)
+        return check_ns(int(value) if whole else seconds_to_ns(value), value)  # type: ignore[call-overload]
+    known = "a genpy.Time, a datetime, an int (nanoseconds), a float (seconds) or ISO 8601 text"
     raise InvalidKey(f"{value!r} is not a time: give {known}")
+
+
+class When(NamedTuple):
+    """A time, or how far it is from another one."""
+
+    ns: int
+    """Since 1970, or since (or before) the other one."""
+    relative: bool
+
+
+def time_or_length(value: object) -> When:
+    """Read what may be a time or a length of time.
+
+    A number below LENGTHS_BELOW is a length in seconds, as wherever a length is meant; from there
+    on it is a time, as wherever one is meant: an int is nanoseconds, a float seconds.
+
+    Raises:
+        InvalidKey: It is neither, negative, beyond 2106, or an int between (below SECONDS_BELOW),
+            which was probably meant as seconds since 1970.
+    """
+    if not _is_number(value):
+        return When(to_ns(value), False) if is_time(value) else When(duration_ns(value), True)
+    number: Any = value
+    if number != number or number < LENGTHS_BELOW:
+        return When(duration_ns(number), True)
+    if isinstance(number, Integral) and number < SECONDS_BELOW:
+        raise InvalidKey(
+            f"{number} is an int, and as a time that is nanoseconds: write seconds since 1970 as "
+            f"{number}.0"
+        )
+    return When(to_ns(number), False)
 
 
 def _text_to_ns(text: str) -> int:
@@ -237,8 +324,8 @@ def is_iso_text(text: str) -> bool:
 
 
 def is_time(value: object) -> bool:
-    """Say whether a value is a genpy.Time or a Stamp (not a number or text that means one)."""
-    return isinstance(value, genpy.Time)
+    """Say whether a value is an object that is a time (not a number or text that means one)."""
+    return isinstance(value, (genpy.Time, datetime, np.datetime64))
 
 
 def iso_time(ns: int) -> str:

@@ -18,18 +18,16 @@ from cassandra_ros.history.live_queue import LiveQueue
 from cassandra_ros.history.past import Past
 from cassandra_ros.messages.classes import deserialize
 from cassandra_ros.messages.graph import master_proxy
-from cassandra_ros.messages.stamps import duration_ns, is_time, to_ns
+from cassandra_ros.messages.stamps import Time, When, time_or_length, to_ns
 from cassandra_ros.nodes.node import MASTER_ERRORS, now_ns
 from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.subscription import connected_uris, subscribe
 from cassandra_ros.store.address import from_environment
 from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.topics.selection import Time
 
 _log = logging.getLogger(__name__)
 
 DEFAULT_BUFFER_BYTES = 256 * 1024 * 1024
-SECONDS_BACK_BELOW = 10**9
 CONNECT_SEC = 5.0
 """How long publishers that exist are waited for before the past may be taken for complete."""
 CLOSE_SEC = 5.0
@@ -62,9 +60,9 @@ class HistorySubscriber:
         data_class: A message class, or rospy.AnyMsg for any type, installed or not.
         callback: Called with each message, and with callback_args unless they are None.
         callback_args: Handed to the callback.
-        since: The beginning: genpy.Time, int (ns), float (s since 1970) or ISO 8601 text; or how
-            far back from now: a number of seconds from 0 to 10**9, or a Duration. None = all that
-            is stored. By the time of reception. A time to come: live messages only.
+        since: The beginning, a time as a key is; or how far back from now: a number of seconds
+            below 10**9, a Duration or timedelta (a number from there on is a time: int ns, float
+            s). None = all that is stored. By the time of reception. A time to come: live only.
         rosCas: A RosCassandra connected to a keyspace; it stays the caller's. None = one of its
             own, opened as the environment says (CASSANDRA_ROS_HOST, _PORT, _KEYSPACE; 'ros').
         nodeID: Only stored messages of this entity; None = of all.
@@ -237,14 +235,10 @@ def _beginning(since: Any) -> Callable[[int], int]:
     if since is None:
         return lambda now: 0
     try:
-        far = isinstance(since, (int, float)) and since >= SECONDS_BACK_BELOW
-        if far or is_time(since) or isinstance(since, str):
-            begin = to_ns(since)
-            return lambda now: begin
-        back = duration_ns(since)
+        ns, back = When(to_ns(since), False) if isinstance(since, str) else time_or_length(since)
     except InvalidKey as exc:
         raise InvalidKey(f"since is neither a time nor a length of time: {exc}") from exc
-    return lambda now: max(0, now - back)
+    return (lambda now: max(0, now - ns)) if back else (lambda now: ns)
 
 
 def _publishers(topic: str) -> int:

@@ -11,7 +11,7 @@ from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.keys import MAX_NS, split_seq
-from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.messages.stamps import When, iso_time
 from cassandra_ros.playing.alignment import (
     aligned,
     check_alignment,
@@ -22,7 +22,7 @@ from cassandra_ros.playing.alignment import (
 from cassandra_ros.playing.extent import Extent, extents
 from cassandra_ros.playing.part import Part, Sent, begun
 from cassandra_ros.playing.selection import Names, PlaySelection, chosen_topics
-from cassandra_ros.playing.times import When, check_length, read_when, resolve_times
+from cassandra_ros.playing.times import check_length, read_when, resolve_times
 from cassandra_ros.playing.windows import PIECE_NS, Around, Piece, joined, merge_windows
 from cassandra_ros.topics.latched import Source, is_latched, tables_of
 from cassandra_ros.topics.ros_cassandra import RosCassandra

@@ -6,29 +6,28 @@ from __future__ import annotations
 
 import re
 from decimal import Decimal, InvalidOperation
-from numbers import Real
-from typing import NamedTuple, Optional, Union
+from typing import Optional, Union
 
 from cassandra_ros.errors import InvalidKey, InvalidOption
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.messages.stamps import Stamp, duration_ns, is_time, iso_time, to_ns
+from cassandra_ros.messages.stamps import (
+    LENGTHS_BELOW,
+    SECONDS_BELOW,
+    Length,
+    Time,
+    When,
+    duration_ns,
+    iso_time,
+    time_or_length,
+    to_ns,
+)
 from cassandra_ros.topics.selection import Stretch
 
-PlayTime = Union[None, Stamp, int, float, str]
-"""A time, or seconds from the first message: a text or number below 10**9. None = open."""
+PlayTime = Union[None, Time, Length]
+"""A time, or a length from the first message: a text or number below 10**9 is seconds. None =
+open."""
 
-RELATIVE_BELOW = 10**9
-"""Seconds from the beginning: 31 years; as seconds since 1970 this was in 2001."""
-NANOSECONDS_FROM = 10**12
 _NUMBER = re.compile(r"\s*([0-9]{1,40}(?:\.[0-9]*)?|\.[0-9]+)\s*")
-
-
-class When(NamedTuple):
-    """A time that was asked for."""
-
-    ns: int
-    """Since 1970, or since the first message."""
-    relative: bool
 
 
 def read_when(name: str, value: PlayTime) -> Optional[When]:
@@ -36,9 +35,10 @@ def read_when(name: str, value: PlayTime) -> Optional[When]:
 
     Args:
         name: The option, for errors.
-        value: A number, or a text with one: below 10**9 seconds from the first message, below
-            10**12 or with a fraction seconds since 1970, above whole nanoseconds since 1970;
-            ISO 8601 text; a genpy.Time, a time also below that; a genpy.Duration from the start.
+        value: A number below 10**9: seconds from the first message; any other time as a key is; a
+            genpy.Duration or timedelta: from the first message. As text, which people type as for
+            rosbag: below 10**9 seconds from the first message, below 10**12 or with a point
+            seconds since 1970, above nanoseconds since 1970; or ISO 8601.
 
     Raises:
         InvalidOption: It is none of these, negative, or beyond 2106.
@@ -46,16 +46,14 @@ def read_when(name: str, value: PlayTime) -> Optional[When]:
     if value is None:
         return None
     try:
-        if is_time(value):
-            return When(to_ns(value), False)
+        if not isinstance(value, str):
+            return time_or_length(value)
         number = _number(value)
         if number is None:
-            if isinstance(value, str):
-                return When(to_ns(value), False)
-            return When(duration_ns(value), True)
-        if number < RELATIVE_BELOW:
+            return When(to_ns(value), False)
+        if number < LENGTHS_BELOW:
             return When(duration_ns(number), True)
-        whole = number == int(number) and number >= NANOSECONDS_FROM
+        whole = number == int(number) and number >= SECONDS_BELOW
         return When(to_ns(int(number) if whole else number), False)
     except (InvalidKey, InvalidOperation, ValueError, OverflowError) as exc:
         raise InvalidOption(
@@ -75,13 +73,9 @@ def check_length(name: str, seconds: object) -> Optional[int]:
         raise InvalidOption(f"{name} {seconds!r:.80} is no number of seconds from 0 on") from exc
 
 
-def _number(value: object) -> Optional[Decimal]:
-    if isinstance(value, str):
-        found = _NUMBER.fullmatch(value)
-        return None if found is None else Decimal(found[1])
-    if isinstance(value, (Real, Decimal)) and not isinstance(value, bool):
-        return Decimal(repr(value)) if isinstance(value, float) else Decimal(value)  # type: ignore[arg-type]
-    return None
+def _number(text: str) -> Optional[Decimal]:
+    found = _NUMBER.fullmatch(text)
+    return None if found is None else Decimal(found[1])
 
 
 def resolve_times(

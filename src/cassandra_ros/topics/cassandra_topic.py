@@ -22,6 +22,7 @@ from cassandra_ros.arrays.gather import read_arrays
 from cassandra_ros.errors import InvalidKey, MessageNotFound, TopicNotFound, TypeMismatch
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.keys import Position
+from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import MetaView
 from cassandra_ros.query.pushdown import Pushdown
 from cassandra_ros.topics.adder import Adder
@@ -31,7 +32,7 @@ from cassandra_ros.topics.keyspace import Keyspace, Wish
 from cassandra_ros.topics.objects import with_messages
 from cassandra_ros.topics.reading import Columns
 from cassandra_ros.topics.runs import RunName
-from cassandra_ros.topics.selection import AnyKey, Stretch, Time, Whose
+from cassandra_ros.topics.selection import AnyKey, Stretch, Whose
 from cassandra_ros.topics.stored_row import Key, StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.totals import count_buckets

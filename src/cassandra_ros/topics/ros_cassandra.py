@@ -9,7 +9,7 @@ from typing import Any, Iterable, Iterator, Mapping, Optional, Sequence
 from cassandra_ros.arguments import check_new_topic, check_text, check_topics
 from cassandra_ros.errors import InvalidName, KeyspaceNotFound
 from cassandra_ros.keys import Position
-from cassandra_ros.messages.stamps import duration_ns
+from cassandra_ros.messages.stamps import Time, duration_ns
 from cassandra_ros.query.explain import Explanation
 from cassandra_ros.query.run import QueryResult, Rows
 from cassandra_ros.store.address import from_environment
@@ -26,7 +26,7 @@ from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
 from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.runs import RunName
-from cassandra_ros.topics.selection import Clock, Stretch, Time
+from cassandra_ros.topics.selection import Clock, Stretch
 from cassandra_ros.topics.statements import Statements
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.totals import TopicInfo, describe

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Any, Callable, FrozenSet, NamedTuple, Optional, Protocol, Sequence, Union
 
 from cassandra_ros.keys import writer_of
-from cassandra_ros.messages.stamps import Stamp, to_ns
+from cassandra_ros.messages.stamps import Time, to_ns
 
 LAST_NS = 2**63 - 1
 
@@ -24,8 +24,6 @@ class Place(Protocol):
         """Writer id << 32 | counter."""
 
 
-Time = Union[Stamp, int, float, str]
-"""genpy.Time or Stamp, int (ns), float (s) or ISO 8601 text."""
 Clock = Callable[[], Time]
 AnyKey = Any
 """A Time, or what else is the topic's key: a name, or the value of a field."""
