@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "cassandra_ros"
 
 # Known to all; they know only each other.
-GROUND = {"errors", "keys", "metadata", "arguments"}
+GROUND = {"errors", "keys", "metadata", "arguments", "shown"}
 
 # Layer -> the layers below it that it may use.
 BELOW = {
@@ -20,6 +20,7 @@ BELOW = {
     "keys": {"errors"},
     "metadata": {"errors", "keys"},
     "arguments": {"errors", "keys", "metadata"},
+    "shown": set(),
     "messages": set(),
     "formats": {"messages"},
     "store": set(),

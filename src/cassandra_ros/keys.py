@@ -61,6 +61,10 @@ class RowName(str):
     seq: int = 0
     table: str = ""
 
+    def __repr__(self) -> str:
+        # As plain text where it is one, as the parts of a name that was given are.
+        return f"RowName({str(self)!r} stored at {self.t} ns)" if self.table else repr(str(self))
+
     @classmethod
     def of(cls, position: Position) -> RowName:
         """Return the name of a row."""

@@ -16,7 +16,7 @@ from typing import Callable, Generator, Iterable, Iterator, NamedTuple, Optional
 from cassandra_ros.arguments import check_node
 from cassandra_ros.errors import InvalidKey, InvalidName, InvalidQuery
 from cassandra_ros.keys import MAX_NS, Position, decode_cursor, encode_cursor, is_behind
-from cassandra_ros.messages.stamps import SECONDS_BELOW, Stamp
+from cassandra_ros.messages.stamps import SECONDS_BELOW, Stamp, is_time, iso_time, to_ns
 from cassandra_ros.query.aggregates import Aggregation
 from cassandra_ros.query.literals import fit_to_text, fit_to_time
 from cassandra_ros.query.parse import parse_condition
@@ -39,6 +39,7 @@ from cassandra_ros.query.syntax import (
     given,
     leaves,
 )
+from cassandra_ros.shown import MOST_ROWS, html_table
 
 _log = logging.getLogger(__name__)
 
@@ -358,6 +359,9 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     def __next__(self) -> ResultRow:
         return next(self._rows)
 
+    def __repr__(self) -> str:
+        return f"<QueryResult of {self.select.text!r}: rows of {', '.join(self.columns)}>"
+
     @property
     def cursor(self) -> str:
         """Where to go on behind the last row that was taken; '' at the beginning."""
@@ -450,3 +454,17 @@ class Rows(list):  # type: ignore[type-arg]
     def __init__(self, rows: Iterable[ResultRow], columns: Sequence[str]) -> None:
         super().__init__(rows)
         self.columns = tuple(columns)
+
+    def __repr__(self) -> str:
+        if len(self) <= MOST_ROWS:
+            return super().__repr__()
+        first = super().__getitem__(slice(MOST_ROWS))
+        return f"[{', '.join(map(repr, first))}, … {len(self)} rows of {', '.join(self.columns)}]"
+
+    def _repr_html_(self) -> str:
+        first = [list(map(_shown, row)) for row in super().__getitem__(slice(MOST_ROWS))]
+        return html_table(self.columns, first, of=len(self))
+
+
+def _shown(value: object) -> object:
+    return iso_time(to_ns(value)) if is_time(value) else value

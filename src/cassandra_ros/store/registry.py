@@ -33,7 +33,7 @@ class StoredHeader(NamedTuple):
     definition: bytes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run:
     """One recording or import."""
 
@@ -53,6 +53,14 @@ class Run:
 
     state: str = "ended"
     """'recording' (an import, too), 'ended', or 'interrupted': killed, or it failed."""
+
+    def __repr__(self) -> str:
+        start, end = (f"{t:%Y-%m-%dT%H:%M:%SZ}" if t else "?" for t in (self.started, self.ended))
+        parts = [self.kind, f"of {self.node}" if self.node else "", self.state]
+        parts += [f"{start} to {end}", f"messages: {sum(self.stored.values())}"]
+        parts += [f"lost: {sum(self.lost.values())}"] if any(self.lost.values()) else []
+        parts += [f"{name}={text}" for name, text in self.labels.items()]
+        return f"<Run {self.name!r} {self.writer}: {', '.join(filter(None, parts))}>"
 
 
 _RUN = tuple(each.name for each in fields(Run) if each.name != "state")

@@ -25,7 +25,9 @@ from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import MetaView
 from cassandra_ros.query.pushdown import Pushdown
+from cassandra_ros.shown import public_names
 from cassandra_ros.topics.adder import Adder
+from cassandra_ros.topics.descriptions import topic_html, topic_line
 from cassandra_ros.topics.finding import Filter, Finder, Where
 from cassandra_ros.topics.indexes import Progress, create_index, has_index, remove_index
 from cassandra_ros.topics.keyspace import Keyspace, Wish
@@ -56,11 +58,12 @@ class CassandraTopic:
     * ``manual``: a name that you give; ``getData(name)`` is the newest message under it,
       ``items(name)`` all.
 
-    Fields are named as in a SELECT statement: ``linear.x``, ``ranges``, ``ranges[0]``,
-    ``header.stamp.secs``, a message (all of its fields), ``KEY``, ``NODE``, ``RUN``, each with
-    ``AS name``. Naming a field inside of an array of messages unnests the array: a row for each
-    of its elements, or with ``where`` for each element that satisfies the condition, the other
-    fields repeated. An array of messages that is named whole is not unnested.
+    ``len(topic)`` counts, ``for key, msg in topic`` walks through all, ``key in topic`` looks.
+
+    Fields are named as in a SELECT statement: ``linear.x``, ``ranges[0]``, ``header.stamp.secs``, a
+    message (all of its fields), ``KEY``, ``NODE``, ``RUN``, each with ``AS name``. Naming a field
+    inside of an array of messages unnests it: a row for each element, or with ``where`` for each
+    that satisfies the condition, the other fields repeated; an array named whole is not unnested.
 
     Attributes:
         name: The topic's name as it is stored.
@@ -100,8 +103,7 @@ class CassandraTopic:
                 comment; the other keys of getMeta are facts and cannot be set.
 
         Raises:
-            InvalidName: A key cannot be set, or not to this value.
-            InvalidOption: The comment is no text.
+            InvalidName, InvalidOption: A key cannot be set, or not to this value.
             TopicNotFound: The topic has no type yet, so there is no table to note it in.
         """
         comment = keys.pop("comment", None)
@@ -132,11 +134,7 @@ class CassandraTopic:
         return self.format.encode(msg)
 
     def decode(self, data: EncodedMessage) -> Any:
-        """Translate columns, as encode returns them, back into a message (paper 3.1).
-
-        Raises:
-            TypeMismatch: ``data`` is none.
-        """
+        """Translate columns, as encode returns them, back into a message (paper 3.1)."""
         if not isinstance(data, EncodedMessage):
             raise TypeMismatch(f"{data!r:.80} is no encoded message: give what encode returned")
         return self.format.decode(data)
@@ -185,7 +183,8 @@ class CassandraTopic:
         """Return one message, or those of a stretch of time.
 
         Args:
-            key: A time, or what else is the topic's key; with to_key the lower end.
+            key: A time (genpy.Time, datetime, numpy.datetime64, pandas.Timestamp, int ns, float s,
+                ISO 8601 text), or what else is the topic's key; with to_key the lower end.
             to_key: The upper end, where keys are times. Both ends are included.
             nearest: 'before' (at or before key), 'after' (at or after) or 'either'.
             default: Returned instead of raising when there is no message at key.
@@ -194,20 +193,17 @@ class CassandraTopic:
             limit: At most so many messages of a stretch.
             where: Only messages that satisfy this condition: what stands behind WHERE in CQL, as
                 ``'linear.x > 0.5'``, or a pair of it and its parameters. One on the elements of
-                an array of messages is satisfied when one element does. It holds besides the
-                others: the nearest, or the first few, of those that satisfy it.
+                an array of messages is satisfied when one element does.
 
         Returns:
             With to_key a list in the order of time, else one message: of several with the same
-            stamp (also the nearest one) or value the first, of several with the same name the
-            newest. Equal stamps are ordered by nodeID, then by the recording, import or client
-            that wrote them, and of one of these by their arrival.
+            stamp or value the first, of several with the same name the newest. Equal stamps are
+            ordered by nodeID, by who wrote them, and of one writer by their arrival.
 
         Raises:
             MessageNotFound: No message at key (also a KeyError).
             InvalidKey: A key cannot be one, or the topic's keys have no order.
-            InvalidQuery: where is no condition; shows it with a caret under the spot.
-            RunNotFound: There is no such run.
+            InvalidQuery, RunNotFound: where is no condition (it is shown), or run none.
         """
         if to_key is not None:
             stretch = self._finder(nodeID, where, run).many(key, to_key, limit=limit)
@@ -238,7 +234,7 @@ class CassandraTopic:
     ) -> Iterator[tuple[Key, Any]]:
         """Walk lazily through (key, message) in the order of time, any number of them.
 
-        With key_format ``manual`` and ``hash`` a scan lists all keys first: slow with millions.
+        Where keys are names a scan lists all of them first: slow with millions.
 
         Args:
             key: Lower end, included; None = open. Where keys are names or values: all of this one.
@@ -276,12 +272,7 @@ class CassandraTopic:
         return Whose(check_nodes(nodeID), self._keyspace.runs.writers(run))
 
     def versions(
-        self,
-        name: str,
-        *,
-        nodeID: Optional[str] = None,
-        reverse: bool = False,
-        run: RunName = None,
+        self, name: str, *, nodeID: Optional[str] = None, reverse: bool = False, run: RunName = None
     ) -> Iterator[StoredRow]:
         """Walk through the messages under one name, by time, without making objects."""
         check_text("name", name, error=InvalidKey)
@@ -345,11 +336,10 @@ class CassandraTopic:
     def keyOfText(self, text: str) -> AnyKey:
         """Read a key that a person typed.
 
-        A name is the text itself; a time is integer nanoseconds or ISO 8601, where values of a
-        field are keys ISO 8601 only; such a value is a number, true, false or text, as the field.
+        A name is the text itself; a time integer nanoseconds or ISO 8601; a value of a field is a
+        number, true, false or text, as the field, and a time beside it ISO 8601 only.
 
-        Raises:
-            InvalidKey: The text is no key of the topic.
+        Raises InvalidKey.
         """
         check_text("text", text, error=InvalidKey)
         return self._finder().of_text(text)
@@ -386,8 +376,7 @@ class CassandraTopic:
 
         Raises:
             MessageNotFound: There is no message at key (without to_key).
-            InvalidKey: Neither key, to_key, where nor run is given.
-            InvalidQuery: where is no condition.
+            InvalidKey, InvalidQuery: Neither key, to_key, where nor run is given; where is none.
         """
         return self._finder(nodeID, where, run).remove(key, to_key)
 
@@ -407,13 +396,12 @@ class CassandraTopic:
         * ``KEY``, times and durations are int64 nanoseconds: ``.view('datetime64[ns]')`` or
           ``.view('timedelta64[ns]')`` shows them as such. KEY is text where messages lie under
           names. ``secs`` and ``nsecs`` are int64.
-        * Arrays of fixed length, as ``float64[9]``, have two dimensions (rows, 9); others give an
-          array of objects, an array a row; arrays inside of arrays of messages give lists.
+        * Arrays of fixed length have two dimensions, as (rows, 9); others give an array of objects,
+          an array a row; arrays inside of arrays of messages give lists.
 
-        What a message lacks (``ranges[5]`` of four, a field that another definition of the topic
-        has not, bytes that are no message) is masked by a numpy.ma.MaskedArray, or None in an
-        array of objects. Where definitions disagree on a field's type, it is the smallest that
-        holds both exactly, else Python objects. No Python object is kept for a number.
+        What a message lacks (``ranges[5]`` of four, a field of another definition, bytes that are
+        no message) is masked by a numpy.ma.MaskedArray, or None in an array of objects. Where
+        definitions disagree on a field's type, it is the smallest that holds both exactly.
 
         Args:
             fields: Names of fields; None = all, and KEY.
@@ -443,11 +431,9 @@ class CassandraTopic:
         None, or NA in a nullable type (Int32, UInt64, boolean), so that integers stay integers.
 
         Args:
-            fields: Names of fields; None = all of them.
-            key, to_key, where, nodeID, run: As getArrays takes them, and raises for them.
+            fields, key, to_key, where, nodeID, run: As getArrays takes them, and raises for them.
 
         Raises:
-            InvalidQuery: The topic has no such field.
             MissingDependency: pandas is not installed; the text says how.
         """
         reads = self._finder(nodeID, where, run).reads(key, to_key)
@@ -461,18 +447,16 @@ class CassandraTopic:
         goes on where it was interrupted, and takes in what was being written the last time.
 
         Args:
-            field: Dotted path, as 'linear.x'; in an array of messages, as
-                'transforms.child_frame_id', or an array of numbers or texts, it finds the
-                messages that contain a value. Texts over 1 KiB, arrays over 256 elements and NaN
-                are not indexed; their messages are read besides.
+            field: Dotted path, as 'linear.x'; in an array of messages, or an array itself, it
+                finds the messages that contain a value. Texts over 1 KiB, arrays over 256 elements
+                and NaN are not indexed; their messages are read besides.
             progress: Called with (rows done, rows in all).
 
         Returns:
             How many stored messages were indexed.
 
         Raises:
-            InvalidName: The type has no such field, or it cannot be indexed.
-            InvalidOption: Messages are kept under names, or the field is an array and the key.
+            InvalidName, InvalidOption: The field is none, or cannot be indexed here.
             StoreUnavailable: Cassandra is rewriting the files of the topic (an index made
                 meanwhile could miss rows), or is busy with other indexes; ask again later.
             TopicNotFound: The topic is gone, or has no type yet.
@@ -487,14 +471,30 @@ class CassandraTopic:
     def removeIndex(self, field: str) -> None:
         """Remove an index. The messages stay as they are.
 
-        Its column stays: who is recording fills it until its next stretch of time.
-
         Raises:
-            InvalidName: There is no such index.
-            InvalidOption: The key of the messages needs it.
+            InvalidName, InvalidOption: There is no such index; the key of the messages needs it.
             TopicNotFound: The topic is gone.
         """
         remove_index(self._keyspace, self.name, check_field(field))
 
+    def __len__(self) -> int:
+        return self.countTopicData()
+
+    def __bool__(self) -> bool:
+        return True  # a topic without messages is one, too
+
+    def __iter__(self) -> Iterator[tuple[Key, Any]]:
+        return self.items()
+
+    def __contains__(self, key: object) -> bool:
+        return self.getRow(key) is not None
+
+    def __dir__(self) -> list[str]:
+        return public_names(self, ("countBuckets", "getRow", "rows", "tables"))
+
     def __repr__(self) -> str:
-        return f"CassandraTopic({self.name!r})"
+        space = self._keyspace
+        return topic_line(self.name, space.directory, lambda: space.tables.of_topic(self.name))
+
+    def _repr_html_(self) -> str:
+        return topic_html(self.name, self._keyspace.directory, self.tables)

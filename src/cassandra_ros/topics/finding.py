@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import islice
+from numbers import Integral
 from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_limit, check_message_name
@@ -17,6 +18,7 @@ from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import (
     SECONDS_BELOW,
     Stamp,
+    Time,
     is_iso_text,
     is_time,
     iso_time,
@@ -176,6 +178,7 @@ class Finder:
                 f"the keys of topic {self.topic} are {kind}, which have no order: none is "
                 "nearest; leave nearest out"
             )
+        refuse_seconds(self.keyspace, self.tables, key)
         return self._nearest(wanted.low, nearest)
 
     def _nearest(self, t: int, nearest: str) -> Optional[StoredRow]:
@@ -255,7 +258,7 @@ class Finder:
                 "messages lie in the order of time: a stretch goes from one genpy.Time to "
                 "another; ask for a range of values with executeCQL"
             )
-        return Stretch.between(key, to_key)
+        return stretch_between(self.keyspace, self.tables, key, to_key)
 
     def one(self, key: AnyKey) -> Selection:
         """Say what a single key means: one time, one name, or one value."""
@@ -287,6 +290,37 @@ class Finder:
             except InvalidKey as exc:
                 problem = problem or exc
         raise problem or InvalidKey(f"{text!r:.80} is no key")
+
+
+def seconds_meant(keyspace: Keyspace, tables: Sequence[TopicTable], key: object) -> str:
+    """Say why a key in nanoseconds was meant in seconds; '' where it was not, or nobody knows."""
+    if not isinstance(key, Integral) or not 0 < int(key) < SECONDS_BELOW:
+        return ""
+    timed = [table for table in tables if not table.named]
+    first = next(keyspace.rows.read(timed, Stretch(), wanted=1), None)
+    if first is None or first.t < SECONDS_BELOW:  # the times of a simulation are small
+        return ""
+    return (
+        f"{key} means nanoseconds since 1970, long before the first message of topic "
+        f"{first.topic}; seconds are written {key}.0"
+    )
+
+
+def refuse_seconds(keyspace: Keyspace, tables: Sequence[TopicTable], *keys: object) -> None:
+    """Raise InvalidKey for ints that were meant as seconds: they find everything, or nothing."""
+    for key in keys:
+        reason = seconds_meant(keyspace, tables, key)
+        if reason:
+            raise InvalidKey(reason)
+
+
+def stretch_between(
+    keyspace: Keyspace, tables: Sequence[TopicTable], key: Optional[Time], to_key: Optional[Time]
+) -> Stretch:
+    """Return the stretch of some tables between two times, None = open; refuses seconds."""
+    stretch = Stretch.between(key, to_key)
+    refuse_seconds(keyspace, tables, key, to_key)
+    return stretch
 
 
 Where = Union[str, Tuple[str, Sequence[Any]]]

@@ -7,11 +7,12 @@ from __future__ import annotations
 from typing import Any, Iterable, Iterator, Mapping, Optional, Sequence
 
 from cassandra_ros.arguments import check_new_topic, check_text, check_topics
-from cassandra_ros.errors import InvalidName, KeyspaceNotFound
+from cassandra_ros.errors import CassandraRosError, InvalidName, KeyspaceNotFound
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Time, duration_ns
 from cassandra_ros.query.explain import Explanation
 from cassandra_ros.query.run import QueryResult, Rows
+from cassandra_ros.shown import Listing, public_names
 from cassandra_ros.store.address import from_environment
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.registry import Loss, Run
@@ -21,6 +22,8 @@ from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pair
 from cassandra_ros.topics.convert import Converted
 from cassandra_ros.topics.copying import Progress
 from cassandra_ros.topics.deletion import delete_messages
+from cassandra_ros.topics.descriptions import infos_listed, runs_listed
+from cassandra_ros.topics.finding import stretch_between
 from cassandra_ros.topics.keyspace import Keyspace, wished_topic, with_key
 from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
@@ -135,6 +138,20 @@ class RosCassandra:
     def __exit__(self, *exc_info: object) -> None:
         self.close()
 
+    def __dir__(self) -> list[str]:
+        return public_names(self, ("cassandra", "parts", "statements"))
+
+    def __repr__(self) -> str:
+        try:
+            topics = f"{len(self._open.names())} topics in keyspace {self.keyspace}"
+        except CassandraRosError as exc:
+            topics = str(exc)
+        where = f"{','.join(self.cassandra.hosts)} port {self.cassandra.port}"
+        return f"<RosCassandra {where}: {topics}>"
+
+    def _repr_html_(self) -> str:
+        return self.info()._repr_html_()
+
     def addTopic(
         self,
         topic: str,
@@ -244,18 +261,18 @@ class RosCassandra:
         *,
         nodeID: Optional[str] = None,
         run: RunName = None,
-    ) -> list[TopicInfo]:
+    ) -> Listing[TopicInfo]:
         """Describe what is stored: counts, sizes and times by topic, table and node.
 
         Of a node or run there are only the tables in which they have messages.
         """
         tables, whose = self._open.tables(check_topics(topics)), self._open.whose(nodeID, run)
         losses = self.parts.runs.losses(None, Stretch(), whose)
-        return describe(self.parts.directory, tables, whose, losses)
+        return infos_listed(describe(self.parts.directory, tables, whose, losses))
 
-    def runs(self) -> list[Run]:
+    def runs(self) -> Listing[Run]:
         """List the recordings and imports, with state, counts and losses as they are now."""
-        return list_runs(self.parts, self._open.tables(None))
+        return runs_listed(list_runs(self.parts, self._open.tables(None)))
 
     def runContext(self, run: RunName) -> Optional[RunContext]:
         """Return parameters and node graph at the start of a run; None where none were kept.
@@ -293,7 +310,9 @@ class RosCassandra:
     ) -> Iterator[StoredRow]:
         """Walk lazily through the rows of several topics, merged by time.
 
-        Memory: some pages of rows for all topics together, and for each that has a condition.
+        A row unpacks as a message of rosbag does: ``for topic, msg, t in rosCas.readMessages()``,
+        where t is the key time. Memory: some pages of rows for all topics together, and for each
+        that has a condition.
 
         Args:
             topics: Their names, or one; None = all.
@@ -311,9 +330,11 @@ class RosCassandra:
             InvalidOption: A condition is for a topic that is not read.
             InvalidQuery: A condition is none; shows it with a caret under the spot.
         """
-        names, stretch, space = check_topics(topics), Stretch.between(key, to_key), self._open
+        names, space = check_topics(topics), self._open
         filters, whose = space.filters(where, names, nodeID, run), space.whose(nodeID, run)
-        return space.merged(space.tables(names), filters, stretch, whose, received)
+        tables = space.tables(names)
+        stretch = stretch_between(space.keyspace, tables, key, to_key)
+        return space.merged(tables, filters, stretch, whose, received)
 
     def nearestMessages(
         self,
@@ -346,8 +367,9 @@ class RosCassandra:
             InvalidKey: tolerance is no length of time, or negative.
             TopicNotFound, InvalidOption, InvalidQuery: As of readMessages.
         """
-        reach, stretch, space = duration_ns(tolerance), Stretch.between(key, to_key), self._open
+        reach, space = duration_ns(tolerance), self._open
         first, second = space.get(topic_a), space.get(topic_b)
+        stretch = stretch_between(space.keyspace, first.tables, key, to_key)
         filters = space.filters(where, (topic_a, topic_b), nodeID, run)
         whose, wider = space.whose(nodeID, run), stretch.wider(reach)
         rows = space.merged(first.tables, filters, stretch, whose)

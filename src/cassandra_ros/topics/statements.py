@@ -15,7 +15,7 @@ from typing import Any, Iterator, Mapping, Optional, Sequence, Union
 
 from cassandra_ros.arguments import check_limit, check_nodes
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, TopicNotFound
-from cassandra_ros.messages.stamps import SECONDS_BELOW, Stamp
+from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.query.explain import Explanation, explain
 from cassandra_ros.query.names import nearest
@@ -40,7 +40,9 @@ from cassandra_ros.query.syntax import (
 from cassandra_ros.store.schema import Schema
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.finding import seconds_meant
 from cassandra_ros.topics.indexes import check_indexable
+from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.removal import delete_rows
 from cassandra_ros.topics.runs import RunName
 
@@ -133,7 +135,7 @@ class Statements:
         condition = Condition(statement, node=node, run=self._keyspace.runs.writers(run))
         bounds = condition.bounds(topic.tables)
         if not named:
-            _refuse_seconds(topic, statement)
+            _refuse_seconds(self._keyspace, topic, statement)
         if named or not bounds.whole:
             return delete_rows(self._keyspace, condition.rows(topic))
         if bounds.empty or not topic.tables:
@@ -217,17 +219,12 @@ def _at(text: str, position: int) -> Iterator[None]:
         raise InvalidQuery(text, position, str(exc)) from exc
 
 
-def _refuse_seconds(topic: CassandraTopic, statement: Delete) -> None:
+def _refuse_seconds(keyspace: Keyspace, topic: CassandraTopic, statement: Delete) -> None:
     """Refuse integers that were meant as seconds: a lower end in 1970 removes every message."""
     for literal in meant_as_seconds(statement.condition):
-        first = topic.first() if topic.tables else None
-        if isinstance(first, Stamp) and first.ns >= SECONDS_BELOW:
-            raise InvalidQuery(
-                statement.text,
-                literal.position,
-                f"{literal.value} means nanoseconds since 1970, long before the first message of "
-                f"topic {topic.name}; seconds are written {literal.value}.0",
-            )
+        reason = seconds_meant(keyspace, topic.tables, literal.value)
+        if reason:
+            raise InvalidQuery(statement.text, literal.position, reason)
 
 
 def names_of_indexes(tables: Mapping[str, TopicMetadata]) -> dict[str, list[tuple[str, str]]]:

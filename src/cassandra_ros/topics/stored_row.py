@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Any, Optional, Tuple, Union
+from typing import Any, Iterator, Optional, Tuple, Union
 
 from cassandra_ros.errors import (
     CassandraRosError,
@@ -16,7 +16,8 @@ from cassandra_ros.errors import (
 from cassandra_ros.keys import Position, RowName, writer_of
 from cassandra_ros.messages.classes import deserialize
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.messages.stamps import Stamp, iso_time
+from cassandra_ros.shown import public_names
 from cassandra_ros.store.fetch import ask_chunks, fetch_row, read_chunks
 from cassandra_ros.store.row_table import BlockKey, Sent, TableRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -28,7 +29,7 @@ Key = Union[Stamp, RowName]
 
 
 class StoredRow:
-    """One message of one topic.
+    """One message of one topic. Unpacks like rosbag's: ``topic, msg, t = row``; t is the key time.
 
     Attributes:
         t, received: Key time, and when the message was received, ns since 1970.
@@ -57,6 +58,21 @@ class StoredRow:
         if self.columns:
             self._wire = self.columns[0] if block else None
         self._sent: Optional[Sent] = None
+
+    def __iter__(self) -> Iterator[Any]:
+        t = Stamp.from_ns(self.t, self.node, self.seq, self.table.name)
+        return iter((self.topic, self.message(), t))
+
+    def __dir__(self) -> list[str]:
+        inner = "arrival ask block chunked columns conn keep_wire odd place position table was_read"
+        return public_names(self, inner.split())
+
+    def __repr__(self) -> str:
+        text = f"{self.table.msg_type}, {self.size} bytes"
+        if self.node:
+            text += f" of {self.node}"
+        name = f" {self.name!r}" if self.name else ""
+        return f"<StoredRow {self.topic}{name} {iso_time(self.t)}: {text}>"
 
     @property
     def topic(self) -> str:

@@ -8,6 +8,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Optional, Sequence
 
+from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.store.counting import count_part, settle
 from cassandra_ros.store.directory import BucketRow, BucketTotals, Directory
 from cassandra_ros.store.fetch import list_names
@@ -17,7 +18,7 @@ from cassandra_ros.topics.selection import EVERYBODY, Whose
 from cassandra_ros.topics.topic_table import TopicTable
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TopicInfo:
     """What is stored of one topic, in one table, by one node."""
 
@@ -44,6 +45,14 @@ class TopicInfo:
     """Messages of the topic by this node that are known to be lost, whatever their table."""
     key: str
     """What finds a message: 'time', 'hash', 'manual', or the field that is the key."""
+
+    def __repr__(self) -> str:
+        node = f" of {self.node}" if self.node else ""
+        text = f"{self.type} in format {self.format}, messages: {self.count}, bytes: {self.bytes}"
+        if self.first_ns is not None and self.last_ns is not None:
+            text += f", from {iso_time(self.first_ns)} to {iso_time(self.last_ns)}"
+        lost = f", lost: {self.lost}" if self.lost else ""
+        return f"<TopicInfo {self.topic}{node}: {text}{lost}>"
 
 
 def count_rows(

@@ -1,0 +1,65 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How things are shown where Python is typed: names that a person uses, tables in a notebook."""
+
+from __future__ import annotations
+
+import html
+from typing import Callable, Container, Iterable, List, Mapping, Optional, Sequence, TypeVar
+
+MOST_ROWS = 60
+"""A table that is shown has no more rows; as pandas."""
+
+_Item = TypeVar("_Item")
+
+
+def public_names(thing: object, inner: Container[str]) -> list[str]:
+    """Return what dir() lists of an object: its names but those that begin with _, and some."""
+    names = object.__dir__(thing)
+    return sorted(name for name in names if not name.startswith("_") and name not in inner)
+
+
+def html_table(
+    columns: Sequence[str], rows: Sequence[Sequence[object]], of: Optional[int] = None
+) -> str:
+    """Return a table as HTML for a notebook, of the first MOST_ROWS rows; texts are escaped.
+
+    Args:
+        columns: The headings.
+        rows: What stands under them.
+        of: How many rows there are, None = these.
+    """
+    of = len(rows) if of is None else of
+    parts = ["<table><thead>", _html_row("th", columns), "</thead><tbody>"]
+    parts += [_html_row("td", row) for row in rows[:MOST_ROWS]]
+    parts.append("</tbody></table>")
+    if of > MOST_ROWS:
+        parts.append(f"<p>{MOST_ROWS} of {of} rows</p>")
+    return "".join(parts)
+
+
+def _html_row(tag: str, values: Iterable[object]) -> str:
+    cells = (f"<{tag}>{html.escape(str(value))}</{tag}>" for value in values)
+    return f"<tr>{''.join(cells)}</tr>"
+
+
+class Listing(List[_Item]):
+    """A list that says what it holds: an item a line, in a notebook a table.
+
+    Args:
+        items: What it holds.
+        columns: Heading -> what stands under it of an item.
+    """
+
+    def __init__(
+        self, items: Iterable[_Item], columns: Mapping[str, Callable[[_Item], object]]
+    ) -> None:
+        super().__init__(items)
+        self._columns = columns
+
+    def __repr__(self) -> str:
+        return f"[{f',{chr(10)} '.join(map(repr, self))}]"
+
+    def _repr_html_(self) -> str:
+        rows = [[value(item) for value in self._columns.values()] for item in self]
+        return html_table(tuple(self._columns), rows)

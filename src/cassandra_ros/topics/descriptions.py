@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a topic is, in words: for its repr and for a table in a notebook."""
+
+from __future__ import annotations
+
+from typing import Callable, Iterable, Sequence
+
+from cassandra_ros.errors import CassandraRosError
+from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.shown import Listing, html_table
+from cassandra_ros.store.directory import Directory
+from cassandra_ros.store.registry import Run
+from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.totals import TopicInfo, describe
+
+
+def topic_facts(directory: Directory, tables: Sequence[TopicTable]) -> dict[str, str]:
+    """Return what a stored topic is, by heading; counts and times are the directory's.
+
+    Where messages lie under names they are not counted: that reads all keys.
+    """
+    facts = {
+        "type": _joined(table.metadata.msg_type for table in tables),
+        "format": _joined(table.metadata.format for table in tables),
+    }
+    if any(table.named for table in tables):
+        return {**facts, "messages": f"under names ({tables[0].metadata.key_format})"}
+    infos = [info for info in describe(directory, tables) if info.count]
+    facts["messages"] = str(sum(info.count for info in infos))
+    firsts = [info.first_ns for info in infos if info.first_ns is not None]
+    lasts = [info.last_ns for info in infos if info.last_ns is not None]
+    if firsts and lasts:
+        facts.update({"from": iso_time(min(firsts)), "to": iso_time(max(lasts))})
+    robots = _joined(info.node for info in infos if info.node)
+    return {**facts, "robots": robots} if robots else facts
+
+
+def _joined(texts: Iterable[str]) -> str:
+    return ", ".join(dict.fromkeys(texts))
+
+
+def topic_line(
+    name: str, directory: Directory, read_tables: Callable[[], Sequence[TopicTable]]
+) -> str:
+    """Say in a line what a topic is; without tables it has no type yet."""
+    try:
+        tables = read_tables()
+        if not tables:
+            return f"<CassandraTopic {name}: no type yet, its first message fixes it>"
+        facts = topic_facts(directory, tables)
+    except CassandraRosError as exc:
+        # Who debugs wants to see the object also where its store is away.
+        return f"<CassandraTopic {name}: it cannot be read now: {exc}>"
+    text = f"{facts['type']} in format {facts['format']}, messages: {facts['messages']}"
+    if "from" in facts:
+        text += f" from {facts['from']} to {facts['to']}"
+    if "robots" in facts:
+        text += f", robots: {facts['robots']}"
+    return f"<CassandraTopic {name}: {text}>"
+
+
+def topic_html(name: str, directory: Directory, tables: Sequence[TopicTable]) -> str:
+    """Return what a topic is as a table for a notebook."""
+    facts = topic_facts(directory, tables) if tables else {"type": "none yet"}
+    return html_table(("topic", name), list(facts.items()))
+
+
+def _time(ns: int | None) -> str:
+    return "" if ns is None else iso_time(ns)
+
+
+def infos_listed(infos: list[TopicInfo]) -> Listing[TopicInfo]:
+    """Return what is stored as a list that is shown as a table."""
+    return Listing(
+        infos,
+        {
+            "topic": lambda info: info.topic,
+            "type": lambda info: info.type,
+            "format": lambda info: info.format,
+            "robot": lambda info: info.node,
+            "messages": lambda info: info.count,
+            "bytes": lambda info: info.bytes,
+            "from": lambda info: _time(info.first_ns),
+            "to": lambda info: _time(info.last_ns),
+            "lost": lambda info: info.lost,
+        },
+    )
+
+
+def runs_listed(runs: list[Run]) -> Listing[Run]:
+    """Return runs as a list that is shown as a table."""
+    return Listing(
+        runs,
+        {
+            "run": lambda run: run.name,
+            "id": lambda run: run.writer,
+            "robot": lambda run: run.node,
+            "kind": lambda run: run.kind,
+            "start": lambda run: run.started or "",
+            "end": lambda run: run.ended or "",
+            "state": lambda run: run.state,
+            "messages": lambda run: sum(run.stored.values()),
+            "lost": lambda run: sum(run.lost.values()),
+            "labels": lambda run: ", ".join(f"{k}={v}" for k, v in run.labels.items()),
+        },
+    )
