@@ -70,6 +70,24 @@ def _unpack(step: Callable[[bytes, int], bytes], data: bytes, size: int, where: 
     return b"".join(parts)
 
 
+def unpack_part(name: str, data: bytes) -> bytes:
+    """Unpack what still can be of a chunk that is cut or damaged: its content up to there."""
+    if name not in ("bz2", "lz4"):
+        return data if name == "none" else b""
+    bz2_step = bz2.BZ2Decompressor().decompress
+    step = bz2_step if name == "bz2" else _roslz4().LZ4Decompressor().decompress
+    parts, have = [], 0
+    for position in range(0, len(data), _FEED_BYTES):
+        try:
+            parts.append(bytes(step(data[position : position + _FEED_BYTES])))
+        except (OSError, EOFError, ValueError):
+            break
+        have += len(parts[-1])
+        if have > MAX_CHUNK_BYTES:
+            return b""
+    return b"".join(parts)
+
+
 def _roslz4() -> ModuleType:
     try:
         import roslz4
@@ -215,6 +233,22 @@ def _fill(content: bytes, where: str, begins: Longs, ends: Longs) -> bool:
 
 def _other_record(content: bytes, position: int, where: str, found: _Found) -> int:
     """Read a connection record, or a message in another layout; return where it ends."""
+    op, fields, start, stop = record_at(content, position, where)
+    if op == bagformat.OP_MESSAGE:
+        found.append((*message_of(fields, where), start, stop))
+    elif op != bagformat.OP_CONNECTION:
+        # The index at the end holds the connections; their copies in the chunks repeat it.
+        place = f"{where} (byte {position} of its content)"
+        raise BagError(f"{place} is damaged: a record of kind {op}")
+    return stop
+
+
+def record_at(content: bytes, position: int, where: str) -> Tuple[int, bagformat.Fields, int, int]:
+    """Read the record at a byte of a chunk's content: kind, header, begin and end of its data.
+
+    Raises:
+        BagError: There is none, or it runs over the end of the content.
+    """
     place = f"{where} (byte {position} of its content)"
     try:
         data_size_at = position + 4 + int(bagformat.U32.unpack_from(content, position)[0])
@@ -225,15 +259,12 @@ def _other_record(content: bytes, position: int, where: str, found: _Found) -> i
     if stop > len(content):
         raise BagError(f"{place} is damaged: a record runs over the end")
     fields = bagformat.split_fields(content[position + 4 : data_size_at], place)
-    op = bagformat.number(fields, b"op", place)
-    if op == bagformat.OP_MESSAGE:
-        file_id = bagformat.number(fields, b"conn", place)
-        t_ns = bagformat.time_ns(fields, b"time", place)
-        found.append((file_id, t_ns, start, stop))
-    elif op != bagformat.OP_CONNECTION:
-        # The index at the end holds the connections; their copies in the chunks repeat it.
-        raise BagError(f"{place} is damaged: a record of kind {op}")
-    return stop
+    return bagformat.number(fields, b"op", place), fields, start, stop
+
+
+def message_of(fields: bagformat.Fields, where: str) -> Tuple[int, int]:
+    """Read the header of a message: the connection's id in the file, and the time, ns."""
+    return bagformat.number(fields, b"conn", where), bagformat.time_ns(fields, b"time", where)
 
 
 def message_head(number: int, t_ns: int, size: int) -> bytes:

@@ -113,13 +113,17 @@ def read_record(file: BinaryIO, op: int, where: str) -> Record:
         BagError: It is not a record of this kind.
     """
     start = file.tell()
-    header_bytes = _length(file, where, MAX_HEADER_BYTES)
-    fields = split_fields(file.read(header_bytes), where)
+    fields = read_header(file, where)
     found = number(fields, b"op", where)
     if found != op:
         raise BagError(f"{where} is damaged: at byte {start} stands a record of kind {found}")
     data_bytes = _length(file, where)
     return Record(fields, file.tell(), data_bytes)
+
+
+def read_header(file: BinaryIO, where: str) -> Fields:
+    """Read the header of the record at the file's position; raises as read_record does."""
+    return split_fields(file.read(_length(file, where, MAX_HEADER_BYTES)), where)
 
 
 def _length(file: BinaryIO, where: str, most: int = 2**32) -> int:
@@ -132,6 +136,6 @@ def _length(file: BinaryIO, where: str, most: int = 2**32) -> int:
     if len(raw) < 4 or file_bytes - file.tell() < length:
         raise BagUnindexed(
             f"{where} does not fit into the file, which is cut short after {file_bytes} bytes; "
-            "'rosbag reindex' on the file keeps what can still be read"
+            "import --salvage stores what can still be read"
         )
     return int(length)

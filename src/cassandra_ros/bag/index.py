@@ -30,10 +30,27 @@ class ChunkInfo(NamedTuple):
     """Messages in the chunks before it."""
 
 
-class BagIndex:
-    """The index of a bag that is open: its connections, and where its chunks lie; see BagReader."""
+class IndexPlace(NamedTuple):
+    """Where the records of an index lie."""
 
-    def __init__(self, file: BinaryIO, path: str) -> None:
+    file: BinaryIO
+    position: int
+    data_end: int
+    """Byte of the bag before which all its chunks begin."""
+    connections: int
+    chunks: int
+
+
+class BagIndex:
+    """The index of a bag that is open: its connections, and where its chunks lie; see BagReader.
+
+    Args:
+        file: The bag.
+        path: What error texts call it.
+        place: Where the records of the index lie; None = where the bag's header says.
+    """
+
+    def __init__(self, file: BinaryIO, path: str, place: IndexPlace | None = None) -> None:
         self.path = path
         self.connections: dict[int, Connection] = {}
         self.counts: Counter[int] = Counter()
@@ -42,15 +59,16 @@ class BagIndex:
         """Id of a connection in the file -> its number here."""
         # Position, start_ns, end_ns, position of the chunk info, messages before; of each chunk.
         self._chunks = array("Q")
-        index_pos, connection_count, self.chunk_count = _read_file_header(file, path)
-        file.seek(index_pos)
+        place = place or _find_index(file, path)
+        self._index, self.chunk_count = place.file, place.chunks
+        self._index.seek(place.position)
         try:
-            self._read_connections(connection_count)
+            self._read_connections(place.connections)
             self._read_chunk_infos()
         except BagUnindexed as exc:
             what = f"is cut short: its index ends at byte {os.fstat(file.fileno()).st_size}"
             raise _unindexed(path, what) from exc
-        self._sort_chunks(index_pos)
+        self._sort_chunks(place.data_end)
         self.message_count = sum(self.counts.values())
         self.start_ns = min(self._column(1), default=0)
         self.end_ns = max(self._column(2), default=0)
@@ -64,7 +82,7 @@ class BagIndex:
     def chunk_info(self, chunk: int) -> ChunkInfo:
         """Read what the index says about a chunk, in [0, chunk_count), in the file's order."""
         info_pos, before = self._chunk(chunk)[3:]
-        self._file.seek(info_pos)
+        self._index.seek(info_pos)
         info = self._read_chunk_info(f"{self.path}: the chunk info of chunk {chunk + 1}")
         return info._replace(first=before)
 
@@ -77,11 +95,10 @@ class BagIndex:
         found: dict[int, tuple[str, bytes]] = {}
         where = f"{self.path}: a connection in the index"
         for _ in range(count):
-            record = bagformat.read_record(self._file, bagformat.OP_CONNECTION, where)
+            record = bagformat.read_record(self._index, bagformat.OP_CONNECTION, where)
             number = bagformat.number(record.fields, b"conn", where)
-            header = self._file.read(record.data_bytes)
-            topic = _topic(record.fields, number, self.path)
-            check_header(header, f"{self.path}: connection {number} (topic {topic})")
+            header = self._index.read(record.data_bytes)
+            topic = check_connection(record.fields, number, header, self.path)
             if found.setdefault(number, (topic, header)) != (topic, header):
                 raise BagError(f"{self.path} is damaged: it has two different connections {number}")
         # Number decides between equal times. Where the records stand in another order, that is
@@ -93,7 +110,7 @@ class BagIndex:
 
     def _read_chunk_infos(self) -> None:
         for _ in range(self.chunk_count):
-            info_pos = self._file.tell()
+            info_pos = self._index.tell()
             info = self._read_chunk_info(f"{self.path}: a chunk info in the index")
             self.counts.update(info.counts)
             # The sum stands here until the chunks are in order.
@@ -103,7 +120,7 @@ class BagIndex:
 
     def _read_chunk_info(self, where: str) -> ChunkInfo:
         """Read the chunk info record at the file's position; its ``first`` is 0."""
-        fields, _, data_bytes = bagformat.read_record(self._file, bagformat.OP_CHUNK_INFO, where)
+        fields, _, data_bytes = bagformat.read_record(self._index, bagformat.OP_CHUNK_INFO, where)
         version = bagformat.number(fields, b"ver", where)
         if version != bagformat.INDEX_VERSION:
             raise BagError(f"{where} has the unknown version {version}")
@@ -111,7 +128,7 @@ class BagIndex:
         start_ns = bagformat.time_ns(fields, b"start_time", where)
         end_ns = bagformat.time_ns(fields, b"end_time", where)
         count = bagformat.number(fields, b"count", where)
-        data = self._file.read(data_bytes)
+        data = self._index.read(data_bytes)
         if len(data) != count * bagformat.COUNT.size:
             raise BagError(f"{where} is damaged: {len(data)} bytes for {count} connections")
         counts: Counter[int] = Counter()
@@ -122,12 +139,12 @@ class BagIndex:
                 counts[self.numbers[file_id]] += messages
         return ChunkInfo(position, start_ns, end_ns, counts, 0)
 
-    def _sort_chunks(self, index_pos: int) -> None:
+    def _sort_chunks(self, data_end: int) -> None:
         positions = self._column(0)
         chunks, before, last = array("Q"), 0, len(bagformat.MAGIC)
         for place in sorted(range(len(positions)), key=positions.__getitem__):
             *known, count = self._chunk(place)
-            if not last < known[0] < index_pos:
+            if not last < known[0] < data_end:
                 what = f"its index places a chunk at byte {known[0]}"
                 raise BagError(f"{self.path} is damaged: {what}")
             chunks.extend((*known, before))
@@ -135,24 +152,12 @@ class BagIndex:
         self._chunks = chunks
 
 
-def _read_file_header(file: BinaryIO, name: str) -> tuple[int, int, int]:
-    """Return the position of the index, and the numbers of connections and chunks."""
-    file_bytes = os.fstat(file.fileno()).st_size
-    _check_magic(file.readline(_LONGEST_MAGIC), file_bytes, name)
+def _find_index(file: BinaryIO, name: str) -> IndexPlace:
+    """Return where the header of a bag says that its index lies."""
+    record, file_bytes = read_start(file, name), os.fstat(file.fileno()).st_size
     where = f"{name}: the header"
-    try:
-        record = bagformat.read_record(file, bagformat.OP_FILE_HEADER, where)
-    except BagUnindexed as exc:
-        raise _unindexed(name, f"is cut short after {file_bytes} bytes") from exc
-    fields = record.fields
-    encryptor = fields.get(b"encryptor", b"")
-    if encryptor not in (b"", b"rosbag/NoEncryptor"):
-        raise BagError(
-            f"{name} is encrypted ({encryptor.decode('utf-8', 'replace')}); "
-            f"make a readable copy with: rosbag decrypt {name}"
-        )
     index_pos, connections, chunks = (
-        bagformat.number(fields, key, where)
+        bagformat.number(record.fields, key, where)
         for key in (b"index_pos", b"conn_count", b"chunk_count")
     )
     if index_pos == 0:
@@ -163,7 +168,31 @@ def _read_file_header(file: BinaryIO, name: str) -> tuple[int, int, int]:
     if index_pos < record.data_pos + record.data_bytes:
         what = f"its header places the index inside itself; repair it with: rosbag reindex {name}"
         raise BagError(f"{name} is damaged: {what}")
-    return index_pos, connections, chunks
+    return IndexPlace(file, index_pos, index_pos, connections, chunks)
+
+
+def read_start(file: BinaryIO, name: str) -> bagformat.Record:
+    """Read the first record of a file, which tells a bag of format 2.0 that we can read.
+
+    Raises:
+        BagUnindexed: The file ends within it.
+        BagError: The file is no such bag, or encrypted.
+    """
+    file.seek(0)
+    file_bytes = os.fstat(file.fileno()).st_size
+    _check_magic(file.readline(_LONGEST_MAGIC), file_bytes, name)
+    where = f"{name}: the header"
+    try:
+        record = bagformat.read_record(file, bagformat.OP_FILE_HEADER, where)
+    except BagUnindexed as exc:
+        raise _unindexed(name, f"is cut short after {file_bytes} bytes") from exc
+    encryptor = record.fields.get(b"encryptor", b"")
+    if encryptor not in (b"", b"rosbag/NoEncryptor"):
+        raise BagError(
+            f"{name} is encrypted ({encryptor.decode('utf-8', 'replace')}); "
+            f"make a readable copy with: rosbag decrypt {name}"
+        )
+    return record
 
 
 def _check_magic(magic: bytes, file_bytes: int, name: str) -> None:
@@ -181,7 +210,17 @@ def _check_magic(magic: bytes, file_bytes: int, name: str) -> None:
 
 
 def _unindexed(name: str, what: str) -> BagUnindexed:
-    return BagUnindexed(f"{name} {what}; repair it with: rosbag reindex {name}")
+    return BagUnindexed(
+        f"{name} {what}; import --salvage stores what it holds, or repair it with: "
+        f"rosbag reindex {name}"
+    )
+
+
+def check_connection(fields: bagformat.Fields, number: int, header: bytes, name: str) -> str:
+    """Return the topic of a connection record; BagError where it or the header is unusable."""
+    topic = _topic(fields, number, name)
+    check_header(header, f"{name}: connection {number} (topic {topic})")
+    return topic
 
 
 def _topic(fields: bagformat.Fields, number: int, name: str) -> str:

@@ -7,14 +7,22 @@ from __future__ import annotations
 import os
 from collections import Counter
 from contextlib import ExitStack
-from typing import Mapping
+from typing import BinaryIO, Mapping
 
 import numpy as np
 
 from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.chunk import MIN_AT_ONCE, Longs, Places, decompress_chunk, find_messages
-from cassandra_ros.bag.index import BagIndex
+from cassandra_ros.bag.chunk import (
+    MIN_AT_ONCE,
+    Longs,
+    Places,
+    decompress_chunk,
+    find_messages,
+    unpack_part,
+)
+from cassandra_ros.bag.index import BagIndex, IndexPlace
 from cassandra_ros.bag.message_file import MessageFile
+from cassandra_ros.bag.salvage import Salvaged, read_salvage
 from cassandra_ros.errors import BagError
 
 
@@ -31,24 +39,48 @@ class BagReader(BagIndex, MessageFile):
         message_count, chunk_count: Of the whole bag.
         start_ns, end_ns: Times of the first and the last message, ns; 0 in an empty bag.
 
+        salvaged: Where the bag was opened with salvage: what was damaged, if anything.
+
+    Args:
+        salvage: Of a bag that is cut short, damaged or was not closed, read the messages up to the
+            damage: all chunks are read to find them. Of a sound bag nothing changes.
+
     Raises:
         BagUnindexed: The bag was not closed properly, or is cut short.
         BagError: The file cannot be opened, is no bag of format 2.0, is encrypted, or its index
-            is damaged.
+            is damaged; with salvage: no message can be read.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        name = os.fspath(path)
+    def __init__(self, path: str | os.PathLike[str], salvage: bool = False) -> None:
+        name, self.salvaged = os.fspath(path), Salvaged()
         try:
             with ExitStack() as opened:
-                super().__init__(opened.enter_context(open(name, "rb")), name)
+                file = opened.enter_context(open(name, "rb"))
+                place = self._salvage(file, name) if salvage else None
+                if place is not None:
+                    opened.enter_context(place.file)
+                super().__init__(file, name, place)
                 opened.pop_all()
         except OSError as exc:
             raise BagError(f"{name} cannot be read: {exc.strerror}") from exc
 
+    def _salvage(self, file: BinaryIO, name: str) -> IndexPlace | None:
+        """Find the damage; return an index made anew, or None where the bag's own is sound."""
+        found, place = read_salvage(file, name)
+        if not found.why:
+            try:
+                BagIndex(file, name)
+                place.file.close()
+                return None
+            except BagError:
+                found.why = "has an index that cannot be read"
+        self.salvaged = found
+        return place
+
     def close(self) -> None:
         """Close the file; twice is harmless."""
         self._file.close()
+        self._index.close()
 
     def compressions(self) -> dict[str, int]:
         """Count the chunks of each compression (reads the header of every chunk)."""
@@ -67,8 +99,13 @@ class BagReader(BagIndex, MessageFile):
             data = self._file.read(data_bytes)
         except OSError as exc:
             raise BagError(f"{where} cannot be read: {exc.strerror}") from exc
-        content = decompress_chunk(compression, data, size, where)
-        places = find_messages(content, where, self._offsets(counts))
+        cut = self.salvaged.cut
+        if cut is not None and cut.number == chunk:
+            content, offsets = unpack_part(compression, data)[: cut.content_bytes], None
+        else:
+            content = decompress_chunk(compression, data, size, where)
+            offsets = self._offsets(counts)
+        places = find_messages(content, where, offsets)
         present, inverse, each = np.unique(places.ids, return_inverse=True, return_counts=True)
         numbers = [self.numbers.get(file_id, -1) for file_id in present.tolist()]
         ids = np.array(numbers, np.int64)[inverse]
@@ -101,7 +138,10 @@ class BagReader(BagIndex, MessageFile):
         return np.sort(offsets) if len(offsets) == count else None
 
     def _chunk_header(self, chunk: int) -> tuple[str, int, int]:
-        where = self._where(chunk)
+        where, cut = self._where(chunk), self.salvaged.cut
+        if cut is not None and cut.number == chunk:
+            self._file.seek(cut.data_pos)
+            return cut.compression, cut.data_bytes, cut.data_bytes
         self._file.seek(self._chunk(chunk)[0])
         fields, _, data_bytes = bagformat.read_record(self._file, bagformat.OP_CHUNK, where)
         compression = fields.get(b"compression", b"").decode("utf-8", "replace")

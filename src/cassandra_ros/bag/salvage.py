@@ -1,0 +1,186 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Make the index of a bag anew out of its chunks, up to the first damage.
+
+For a bag that is cut short, damaged, or was never closed (.bag.active, of a recorder that died). As
+rosbag reindex does, but the file stays as it is, and of the chunk in which the damage lies the
+messages before it are kept, too.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import BinaryIO, NamedTuple
+
+from cassandra_ros.bag import format as bagformat
+from cassandra_ros.bag.chunk import (
+    MAX_CHUNK_BYTES,
+    decompress_chunk,
+    message_of,
+    record_at,
+    unpack_part,
+)
+from cassandra_ros.bag.index import IndexPlace, check_connection, read_start
+from cassandra_ros.errors import BagError
+
+
+class CutChunk(NamedTuple):
+    """The chunk in which the damage lies."""
+
+    number: int
+    compression: str
+    data_pos: int
+    data_bytes: int
+    content_bytes: int
+    """Bytes of its content, unpacked, up to the damage."""
+
+
+@dataclass
+class Salvaged:
+    """What can be read of a bag."""
+
+    messages: int = 0
+    why: str = ""
+    """What ended it; '' = the chunks are whole, up to the index."""
+    lost_bytes: int = 0
+    """Of the file, behind what can be read; 0 where only the index is missing."""
+    cut: CutChunk | None = None
+
+    def told(self, path: str) -> str:
+        """Say what was damaged, what is read and what is not; '' where nothing is."""
+        if not self.why:
+            return ""
+        left = (
+            f"{self.lost_bytes} bytes behind them are lost"
+            if self.lost_bytes
+            else ("no message that the file holds is lost")
+        )
+        return f"{path} {self.why}: {self.messages} messages up to there are read, {left}"
+
+
+@dataclass
+class _Scan:
+    """Goes through a bag, chunk by chunk."""
+
+    file: BinaryIO
+    path: str
+    salvaged: Salvaged = field(default_factory=Salvaged)
+    connections: dict[int, bytes] = field(default_factory=dict)
+    """Their records, by id in the file."""
+    infos: list[bytes] = field(default_factory=list)
+    """The chunk info records."""
+
+    def run(self) -> None:
+        """Note connections and chunks until the index, the end of the file or damage comes."""
+        start = read_start(self.file, self.path)
+        self.file.seek(start.data_pos + start.data_bytes)
+        size = os.fstat(self.file.fileno()).st_size
+        while not self.salvaged.why and (position := self.file.tell()) < size:
+            try:
+                fields = bagformat.read_header(self.file, self.path)
+                kind = bagformat.number(fields, b"op", self.path)
+                if kind in (bagformat.OP_CONNECTION, bagformat.OP_CHUNK_INFO):
+                    return  # the index
+                if kind == bagformat.OP_CHUNK:
+                    self._chunk(position, fields, size)
+                elif kind == bagformat.OP_INDEX:
+                    data_bytes = self._length()
+                    self.file.seek(data_bytes, os.SEEK_CUR)
+                    if self.file.tell() > size:  # what it tells we know from the chunk
+                        self.salvaged.why = f"is cut short after {size} bytes"
+                else:
+                    raise BagError(f"a record of kind {kind}")
+            except BagError:
+                self._end(f"is cut short or damaged at byte {position} of {size}", size - position)
+        if not self.salvaged.why:
+            self.salvaged.why = "has no index, for it was not closed"
+
+    def _length(self) -> int:
+        raw = self.file.read(4)
+        return int(bagformat.U32.unpack(raw)[0]) if len(raw) == 4 else 2**32
+
+    def _end(self, why: str, lost_bytes: int) -> None:
+        self.salvaged.why, self.salvaged.lost_bytes = why, lost_bytes
+
+    def _chunk(self, position: int, fields: bagformat.Fields, size: int) -> None:
+        where = f"{self.path}: chunk {len(self.infos) + 1}"
+        compression = fields.get(b"compression", b"").decode("utf-8", "replace")
+        declared = bagformat.number(fields, b"size", where)
+        data_bytes, data_pos = self._length(), self.file.tell()
+        # A recorder states the size when it closes a chunk: until then it is 0.
+        whole = 0 < data_bytes <= size - data_pos
+        data = self.file.read(data_bytes if whole else min(size - data_pos, MAX_CHUNK_BYTES))
+        try:
+            content = decompress_chunk(compression, data, declared, where) if whole else b""
+        except BagError:
+            whole = False
+        if not whole:
+            content = unpack_part(compression, data)
+        end, times, counts = self._records(content, where)
+        if counts:
+            self.infos.append(_chunk_info(position, times, counts))
+            self.salvaged.messages += sum(counts.values())
+        if not whole or end < len(content):
+            if counts:
+                number = len(self.infos) - 1
+                self.salvaged.cut = CutChunk(number, compression, data_pos, len(data), end)
+            why = f"is cut short or damaged in the chunk that begins at byte {position} of {size}"
+            self._end(why, size - data_pos - end * (compression == "none"))
+
+    def _records(self, content: bytes, where: str) -> tuple[int, list[int], Counter[int]]:
+        """Read records up to the damage: where that is, the times and counts of the messages."""
+        position, times, counts = 0, [2**63, 0], Counter[int]()
+        try:
+            while position < len(content):
+                kind, fields, start, stop = record_at(content, position, where)
+                if kind == bagformat.OP_MESSAGE:
+                    number, t_ns = message_of(fields, where)
+                    if number not in self.connections:
+                        raise BagError(f"{where}: a message of connection {number}, which is none")
+                    times = [min(times[0], t_ns), max(times[1], t_ns)]
+                    counts[number] += 1
+                elif kind == bagformat.OP_CONNECTION:
+                    number = bagformat.number(fields, b"conn", where)
+                    header = content[start:stop]
+                    check_connection(fields, number, header, self.path)
+                    self.connections.setdefault(number, content[position:stop])
+                else:
+                    raise BagError(f"{where}: a record of kind {kind}")
+                position = stop
+        except BagError:
+            pass  # it is what is looked for
+        return position, times, counts
+
+
+def _chunk_info(position: int, times: list[int], counts: Counter[int]) -> bytes:
+    return bagformat.pack_record(
+        (
+            (b"op", bagformat.OP_CHUNK_INFO),
+            (b"ver", bagformat.INDEX_VERSION),
+            (b"chunk_pos", position),
+            (b"start_time", bagformat.pack_time(times[0])),
+            (b"end_time", bagformat.pack_time(times[1])),
+            (b"count", len(counts)),
+        ),
+        b"".join(bagformat.COUNT.pack(number, count) for number, count in counts.items()),
+    )
+
+
+def read_salvage(file: BinaryIO, path: str) -> tuple[Salvaged, IndexPlace]:
+    """Read the chunks of a bag up to the first damage, and make their index; close its file.
+
+    Raises:
+        BagError: The file is no bag of format 2.0, or holds no message that can be read.
+    """
+    scan = _Scan(file, path)
+    scan.run()
+    if not scan.infos and scan.salvaged.why:
+        raise BagError(f"{path} {scan.salvaged.why}: there is no message that can be salvaged")
+    connections = [record for _, record in sorted(scan.connections.items())]
+    index = tempfile.TemporaryFile()
+    index.write(b"".join([*connections, *scan.infos]))
+    file_bytes = os.fstat(file.fileno()).st_size
+    return scan.salvaged, IndexPlace(index, 0, file_bytes, len(connections), len(scan.infos))
