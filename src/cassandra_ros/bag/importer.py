@@ -17,6 +17,7 @@ from cassandra_ros.bag.job_process import Part, bag_writer, connect, stretches
 from cassandra_ros.bag.jobs import MAX_JOBS, run_parts, spans_of_jobs
 from cassandra_ros.bag.message_file import MessageFile, Progress, chosen_connections
 from cassandra_ros.bag.opening import open_file
+from cassandra_ros.bag.salvage import Salvaged
 from cassandra_ros.bag.verify import holds_nothing_else
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
@@ -62,6 +63,8 @@ class ImportReport:
     warnings: list[str] = field(default_factory=list)
     lost: dict[str, int] = field(default_factory=dict)
     """Messages that are not stored, by topic: its name cannot be kept. A warning says why."""
+    salvaged: Salvaged = field(default_factory=Salvaged)
+    """With salvage: what of the bag was damaged, if anything."""
 
     @property
     def messages(self) -> int:
@@ -78,6 +81,7 @@ def import_bag(
     progress: Progress | None = None,
     reading: Progress | None = None,
     jobs: int = 1,
+    salvage: bool = False,
 ) -> ImportReport:
     """Store the messages of a bag of format 2.0, or of an MCAP with messages of ROS 1.
 
@@ -93,6 +97,8 @@ def import_bag(
         nodeID: The robot that recorded the bag; '' = nobody says.
         progress: Told how far the storing is.
         reading: Told how far the first pass over the bag is.
+        salvage: Of a bag that is cut short, damaged or was not closed, store what stands before the
+            damage; a warning says what that is. Of a sound bag nothing changes.
         jobs: So many processes store the messages, 1 to 64; the rows are the same. It pays where
             cores are free beside those that Cassandra keeps busy.
 
@@ -110,11 +116,12 @@ def import_bag(
     """
     jobs = check_integer("jobs", jobs, 1, MAX_JOBS)
     store = {**ros_cas.cassandra.arguments(), "keyspace": ros_cas.keyspace} if jobs > 1 else {}
-    with open_file(path) as reader:
+    with open_file(path, salvage) as reader:
         numbers = chosen_connections(reader, topics)
         content = identity.read_content(reader, reading)
         writer_id = _writer_id(ros_cas, reader, nodeID, content)
-        report = ImportReport(reader.path, writer_id, nodeID)
+        report = ImportReport(reader.path, writer_id, nodeID, salvaged=reader.salvaged)
+        _tell_damage(report)
         numbers = _refuse_names(reader, numbers, report)
         _tell_left_out(reader, topics, report)
         run = _run(reader, nodeID, writer_id, format, content)
@@ -131,7 +138,7 @@ def import_bag(
                 if handle.warning and handle.warning not in report.warnings:
                     report.warnings.append(handle.warning)
             _remove_other_blocks(ros_cas, handles, run)
-            task = partial(Part, reader.path, formats, lengths, writer_id, nodeID, store)
+            task = partial(Part, reader.path, salvage, formats, lengths, writer_id, nodeID, store)
             parts = list(map(task, spans_of_jobs(reader, handles, content, jobs)))
             if not _write_parts(reader, writer, handles, report, progress, parts):
                 _write_messages(reader, writer, handles, report, progress)
@@ -148,6 +155,12 @@ def _run(
     labels = {identity.CONTENT: content.digest}
     name = os.path.basename(path)
     return Run(node, writer_id, "import", name, path, format or "", labels=labels)
+
+
+def _tell_damage(report: ImportReport) -> None:
+    if report.salvaged.why:
+        report.warnings.append(report.salvaged.told(report.path))
+        _log.warning("%s", report.warnings[-1])
 
 
 def _refuse_names(reader: MessageFile, numbers: AbstractSet[int], report: ImportReport) -> set[int]:

@@ -39,6 +39,8 @@ class Part:
     """What one process stores of a bag: of some connections the messages of a stretch of time."""
 
     path: str
+    salvage: bool
+    """Of a damaged bag, what stands before the damage."""
     formats: Dict[int, str]
     """By number of the connection, as all of these."""
     lengths: Dict[int, Lengths]
@@ -161,7 +163,8 @@ def _say(line: str) -> None:
 
 def _write(part: Part, teller: _Teller) -> None:
     """Store the messages of a part; those that the teller has counted are acknowledged then."""
-    with RosCassandra(**part.store) as ros_cas, open_file(part.path) as reader:  # type: ignore[arg-type]
+    reader = open_file(part.path, part.salvage)
+    with RosCassandra(**part.store) as ros_cas, reader:  # type: ignore[arg-type]
         # The import's run, its heartbeat and its tables are those of the process that started us.
         with bag_writer(ros_cas, reader, part.writer_id, part.node) as writer:
             handles = {

@@ -15,6 +15,7 @@ import numpy as np
 
 from cassandra_ros.bag.chunk import Longs, Places
 from cassandra_ros.bag.index import ChunkInfo
+from cassandra_ros.bag.salvage import Salvaged
 from cassandra_ros.errors import BagError, TopicNotFound
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.connection import Connection
@@ -76,6 +77,8 @@ class MessageFile(ABC):
         extras: What else the file holds, in words, and how many of each.
     """
 
+    salvaged = Salvaged()
+    """Of a file that was opened to salvage it: what was damaged, and what can be read."""
     path: str
     connections: dict[int, Connection]
     counts: Counter[int]

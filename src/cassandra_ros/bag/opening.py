@@ -19,8 +19,11 @@ from cassandra_ros.errors import BagError
 MCAP_ENDING = ".mcap"
 
 
-def open_file(path: str | os.PathLike[str]) -> MessageFile:
+def open_file(path: str | os.PathLike[str], salvage: bool = False) -> MessageFile:
     """Open a bag or an MCAP for reading, whatever its name.
+
+    Args:
+        salvage: Read a damaged bag up to the damage; of an MCAP `mcap recover` makes a sound copy.
 
     Raises:
         BagError: It is none of both, as what rosbag2 records, or cannot be read; see BagReader
@@ -38,7 +41,7 @@ def open_file(path: str | os.PathLike[str]) -> MessageFile:
         raise refusal(name)
     if magic.startswith(mcap_format.MAGIC):
         return McapReader(name)
-    return BagReader(name)
+    return BagReader(name, salvage)
 
 
 def make_file(path: str | os.PathLike[str], compression: str | None = None) -> FileWriter:

@@ -76,6 +76,7 @@ def verify_bag(
     progress: Progress | None = None,
     reading: Progress | None = None,
     run: RunName = None,
+    salvage: bool = False,
 ) -> VerifyReport:
     """Compare a bag with the store, message by message, in the order in which rosbag reads.
 
@@ -91,6 +92,7 @@ def verify_bag(
         progress: Told which messages of the bag were compared.
         reading: Told how far the pass over the bag is that finds its import.
         run: Compare what this recording or import stored, by its name or writer id.
+        salvage: Compare what can be read of a damaged bag, as import_bag stores it.
 
     Raises:
         BagError: The bag cannot be read to its end.
@@ -98,7 +100,7 @@ def verify_bag(
         RunNotFound: The store has no such run.
         InvalidKey: The bag was imported for several nodes, and nodeID does not choose.
     """
-    with open_file(path) as reader:
+    with open_file(path, salvage) as reader:
         numbers = chosen_connections(reader, topics)
         chosen = {n: reader.connections[n].topic for n in numbers}
         stored = _stored_topics(ros_cas, chosen.values())
@@ -133,6 +135,7 @@ def verify_content(
     end: Time | None = None,
     progress: Progress | None = None,
     run: RunName = None,
+    salvage: bool = False,
 ) -> VerifyReport:
     """Compare each topic's messages in their order by type, md5sum and bytes alone.
 
@@ -150,13 +153,14 @@ def verify_content(
         end: Last time, included; None = open.
         progress: Told which messages of the bag were compared.
         run: Only what this recording or import stored, by its name or writer id.
+        salvage: As verify_bag takes it.
 
     Raises:
         BagError, TopicNotFound, RunNotFound: As of verify_bag.
     """
     renamed = dict(mapping or {})
     writers = ros_cas.parts.runs.writers(run)
-    with open_file(path) as reader:
+    with open_file(path, salvage) as reader:
         numbers = chosen_connections(reader, topics)
         report = VerifyReport(reader.path, "all stored messages on its topics, by content")
         if start is not None and to_ns(start) <= reader.start_ns:

@@ -20,7 +20,9 @@ from __future__ import annotations
 
 import argparse
 import time
+from typing import TYPE_CHECKING
 
+from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_origin_options,
     add_store_options,
@@ -31,13 +33,18 @@ from cassandra_ros.cli.options import (
     read_where,
 )
 from cassandra_ros.cli.text import MessageBar, format_bytes, format_table, shown
+from cassandra_ros.cli.topic_options import add_topics_option, stored_topics
+
+if TYPE_CHECKING:
+    from cassandra_ros.bag.exporter import ExportReport
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bag, selection, compression and the store."""
     add = parser.add_argument
-    add("bag", metavar="OUT.bag", help="the bag to make; OUT.mcap makes an MCAP")
-    add("--topics", nargs="+", metavar="TOPIC", help="only these topics (after OUT.bag)")
+    add("bag", nargs="?", metavar="OUT.bag", help="the bag to make; OUT.mcap makes an MCAP")
+    add("-o", "--output", metavar="OUT.bag", help="the same, wherever it stands")
+    add_topics_option(parser, "OUT.bag, or with -o anywhere")
     add_time_options(parser)
     add_origin_options(parser)
     add_where_option(parser)
@@ -63,6 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("-f", "--force", action="store_true", help="replace OUT.bag if it exists")
     add("-q", "--quiet", action="store_true", help="print errors only")
+    add_json_option(parser)
     add_store_options(parser)
 
 
@@ -71,12 +79,12 @@ def run(options: argparse.Namespace) -> int:
     from cassandra_ros.bag.exporter import export_bag
 
     where, (start, end) = read_where(options), read_times(options)
-    begun = time.monotonic()
-    with open_store(options) as ros_cas, MessageBar(f"exporting {options.bag}") as bar:
+    path, begun = _path(options), time.monotonic()
+    with open_store(options) as ros_cas, MessageBar(f"exporting {path}") as bar:
         report = export_bag(
             ros_cas,
-            options.bag,
-            topics=options.topics,
+            path,
+            topics=stored_topics(ros_cas, options),
             start=start,
             end=end,
             nodeID=options.node_id,
@@ -87,15 +95,32 @@ def run(options: argparse.Namespace) -> int:
             latched=options.latched,
             run=options.run,
         )
-    if not options.quiet:
-        rows = [(shown(topic), str(count)) for topic, count in sorted(report.messages.items())]
-        if rows:
-            print(format_table(("topic", "messages"), rows, right=("messages",)))
-        early = sum(report.latched.values())
-        if early:
-            print(f"of these {early} were latched before {options.start}, and stand at that time")
-        print(
-            f"{report.path}: {sum(report.messages.values())} messages of {len(rows)} topics, "
-            f"{format_bytes(report.bytes)} ({time.monotonic() - begun:.1f} s)"
-        )
+    if options.json:
+        print_json(report)
+    elif not options.quiet:
+        _print_report(report, options.start, time.monotonic() - begun)
     return 0
+
+
+def _path(options: argparse.Namespace) -> str:
+    """Return the name of the bag; ends the program where there is none, or two."""
+    given = [path for path in (options.bag, options.output) if path is not None]
+    if len(given) == 2:
+        options.parser.error(f"one bag is made: {given[0]} or -o {given[1]}")
+    if not given:
+        swallowed = "; --topics takes all words behind it" if options.topics else ""
+        options.parser.error(f"the bag to make is missing: give OUT.bag or -o OUT.bag{swallowed}")
+    return str(given[0])
+
+
+def _print_report(report: ExportReport, start: str | None, seconds: float) -> None:
+    rows = [(shown(topic), str(count)) for topic, count in sorted(report.messages.items())]
+    if rows:
+        print(format_table(("topic", "messages"), rows, right=("messages",)))
+    early = sum(report.latched.values())
+    if early:
+        print(f"of these {early} were latched before {start}, and stand at that time")
+    print(
+        f"{report.path}: {sum(report.messages.values())} messages of {len(rows)} topics, "
+        f"{format_bytes(report.bytes)} ({seconds:.1f} s)"
+    )

@@ -7,6 +7,14 @@ first a part of it and then all, or once more after an interruption, ends in the
 topic whose definition is empty or broken is kept as binary, with a warning. One whose name cannot
 be kept (it holds a NUL) is left out: a warning says how many messages that are, and the exit status
 is 1. So are the messages of an MCAP that are none of ROS 1, as JSON or protobuf.
+
+  cassandra_bag import *.bag
+  cassandra_bag import crashed.bag.active --salvage
+
+Of several FILEs those that cannot be read are passed over; a table at the end tells what became of
+each: stored, salvaged (nothing that the file holds is missing), incomplete, failed or, where the
+store fails, not tried. The exit status is 0 where all are stored or salvaged. What is salvaged
+counts as another bag than the whole one: to import that later, delete the salvaged run first.
 """
 
 from __future__ import annotations
@@ -16,11 +24,25 @@ import os
 import signal
 import sys
 import time
+from dataclasses import dataclass
 from types import FrameType
 from typing import TYPE_CHECKING
 
+from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import add_format_option, add_store_options, open_store
+from cassandra_ros.cli.parsers import error_line
 from cassandra_ros.cli.text import MessageBar, format_bytes, format_table, shown
+from cassandra_ros.cli.topic_options import add_topics_option, topics_among
+from cassandra_ros.errors import (
+    BagError,
+    CassandraRosError,
+    CorruptMessage,
+    DefinitionError,
+    InvalidName,
+    MissingDependency,
+    TopicExists,
+    TopicNotFound,
+)
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.importer import ImportReport
@@ -28,17 +50,50 @@ if TYPE_CHECKING:
     from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 
+_OF_ONE_FILE = (
+    BagError,
+    CorruptMessage,
+    DefinitionError,
+    InvalidName,
+    MissingDependency,
+    TopicExists,
+    TopicNotFound,
+)
+"""Errors that say nothing of the files that follow."""
+
+
+@dataclass
+class _Outcome:
+    """What became of one file."""
+
+    path: str
+    state: str = "not tried"
+    """Or 'stored', 'salvaged', 'incomplete', 'failed'."""
+    report: ImportReport | None = None
+    error: str = ""
+
+
+_WHOLE = ("stored", "salvaged")
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add bags, format, selection and the store."""
     add = parser.add_argument
     add("bags", nargs="+", metavar="FILE", help="bags of format 2.0, or MCAP files of ROS 1")
     add_format_option(parser)
-    add("--topics", nargs="+", metavar="TOPIC", help="only these topics (after the FILEs)")
+    add_topics_option(parser, "the FILEs")
     add(
         "--node-id",
         default="",
         metavar="N",
         help="the robot or entity that produced the messages (default: nobody says)",
+    )
+    add(
+        "--salvage",
+        action="store_true",
+        help="of a bag that is cut short, damaged or was never closed (.bag.active), store what "
+        "stands before the damage, and say what that is (default: refuse it); of an MCAP, mcap "
+        "recover makes a sound copy",
     )
     add(
         "--jobs",
@@ -49,22 +104,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "are free beside those that Cassandra keeps busy",
     )
     add("-q", "--quiet", action="store_true", help="print errors and warnings only")
+    add_json_option(parser)
     add_store_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Import one bag after the other; the first that fails ends it."""
-    status = 0
+    """Import one bag after the other; say at the end what became of each."""
+    outcomes = [_Outcome(path) for path in options.bags]
     with open_store(options, make=True) as ros_cas:
-        for path in options.bags:
-            try:
-                if _import(ros_cas, path, options).lost:
-                    status = 1
-            except (KeyboardInterrupt, SystemExit):
-                hint = "cassandra_bag: interrupted; the same command again completes the import"
-                print(hint, file=sys.stderr)
-                raise
-    return status
+        try:
+            for outcome in outcomes:
+                _try(ros_cas, outcome, options)
+        except (KeyboardInterrupt, SystemExit):
+            hint = "interrupted; the same command again completes the import"
+            print(error_line("cassandra_bag", hint), file=sys.stderr)
+            raise
+        finally:
+            _print_outcomes(outcomes, options)
+    return 0 if all(outcome.state in _WHOLE for outcome in outcomes) else 1
+
+
+def _try(ros_cas: RosCassandra, outcome: _Outcome, options: argparse.Namespace) -> None:
+    """Import a bag; an error that says nothing of the others is told and noted."""
+    outcome.state = "failed"
+    try:
+        report = outcome.report = _import(ros_cas, outcome.path, options)
+    except CassandraRosError as exc:
+        outcome.error = str(exc)
+        if not isinstance(exc, _OF_ONE_FILE):
+            raise
+        print(error_line("cassandra_bag", " ".join(outcome.error.split())), file=sys.stderr)
+        return
+    if report.lost or report.salvaged.lost_bytes:
+        outcome.state = "incomplete"
+    else:
+        outcome.state = "salvaged" if report.salvaged.why else "stored"
 
 
 def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> ImportReport:
@@ -72,8 +146,10 @@ def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> Im
     from cassandra_ros.bag.message_file import chosen_connections
     from cassandra_ros.bag.opening import open_file
 
-    with open_file(path) as reader:
-        chosen = chosen_connections(reader, options.topics)
+    with open_file(path, options.salvage) as reader:
+        names = {connection.topic for connection in reader.connections.values()}
+        topics = topics_among(options, names, path)
+        chosen = chosen_connections(reader, topics)
         count = sum(reader.counts[number] for number in chosen)
         total = reader.message_count
     begun, name = time.monotonic(), os.path.basename(path)
@@ -91,13 +167,14 @@ def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> Im
             ros_cas,
             path,
             format=options.format,
-            topics=options.topics,
+            topics=topics,
             nodeID=options.node_id,
             progress=shown_by(second),
             reading=shown_by(first),
             jobs=options.jobs,
+            salvage=options.salvage,
         )
-    if not options.quiet:
+    if not (options.quiet or options.json):
         _print_report(report, options.keyspace, time.monotonic() - begun)
     return report
 
@@ -114,6 +191,39 @@ def _print_report(report: ImportReport, keyspace: str, seconds: float) -> None:
         f"{report.path}: {report.messages} messages of {len(rows)} topics are in keyspace "
         f"{keyspace} ({seconds:.1f} s)"
     )
+
+
+def _print_outcomes(outcomes: list[_Outcome], options: argparse.Namespace) -> None:
+    """Print what became of each bag: as JSON, or a table where there are several."""
+    if options.json:
+        print_json({"keyspace": options.keyspace, "files": [_answer(each) for each in outcomes]})
+    elif len(outcomes) > 1 and not options.quiet:
+        rows = [
+            (
+                shown(each.path),
+                str(each.report.messages) if each.report else "-",
+                str(sum(each.report.lost.values())) if each.report else "-",
+                each.state,
+            )
+            for each in outcomes
+        ]
+        header = ("file", "messages", "lost", "state")
+        print("\n" + format_table(header, rows, right=("messages", "lost")))
+
+
+def _answer(outcome: _Outcome) -> dict[str, object]:
+    found: dict[str, object] = {"path": outcome.path, "state": outcome.state}
+    report = outcome.report
+    if report is not None:
+        found.update(
+            run=report.writer_id,
+            messages=report.messages,
+            topics=report.topics,
+            lost=report.lost,
+            lost_bytes=report.salvaged.lost_bytes,
+            warnings=report.warnings,
+        )
+    return {**found, "error": outcome.error or None}
 
 
 class SafeInterrupt:

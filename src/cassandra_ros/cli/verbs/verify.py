@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_origin_options,
     add_store_options,
@@ -25,6 +26,7 @@ from cassandra_ros.cli.options import (
     read_times,
 )
 from cassandra_ros.cli.text import MessageBar, shown
+from cassandra_ros.cli.topic_options import add_topics_option, topics_among
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.verify import VerifyReport
@@ -34,11 +36,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bag, what is compared, and the store."""
     add = parser.add_argument
     add("bag", metavar="FILE.bag", help="a bag of format 2.0, or an MCAP of ROS 1")
-    add(
-        "--topics", nargs="+", metavar="TOPIC", help="only these topics of the bag (after FILE.bag)"
-    )
+    add_topics_option(parser, "FILE.bag")
     add_origin_options(parser)
     add("--content", action="store_true", help="compare the content alone")
+    add(
+        "--salvage",
+        action="store_true",
+        help="compare what import --salvage stores of a damaged bag (default: refuse it)",
+    )
     add(
         "--map",
         metavar="FROM:=TO",
@@ -49,6 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_time_options(parser, "with --content: ")
     add("-q", "--quiet", action="store_true", help="print differences only")
+    add_json_option(parser)
     add_store_options(parser)
 
 
@@ -57,6 +63,9 @@ def run(options: argparse.Namespace) -> int:
     if not options.content and (options.map or options.start or options.end):
         options.parser.error("--map, --start and --end go with --content")
     report = _compare(options)
+    if options.json:
+        print_json({"keyspace": options.keyspace, "equal": report.equal, **vars(report)})
+        return 0 if report.equal else 1
     if not report.equal:
         _print_differences(report)
         _print_left_out(report)
@@ -78,8 +87,10 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
     from cassandra_ros.bag.verify import verify_bag, verify_content
 
     start, end = read_times(options)
-    with open_file(options.bag) as reader:
+    with open_file(options.bag, options.salvage) as reader:
         count = reader.message_count
+        names = {connection.topic for connection in reader.connections.values()}
+        topics = topics_among(options, names, reader.path)
     first = MessageBar(f"reading {options.bag}", count)
     bar = MessageBar(f"verifying {options.bag}", count)
     with open_store(options) as ros_cas, first, bar:
@@ -87,22 +98,24 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
             return verify_bag(
                 ros_cas,
                 options.bag,
-                options.topics,
+                topics,
                 options.node_id,
                 bar.add,
                 first.add,
                 options.run,
+                options.salvage,
             )
         return verify_content(
             ros_cas,
             options.bag,
-            topics=options.topics,
+            topics=topics,
             nodeID=options.node_id,
             mapping=dict(options.map),
             start=start,
             end=end,
             progress=bar.add,
             run=options.run,
+            salvage=options.salvage,
         )
 
 

@@ -1,0 +1,190 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""cassandra_bag import of many bags, of damaged ones, and of chosen topics; export to -o."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from random import Random
+
+import pytest
+from bag.truth import read_with_rosbag, string_connection, string_wire
+
+from cassandra_ros.bag.reader import BagReader
+from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.errors import BagError, BagUnindexed
+
+
+def make_bag(path, topics=("/a", "/b"), count=10, compression="none"):
+    with BagWriter(path, compression) as writer:
+        numbers = [writer.connection(string_connection(name)) for name in topics]
+        for n in range(count):
+            t_ns = 10**18 + n * 10**6
+            writer.write(numbers[n % len(topics)], t_ns, string_wire(f"{path.name} {n} " * 50))
+    return path
+
+
+def cut(path, name, size):
+    target = path.with_name(name)
+    target.write_bytes(path.read_bytes()[:size])
+    return target
+
+
+# ------------------------------------------------------------------ many bags
+
+
+def test_many_bags_with_a_bad_one_among_them(call, tmp_path):
+    good, more = make_bag(tmp_path / "1.bag"), make_bag(tmp_path / "4.bag", ("/c",))
+    bad = cut(good, "2.bag", good.stat().st_size - 100)
+    missing = tmp_path / "3.bag"
+    status, out, err = call("import", good, bad, missing, more)
+    assert status == 1
+    lines = err.splitlines()
+    assert len(lines) == 2
+    assert all(line.startswith("cassandra_bag: ") for line in lines)
+    assert f"{bad} is cut short" in lines[0]
+    assert "import --salvage stores what it holds" in lines[0]
+    assert "No such file" in lines[1]
+    table = [line.split() for line in out.splitlines()[-5:]]
+    assert table == [
+        ["file", "messages", "lost", "state"],
+        [str(good), "10", "0", "stored"],
+        [str(bad), "-", "-", "failed"],
+        [str(missing), "-", "-", "failed"],
+        [str(more), "10", "0", "stored"],
+    ]
+    status, out, _ = call("import", bad, more, "--json")
+    failed, stored = json.loads(out)["files"]
+    assert (status, failed["state"], stored["state"]) == (1, "failed", "stored")
+    assert "cut short" in failed["error"]
+    assert stored["error"] is None
+    assert (stored["messages"], stored["topics"]["/c"]["messages"]) == (10, 10)
+    assert call("import", good, more, "-q") == (0, "", "")
+    # What is wrong with the command is wrong with every bag: it is said once.
+    status, out, err = call("import", good, more, "--format", "xml")
+    assert (status, err.count("\n")) == (1, 1)
+    assert [line.split()[-1] for line in out.splitlines()[-2:]] == ["failed", "tried"]
+
+
+# ------------------------------------------------------------------ salvage
+
+
+def test_salvage_of_a_bag_that_is_cut_short(call, tmp_path):
+    whole = make_bag(tmp_path / "whole.bag", count=40)
+    bad = cut(whole, "bad.bag", whole.stat().st_size // 2)
+    assert call("import", bad)[0] == 1
+    status, out, err = call("import", bad, "--salvage")
+    assert (status, err.count("\n")) == (1, 1)  # something is lost
+    assert f"cassandra_bag: {bad} is cut short or damaged in the chunk" in err
+    with BagReader(bad, salvage=True) as reader:
+        count, lost = reader.message_count, reader.salvaged.lost_bytes
+    assert 10 < count < 30
+    assert f"{count} messages up to there are read, {lost} bytes behind them are lost" in err
+    assert f"{count} messages of 2 topics are in keyspace" in out
+    # Again, and in other processes, it ends in the same messages.
+    status, out, _ = call("import", bad, "--salvage", "--json", "--jobs", "2")
+    (found,) = json.loads(out)["files"]
+    assert (found["state"], found["messages"], found["lost_bytes"]) == ("incomplete", count, lost)
+    assert len(found["warnings"]) == 1
+    target = tmp_path / "out.bag"
+    assert call("export", target, "-q")[0] == 0
+    expected = read_with_rosbag(whole)[1][:count]
+    assert read_with_rosbag(target)[1] == expected
+    assert call("verify", bad, "--salvage")[0] == 0
+    assert call("verify", bad)[0] == 1
+
+
+def test_salvage_of_a_bag_that_was_never_closed(call, tmp_path):
+    """What a recorder that was killed leaves behind: rosbag's own writer, not closed."""
+    import rosbag
+    from std_msgs.msg import String
+
+    path, left = tmp_path / "a.bag", tmp_path / "a.bag.active"
+    with rosbag.Bag(str(path), "w", chunk_threshold=2000) as bag:
+        for n in range(50):
+            bag.write("/a", String(f"{n}" * 50), genpy_time(n))
+        bag.flush()
+        shutil.copyfile(path, left)  # its header names no index, the last chunk is open
+    expected = read_with_rosbag(path)[1]
+    with pytest.raises(BagUnindexed, match="import --salvage"):
+        BagReader(left)
+    status, out, err = call("import", left, "--salvage")
+    assert (status, err.count("\n")) == (0, 1)
+    assert "no message that the file holds is lost" in err
+    assert "50 messages of 1 topics" in out
+    assert [m[1:] for m in read_with_rosbag(path)[1]] == [m[1:] for m in expected]
+    target = tmp_path / "out.bag"
+    assert call("export", "-o", target)[0] == 0
+    assert read_with_rosbag(target)[1] == expected
+
+
+def genpy_time(n):
+    import genpy
+
+    return genpy.Time(1000 + n)
+
+
+@pytest.mark.parametrize("compression", ["none", "bz2", "lz4"])
+def test_a_cut_anywhere_gives_what_stands_before_it(tmp_path, compression):
+    path, random = tmp_path / "whole.bag", Random(1)
+    with BagWriter(path, compression, chunk_bytes=4000) as writer:
+        number = writer.connection(string_connection("/a"))
+        for n in range(60):
+            writer.write(number, n, string_wire(f"{n} {random.getrandbits(1600):x}"))
+    data = path.read_bytes()
+    with BagReader(path) as reader:
+        expected = list(reader.messages())
+        first = reader.chunk_info(0).position
+    with BagReader(path, salvage=True) as reader:
+        assert list(reader.messages()) == expected
+        assert not reader.salvaged.why
+    bad, before = tmp_path / "bad.bag", 0
+    for size in range(first + 500, len(data), 487):
+        bad.write_bytes(data[:size])
+        try:
+            with BagReader(bad, salvage=True) as reader:
+                found = list(reader.messages())
+                assert len(found) == reader.message_count
+                assert reader.salvaged.why
+        except BagError as exc:
+            assert "no message that can be salvaged" in str(exc)
+            found = []
+        assert found == expected[: len(found)]
+        assert len(found) >= before
+        before = len(found)
+    assert before == 60
+    # Not only a cut: what is overwritten in the middle ends it, too.
+    middle = len(data) // 2
+    bad.write_bytes(data[:middle] + b"\xff" * 600 + data[middle + 600 :])
+    with BagReader(bad, salvage=True) as reader:
+        found = list(reader.messages())
+        assert reader.salvaged.lost_bytes >= 600
+    assert 0 < len(found) < 60
+
+
+# ------------------------------------------------------------------ topics, and where to
+
+
+def test_chosen_topics_in_and_out(call, tmp_path):
+    path = make_bag(tmp_path / "a.bag", ("/cam/left", "/cam/right", "/tf"), 30)
+    assert call("import", path, "-e", "/cam/.*", "-q") == (0, "", "")
+    assert json.loads(call("list", "--json")[1])[-1]["topic"] == "/cam/right"
+    assert call("verify", path, "-e", "/cam/(left|right)")[0] == 0
+    status, out, _ = call("verify", path, "--json")
+    found = json.loads(out)
+    assert (status, found["equal"], found["differences"], found["equal_messages"]) == (
+        (1, False, 10, 20)
+    )
+    assert call("import", path, "-q") == (0, "", "")
+    target = tmp_path / "out.bag"
+    # A file behind --topics is a topic; -o is one wherever it stands.
+    status, _, err = call("export", "--topics", "/tf", target)
+    assert status == 2
+    assert "--topics takes all words behind it" in err
+    status, out, err = call("export", "--topics", "/tf", "-e", "/.*/left", "-o", target, "--json")
+    assert (status, err) == (0, "")
+    assert json.loads(out)["messages"] == {"/tf": 10, "/cam/left": 10}
+    assert {m.topic for m in read_with_rosbag(target)[1]} == {"/tf", "/cam/left"}
+    assert call("export", target, "-o", target)[0] == 2
+    assert call("export")[0] == 2
