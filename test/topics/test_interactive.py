@@ -189,6 +189,7 @@ def test_seconds_given_as_nanoseconds_are_refused_where_they_would_find_everythi
         lambda: topic.removeData(seconds, seconds + 9),
         lambda: topic.getArrays("linear.x", key=seconds),
         lambda: store.readMessages("/cmd_vel", seconds),
+        lambda: store.deleteMessages("/cmd_vel", to_key=seconds),
     ):
         with pytest.raises(InvalidKey, match=rf"seconds are written {seconds}\.0"):
             ask()

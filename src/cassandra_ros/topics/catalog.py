@@ -26,12 +26,13 @@ from cassandra_ros.formats.table import format_class
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.graph import topic_type
+from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.convert import Converted, convert_topic
 from cassandra_ros.topics.copying import Progress
-from cassandra_ros.topics.finding import Filter, Where
+from cassandra_ros.topics.finding import Filter, Where, stretch_between
 from cassandra_ros.topics.indexes import check_unnamed, no_index_in_blocks
 from cassandra_ros.topics.keyspace import Keyspace, Wish, check_packed
 from cassandra_ros.topics.runs import RunName
@@ -223,6 +224,12 @@ class Catalog:
             except DefinitionError as exc:
                 _log.error("topic %s is left out, it cannot be read here: %s", topic.name, exc)
         return found
+
+    def stretch(
+        self, topics: Optional[Iterable[str]], key: Optional[Time], to_key: Optional[Time]
+    ) -> Stretch:
+        """Return the stretch of some topics between two times, None = open; see stretch_between."""
+        return stretch_between(self.keyspace, self.tables(topics), key, to_key)
 
     def whose(self, node: Optional[str], run: RunName) -> Whose:
         """Check nodeID and run, and return whose messages they mean; RunNotFound, InvalidName."""

@@ -23,7 +23,6 @@ from cassandra_ros.topics.convert import Converted
 from cassandra_ros.topics.copying import Progress
 from cassandra_ros.topics.deletion import delete_messages
 from cassandra_ros.topics.descriptions import infos_listed, runs_listed
-from cassandra_ros.topics.finding import stretch_between
 from cassandra_ros.topics.keyspace import Keyspace, wished_topic, with_key
 from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
@@ -44,8 +43,8 @@ class RosCassandra:
         port: CQL port, 1 to 65535; None = CASSANDRA_ROS_PORT, else 9042.
         keyspace: Connected at once; None = CASSANDRA_ROS_KEYSPACE. What first writes makes it.
         clock: Returns the time of messages without a key; None = a node's own, else wall clock.
-        consistency: Name of a Cassandra consistency level.
-        username, password, ssl_context, cqlshrc, credentials: As class Cassandra has them.
+        login: ``username password ssl_context cqlshrc credentials consistency``, as class Cassandra
+            has them.
 
     Raises:
         ConnectionFailed, InvalidOption: Nobody answers there, or refuses us; no port, no file.
@@ -58,16 +57,9 @@ class RosCassandra:
         *,
         keyspace: Optional[str] = None,
         clock: Optional[Clock] = None,
-        consistency: str = "LOCAL_QUORUM",
-        username: Optional[str] = None,
-        password: Optional[str] = None,
-        ssl_context: Any = None,
-        cqlshrc: Optional[str] = None,
-        credentials: Optional[str] = None,
+        **login: Any,
     ) -> None:
-        login = {"username": username, "password": password, "ssl_context": ssl_context}
-        login.update(cqlshrc=cqlshrc, credentials=credentials)
-        self.cassandra = Cassandra(host, port, consistency=consistency, **login)
+        self.cassandra = Cassandra(host, port, **login)
         self._clock = clock
         self._opened: Optional[Catalog] = None
         keyspace = from_environment("KEYSPACE") or None if keyspace is None else keyspace
@@ -326,15 +318,13 @@ class RosCassandra:
 
         Raises:
             TopicNotFound, RunNotFound: One of the topics is not stored, or there is no such run.
-            InvalidName: topics, nodeID or run are no names.
-            InvalidOption: A condition is for a topic that is not read.
-            InvalidQuery: A condition is none; shows it with a caret under the spot.
+            InvalidOption, InvalidQuery: A condition is for a topic that is not read; is none.
+            InvalidName, InvalidKey: A name or time is none.
         """
         names, space = check_topics(topics), self._open
         filters, whose = space.filters(where, names, nodeID, run), space.whose(nodeID, run)
-        tables = space.tables(names)
-        stretch = stretch_between(space.keyspace, tables, key, to_key)
-        return space.merged(tables, filters, stretch, whose, received)
+        stretch = space.stretch(names, key, to_key)
+        return space.merged(space.tables(names), filters, stretch, whose, received)
 
     def nearestMessages(
         self,
@@ -369,7 +359,7 @@ class RosCassandra:
         """
         reach, space = duration_ns(tolerance), self._open
         first, second = space.get(topic_a), space.get(topic_b)
-        stretch = stretch_between(space.keyspace, first.tables, key, to_key)
+        stretch = space.stretch([topic_a], key, to_key)
         filters = space.filters(where, (topic_a, topic_b), nodeID, run)
         whose, wider = space.whose(nodeID, run), stretch.wider(reach)
         rows = space.merged(first.tables, filters, stretch, whose)
@@ -401,7 +391,8 @@ class RosCassandra:
                 has no condition beside others, or the run goes on.
             TopicNotFound, RunNotFound, InvalidName, InvalidQuery: As readMessages.
         """
-        names, stretch = check_topics(topics), Stretch.between(key, to_key)
+        names = check_topics(topics)
+        stretch = self._open.stretch(names, key, to_key)
         return delete_messages(self._open, names, stretch, nodeID, run, where, dry_run)
 
     @property
@@ -460,9 +451,8 @@ class RosCassandra:
     ) -> Explanation:
         """Run a SELECT statement and say how it was answered; ``print`` what comes back.
 
-        That is how many buckets were read of how many and in which way (by an index, filtered by
-        the server, whole), what the server checked, what was left to this side, rows read and
-        returned. Raises InvalidQuery as executeCQL does.
+        That is which buckets were read and how, what the server checked, what was left to this
+        side, rows read and returned. Raises InvalidQuery as executeCQL does.
         """
         return self.statements.explain(statement, params, nodeID, run)
 
