@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 from cassandra.cluster import Cluster
-from cassandra.query import SimpleStatement
+from cassandra.query import BatchStatement, SimpleStatement
+from nodes.children import await_true
 from std_msgs.msg import UInt8MultiArray
 
 from cassandra_ros import RosCassandra
@@ -23,6 +24,8 @@ from cassandra_ros.local_server.settings import OWN_HEAP_MB
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.store.flight import MAX_BYTES, Flight
+from cassandra_ros.store.open_bucket import HELD_BYTES
 from cassandra_ros.store.row_table import CHUNK_BYTES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -77,6 +80,45 @@ def test_every_size_comes_back(rosCas, cql, format_name):
     # Their scalar columns are filled even where the bytes lie elsewhere.
     offsets = rosCas.executeCQL("select layout.data_offset from /big")
     assert offsets == [(7,)] * len(SIZES)
+
+
+@pytest.mark.parametrize(("format_name", "small"), [("binary", 100), ("ros", 100), ("packed", 0)])
+def test_rows_of_large_messages_share_a_request(rosCas, monkeypatch, format_name, small):
+    """And with small ones; those alone say how large a row may be."""
+    sizes = [CHUNK_BYTES + 1, small or CHUNK_BYTES + 2] * 6
+    messages, batches, submit = [messageOf(size) for size in sizes], [], Flight.submit
+
+    def counting(flight, statement, *rest):
+        if isinstance(statement, BatchStatement):
+            batches.append(statement)
+        submit(flight, statement, *rest)
+
+    with rosCas.messageWriter(format=format_name, linger_sec=3600) as writer:
+        handle = connect(writer)
+        monkeypatch.setattr(Flight, "submit", counting)
+        for n, message in enumerate(messages):
+            writer.write(handle, T0 + n, n, serialize(message))
+        writer._rows._flight.wait()
+        # What no row tells of yet is kept, and counts as waiting.
+        await_true(lambda: batches or writer.pending_bytes >= sum(sizes))
+    assert len(batches) == 1
+    topic = rosCas.getTopic("/big")
+    assert [message for _, message in topic.items()] == messages
+    (table,) = topic.tables
+    (told,) = rosCas.parts.directory.find(table.name, "", table.bucket_of(T0))
+    assert (told.rows, told.bytes, told.largest) == (12, sum(sizes), small)
+
+
+def test_rows_of_large_messages_do_not_wait_for_ever(rosCas):
+    messages = [messageOf(CHUNK_BYTES + 1) for _ in range(2 * HELD_BYTES // CHUNK_BYTES)]
+    with rosCas.messageWriter(format="binary", linger_sec=3600) as writer:
+        handle, topic = connect(writer), rosCas.getTopic("/big")
+        for n, message in enumerate(messages):
+            writer.write(handle, T0 + n, n, serialize(message))
+            assert writer.pending_bytes <= HELD_BYTES + MAX_BYTES + 2 * CHUNK_BYTES
+        await_true(lambda: topic.countTopicData() >= HELD_BYTES // CHUNK_BYTES)
+        writer._rows._linger_sec = 0.0
+        await_true(lambda: topic.countTopicData() == len(messages))
 
 
 def test_deletes_leave_no_orphan(rosCas, cql):

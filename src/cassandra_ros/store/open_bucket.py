@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import threading
 import time
@@ -35,6 +36,8 @@ from cassandra_ros.store.row_table import (
 # 200 and 64 KiB a third. Larger ones than a chunk would be another size to reckon with.
 BATCH_ROWS = 1000
 BATCH_BYTES = 512 * 1024
+HELD_BYTES = 8 * 1024 * 1024
+"""Of large messages whose rows wait in a batch: they are kept until those are stored."""
 _ROW_OVERHEAD = 60
 _OWN = struct.Struct(">iqiqiqii")
 """_t, _seq, _conn and _size, each behind its size."""
@@ -58,8 +61,13 @@ class Batch:
     """Rows that came together, in place of an ``again`` of each."""
     blocks: list[Block] = field(default_factory=list)
     nbytes: int = 0
+    held: int = 0
+    """Bytes of the messages that lie in chunks, which are no part of nbytes."""
     odd_rows: int = 0
+    largest: int = 0
+    """Bytes of the largest message in a row; those in chunks do not count."""
     since: float = field(default_factory=time.monotonic)
+    """When its oldest row came; monotonic, -inf where it shall wait no longer."""
 
     def rewriters(self) -> list[Again | None]:
         """Return for each message what writes it anew, None where nobody can."""
@@ -128,6 +136,10 @@ class OpenBucket:
         batch = self.batch
         if not batch.rows:
             batch.since = time.monotonic()
+        if chunks:
+            batch.held += len(row.wire)
+        else:
+            batch.largest = max(batch.largest, len(row.wire))
         if row.columns is None and self._shadows is None and not chunks:
             batch.rows.append(row)
             batch.nbytes += len(row.wire) + _ROW_OVERHEAD
@@ -158,6 +170,7 @@ class OpenBucket:
         batch.rows += rows
         batch.nbytes += sum(sizes) + _ROW_OVERHEAD * len(rows)
         batch.sizes += sizes
+        batch.largest = max(batch.largest, *sizes)
         batch.times += [row.t for row in rows]
         batch.runs.append((rows, again))
         return len(rows)
@@ -193,6 +206,10 @@ class OpenBucket:
         batch, sizes = self.batch, list(map(len, block.wires))
         if not batch.rows:
             batch.since = time.monotonic()
+        if chunks:
+            batch.held += len(block.wire)
+        else:  # it has waited to be filled already
+            batch.since, batch.largest = -math.inf, max(batch.largest, *sizes)
         values = (
             *self._place,
             *encode_own(block.t, block.seq, block.conn, sum(sizes)),
@@ -215,7 +232,9 @@ class OpenBucket:
 
     def is_full(self) -> bool:
         """Say whether the batch should be sent now."""
-        return len(self.batch.rows) >= BATCH_ROWS or self.batch.nbytes >= BATCH_BYTES
+        batch = self.batch
+        large = batch.nbytes >= BATCH_BYTES or batch.held >= HELD_BYTES
+        return large or len(batch.rows) >= BATCH_ROWS
 
     def take(self) -> tuple[Batch, BatchStatement]:
         """Take the filled batch; return it with the statement that stores it."""
@@ -246,7 +265,7 @@ class OpenBucket:
         self.batch.rows = []  # what is sent needs them no more
         return EncodedRows(b"".join(parts), len(parts) // 3, others)
 
-    def stored(self, batch: Batch, large: bool) -> None:
+    def stored(self, batch: Batch) -> None:
         """Count a batch that was acknowledged."""
         with self.mutex:
             self.in_air -= 1
@@ -256,8 +275,7 @@ class OpenBucket:
             totals.t_min = min(totals.t_min, *batch.times)
             totals.t_max = max(totals.t_max, *batch.times)
             totals.odd += batch.odd_rows
-            if not large:
-                totals.largest = max(totals.largest, *batch.sizes)
+            totals.largest = max(totals.largest, batch.largest)
             self.changed = True
 
     def failed(self) -> None:
