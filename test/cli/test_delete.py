@@ -42,7 +42,7 @@ def test_delete(store, call, monkeypatch):
     assert counts(store) == {"/maps": 1, "/n": 10, "/p": 10}
     assert call("delete")[0] == 2
     with pytest.raises(InvalidOption, match="removeTopic and truncateTopic"):
-        store.deleteMessages(["/n"])
+        store.upkeep.delete(["/n"])
 
     # By time, first only said, then asked for where nobody can be, then done.
     by_time = ("delete", "-e", "/[np]", "--end", end(1))

@@ -332,6 +332,11 @@ class Directory:
         )
         return bool(answer[0][0])
 
+    def tables(self) -> set[str]:
+        """List the names of the tables that have buckets, also of those that are gone (a scan)."""
+        rows = self._tables.select("cr_node", "DISTINCT tbl", what="listing the directory")
+        return {table for (table,) in rows}
+
     def forget(self, table: str) -> None:
         """Remove all that is known of a table that was dropped."""
         slots = [(table, node, slot) for slot, node in self.nodes(table, -(2**63), 2**63 - 1)]

@@ -165,6 +165,22 @@ class Registry:
         texts = self._tables.select("cr_definition", "text", where, key, what=what)
         return bytes(texts[0][0]) if texts else None
 
+    def damaged_definitions(self) -> list[str]:
+        """List the md5sums under which a text lies that is not the one that was stored."""
+        rows = self._tables.select(
+            "cr_definition", "md5sum, hash, text", what="reading the message definitions"
+        )
+        return sorted(
+            md5sum
+            for md5sum, known, text in rows
+            if hashlib.sha256(bytes(text or b"")).digest() != bytes(known)
+        )
+
+    def tables(self) -> set[str]:
+        """List the names of the tables of which connections are kept (a scan)."""
+        rows = self._tables.select("cr_connection", "tbl", what="listing the connections")
+        return {table for (table,) in rows}
+
     def forget(self, table: str) -> None:
         """Remove the connections of a table that was dropped (a scan: connections are few)."""
         rows = self._tables.select("cr_connection", "tbl, conn", what="listing the connections")

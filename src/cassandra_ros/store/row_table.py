@@ -240,6 +240,15 @@ class RowTable:
         """SELECT of all pieces of one large message, in order."""
         return self._prepare(f'SELECT "_chunk", "_data" FROM {self._chunks} {self._where} {_ROW}')
 
+    def select_partitions(self) -> PreparedStatement:
+        """SELECT of the partition keys under which there are rows; in no order."""
+        return self._prepare(f'SELECT DISTINCT "_node", "{self.partition}" FROM {self.qualified}')
+
+    def select_chunked(self) -> PreparedStatement:
+        """SELECT of the keys of messages that have pieces, and when one was written, us."""
+        names = f'"_node", "{self.partition}", {KEYS}, WRITETIME("_data")'
+        return self._prepare(f"SELECT {names} FROM {self._chunks} PER PARTITION LIMIT 1")
+
     def _select(self, names: str, rest: str) -> PreparedStatement:
         return self._prepare(f"SELECT {names} FROM {self.qualified} {self._where} {rest}")
 

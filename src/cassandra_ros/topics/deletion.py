@@ -29,7 +29,7 @@ def delete_messages(
     where: Conditions,
     dry_run: bool = False,
 ) -> Dict[str, int]:
-    """Delete messages of several topics; see RosCassandra.deleteMessages."""
+    """Delete messages of several topics; see Upkeep.delete."""
     whose, space = catalog.whose(node, run), catalog.keyspace
     if where is None and whose == EVERYBODY and stretch == Stretch():
         raise InvalidOption(

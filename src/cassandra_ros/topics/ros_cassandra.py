@@ -21,7 +21,6 @@ from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
 from cassandra_ros.topics.convert import Converted
 from cassandra_ros.topics.copying import Progress
-from cassandra_ros.topics.deletion import delete_messages
 from cassandra_ros.topics.descriptions import infos_listed, runs_listed
 from cassandra_ros.topics.keyspace import Keyspace, wished_topic, with_key
 from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
@@ -32,6 +31,7 @@ from cassandra_ros.topics.selection import Clock, Stretch
 from cassandra_ros.topics.statements import Statements
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.totals import TopicInfo, describe
+from cassandra_ros.topics.upkeep import Upkeep
 from cassandra_ros.transforms.lookup import lookup_transform
 
 
@@ -366,34 +366,10 @@ class RosCassandra:
         partners = space.merged(second.tables, filters, wider, whose)
         return nearest_pairs(rows, partners, reach, unpaired)
 
-    def deleteMessages(
-        self,
-        topics: Optional[Iterable[str]] = None,
-        key: Optional[Time] = None,
-        to_key: Optional[Time] = None,
-        *,
-        nodeID: Optional[str] = None,
-        where: Conditions = None,
-        run: RunName = None,
-        dry_run: bool = False,
-    ) -> dict[str, int]:
-        """Delete messages of several topics; return topic -> how many. Topics stay, also empty.
-
-        The arguments are those of readMessages, but with ``where`` only topics that have a
-        condition lose messages. With a run alone all that it stored goes, and it is not listed any
-        more; that of one that still records is refused.
-
-        Args:
-            dry_run: Only count them.
-
-        Raises:
-            InvalidOption: Nothing is given but topics (see removeTopic, truncateTopic), a topic
-                has no condition beside others, or the run goes on.
-            TopicNotFound, RunNotFound, InvalidName, InvalidQuery: As readMessages.
-        """
-        names = check_topics(topics)
-        stretch = self._open.stretch(names, key, to_key)
-        return delete_messages(self._open, names, stretch, nodeID, run, where, dry_run)
+    @property
+    def upkeep(self) -> Upkeep:
+        """Deletes messages of several topics, reads everything back and mends it."""
+        return Upkeep(self._open)
 
     @property
     def statements(self) -> Statements:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from cassandra_ros.cli.verbs import (
     cat,
+    check,
     convert,
     delete,
     export,
@@ -32,6 +33,7 @@ VERBS = {
     "import": import_,
     "export": export,
     "verify": verify,
+    "check": check,
     "query": query,
     "cat": cat,
     "index": index,

@@ -68,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
         def delete(dry_run: bool) -> dict[str, int]:
             if whole:
                 return _remove(ros_cas, topics or [], dry_run)
-            return ros_cas.deleteMessages(topics, **selected, dry_run=dry_run)
+            return ros_cas.upkeep.delete(topics, **selected, dry_run=dry_run)
 
         counts = delete(dry_run=True) if options.dry_run or not options.yes else {}
         if not options.dry_run:

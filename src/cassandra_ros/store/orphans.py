@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What lies in the tables of a topic and nobody finds: unlisted buckets, pieces without a message.
+
+Whoever writes a large message stores its pieces first and its row last, which is the commit mark;
+one that dies in between leaves pieces. A bucket is listed before its first row is written, so one
+that is not has lost its entry.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import Iterable, List, NamedTuple, Set, Tuple, Union
+
+from cassandra_ros.store.blocks.block_row import ask_blocks
+from cassandra_ros.store.connection import Cassandra
+from cassandra_ros.store.names import chunk_table_name
+from cassandra_ros.store.paging import RawRow
+from cassandra_ros.store.row_table import COUNTED, RowTable, bind, decode_long
+
+ORPHAN_SEC = 3600
+"""So old pieces without a message are nobody's: a message is not tried for longer."""
+_PAGE_ROWS = 5000
+_PAGE_KEYS = 500
+
+Where = Union[int, str]
+"""A bucket, or a name."""
+
+
+class Orphan(NamedTuple):
+    """The pieces of a message that has no row."""
+
+    node: str
+    where: Where
+    t: int
+    seq: int
+
+
+def partitions(table: RowTable) -> Set[Tuple[str, Where]]:
+    """List the partitions in which there are rows: node, and bucket or name (a scan of keys)."""
+
+    def read(rows: Iterable[RawRow]) -> Set[Tuple[str, Where]]:
+        return {_place(table, values) for values in rows}
+
+    return table.collect(bind(table.select_partitions(), (), _PAGE_ROWS), read, "listing")
+
+
+def orphans(cassandra: Cassandra, keyspace: str, table: RowTable) -> List[Orphan]:
+    """List the pieces of large messages that have no row; none where rows expire by themselves."""
+    name = chunk_table_name(table.name)
+    there = cassandra.system_schema("tables", "table_name", keyspace, name)
+    if not there or table.metadata.ttl:
+        return []
+    young_us = cassandra.server_time_us() - ORPHAN_SEC * 10**6
+
+    def read(rows: Iterable[RawRow]) -> List[Orphan]:
+        old = (values for values in rows if decode_long(values[4]) < young_us)
+        return [_orphan(table, values) for values in old if not _has_row(table, values)]
+
+    statement = bind(table.select_chunked(), (), _PAGE_KEYS)
+    return table.collect(statement, read, "looking for orphans of")
+
+
+def _has_row(table: RowTable, values: RawRow) -> bool:
+    place = values[0] or b"", values[1] or b""
+    key = decode_long(values[2]), decode_long(values[3])
+    # Of the columns the fourth says how many pieces there are.
+    return any(row[3] is not None for row in ask_blocks(table, place, [key], COUNTED).page())
+
+
+def remove_orphans(cassandra: Cassandra, table: RowTable, found: Iterable[Orphan]) -> None:
+    """Delete the pieces of messages that have no row."""
+    params = iter(found)
+    what = f"removing orphans of topic {table.metadata.topic}"
+    while some := [tuple(each) for each in islice(params, _PAGE_KEYS)]:
+        cassandra.execute_many(table.delete_one(chunks=True), some, what=what)
+
+
+def _place(table: RowTable, values: RawRow) -> Tuple[str, Where]:
+    node, where = (values[0] or b"").decode(), values[1] or b""
+    return node, where.decode() if table.named else decode_long(where)
+
+
+def _orphan(table: RowTable, values: RawRow) -> Orphan:
+    return Orphan(*_place(table, values), decode_long(values[2]), decode_long(values[3]))

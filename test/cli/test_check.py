@@ -1,0 +1,124 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""cassandra_bag check as it is typed: each kind of damage is done by hand, told, and mended."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from std_msgs.msg import Int64, UInt8MultiArray
+from topics.test_run_states import T0, add, age, begin
+
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.store.row_table import CHUNK_BYTES
+
+
+@pytest.fixture
+def store(rosCas):
+    """/n by rows, /p in blocks, a large message, and one under a name; nobody is writing."""
+    rosCas.addTopic("/p", format="packed", msg_type="std_msgs/Int64")
+    with begin(rosCas, 7, "run") as writer:
+        add(writer, 5, "/p")
+    rosCas.addTopic("/big").addData(UInt8MultiArray(data=bytes(2 * CHUNK_BYTES)), key=T0)
+    rosCas.addTopic("/maps", key_format="manual").addData(Int64(0), key="kitchen")
+    return rosCas
+
+
+def damages(call, *options):
+    status, out, err = call("check", "--json", *options)
+    found = json.loads(out)
+    assert err == "" and status == (1 if found["left"] else 0)
+    return {(each["kind"], each["topic"], each["mended"]) for each in found["damages"]}
+
+
+def test_check(store, call, cql, connect):
+    status, out, err = call("check")
+    assert (status, err) == (0, "")
+    assert f"keyspace {store.keyspace}: 12 messages" in out and "0 damages, 0 mended" in out
+    assert call("check", "-q") == (0, "", "")
+    store.close()  # what it holds open is closed
+
+    space = connect(keyspace=store.keyspace)
+    tables = {topic.name: topic.tables[0] for topic in space.getAllTopics()}
+    of = f"{store.keyspace}.cr_bucket"
+    where = "tbl = %s AND node = 'husky' AND slot = %s AND bucket = %s"
+
+    def place(name, n):
+        bucket = tables[name].bucket_of(T0 + n * SECOND_NS)
+        return tables[name].name, bucket // 4096, bucket
+
+    # The directory: a wrong count, and a bucket that is in none.
+    cql.execute(f"UPDATE {of} SET n = 7 WHERE {where} AND writer = 7", place("/n", 0))
+    cql.execute(f"DELETE FROM {of} WHERE {where}", place("/n", 4))
+    assert space.getTopic("/n").countTopicData() == 7 + 2
+    assert damages(call, "/p", "/big") == set()
+    late = f"{T0 // SECOND_NS + 4}"
+    assert damages(call, "--start", late) == {("not listed", "/n", False)}
+    found = {("count", "/n", False), ("not listed", "/n", False)}
+    assert damages(call) == found == damages(call, "-e", "/[n]")
+    status, out, err = call("check", "/n", "--repair")
+    assert (status, err) == (0, "") and "2 damages, 2 mended" in out
+    assert out.count("mended: ") == 2
+    assert damages(call) == set()
+    assert space.getTopic("/n").countTopicData() == 5
+    assert [msg.data for _, msg in space.getTopic("/n").items()] == [*range(5)]
+
+    # What cannot be read: a block, a large message, a row without a size; and under a name.
+    row = space.getTopic("/p").getRow(T0)
+    key = '"_node" = %s AND "_bucket" = %s AND "_t" = %s AND "_seq" = %s'
+    block = ("husky", tables["/p"].bucket_of(T0), T0, row.block[0].seq)
+    cql.execute(f'UPDATE {tables["/p"].qualified} SET "_crc" = 1 WHERE {key}', block)
+    big = space.getTopic("/big").getRow(T0)
+    large = ("", tables["/big"].bucket_of(T0), T0, big.seq)
+    chunks = f"{store.keyspace}.{tables['/big'].name}_c"
+    cql.execute(f'DELETE FROM {chunks} WHERE {key} AND "_chunk" = 1', large)
+    ghost = ("husky", tables["/n"].bucket_of(T0), T0, 7 << 32)
+    cql.execute(f'UPDATE {tables["/n"].qualified} SET "_size" = null WHERE {key}', ghost)
+    (kept,) = space.getTopic("/maps").items()
+    named = key.replace("_bucket", "_key")
+    name = ("", "kitchen", kept[0].t, kept[0].seq)
+    cql.execute(f'UPDATE {tables["/maps"].qualified} SET "_size" = 9 WHERE {named}', name)
+    bad = {("message", topic, False) for topic in ("/n", "/p", "/big", "/maps")}
+    assert bad <= damages(call)
+    assert bad <= damages(call, "--repair")  # nothing brings them back
+    status, out, err = call("check", "/p")
+    assert (status, err) == (1, "")
+    assert out.startswith("damaged: message, /p, husky, 2017-07-14T02:40:00Z to ")
+    assert "5 messages of topic /p of node husky" in out and "wrong checksum" in out
+
+    # What rows refer to, and what is left of others.
+    cql.execute(
+        f"DELETE FROM {store.keyspace}.cr_connection WHERE tbl = %s AND conn = %s",
+        (tables["/n"].name, space.getTopic("/n").getRow(T0 + SECOND_NS).conn),
+    )
+    (definition,) = cql.execute(f"SELECT md5sum, hash FROM {store.keyspace}.cr_definition").all()[
+        :1
+    ]
+    text = "UPDATE {}.cr_definition SET text = 0x00 WHERE md5sum = %s AND hash = %s"
+    cql.execute(text.format(store.keyspace), definition)
+    cql.execute(f"DELETE FROM {tables['/big'].qualified} WHERE {key}", large)
+    past = "USING TIMESTAMP 1500000000000000"
+    orphan = f'INSERT INTO {chunks} ("_node", "_bucket", "_t", "_seq", "_chunk", "_data") VALUES '
+    cql.execute(f"{orphan} ('', 1, 2, 3, 0, 0x00) {past}")
+    cql.execute(f"INSERT INTO {store.keyspace}.cr_node (tbl, slot, node) VALUES ('t_gone', 0, '')")
+    found = {kind for kind, *_ in damages(call)}
+    assert {"connection", "definition", "orphan", "leftover"} <= found
+    assert ("orphan", "/big", True) in damages(call, "--repair")
+    left = {kind for kind, *_ in damages(call)}
+    assert left == {"message", "connection", "definition"}
+    # Pieces that may still get their message stay.
+    assert len(cql.execute(f'SELECT "_t" FROM {chunks}').all()) > 0
+    space.close()
+
+
+def test_what_is_being_written_is_no_damage(rosCas, call, cql):
+    with begin(rosCas, 7, "live", count=3) as writer:
+        status, out, err = call("check")
+        assert (status, err) == (0, "") and "buckets are being written" in out
+        writer.flush()
+        age(cql, rosCas.keyspace)  # the recorder died
+        status, out, _ = call("check", "--repair")
+        assert status == 0 and "being written" not in out
+        states = cql.execute(f"SELECT state FROM {rosCas.keyspace}.cr_bucket").all()
+        assert {state for (state,) in states} == {"closed"}
