@@ -4,11 +4,14 @@
 
 Blocks are taken in their order. In a block ``sh`` each line is a command; in one without a language
 a command follows ``$``, and below it stands what it prints; where no line has a ``$`` all of it is
-what the last command printed. Blocks ``python`` are typed into one Python. ``…`` stands for any text.
-Comments say what prose says to a reader: ``<!-- terminal 2 -->`` where the next blocks are typed,
-``<!-- until: TEXT -->`` that the next command stays, and what shows that it is ready, or just
-``<!-- stays -->``;
-``<!-- Ctrl-C -->`` and ``<!-- ends -->`` that it is ended, or ends by itself.
+what the last command printed. Blocks ``python`` are typed into one Python. ``…`` is any text.
+
+Comments say what prose says to a reader:
+
+* ``<!-- terminal 2 -->``: where the next blocks are typed.
+* ``<!-- until: TEXT -->``: the next command stays, and is ready when it prints this.
+* ``<!-- stays -->``: the next command stays, and need not be waited for.
+* ``<!-- Ctrl-C -->``, ``<!-- ends -->``: the last command is ended, or ends by itself.
 """
 
 from __future__ import annotations
