@@ -1,15 +1,17 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""~executeCQL: who may write, what stays data, and cursors that outlive the node."""
+"""Services that may write: who is allowed to, what stays data, cursors that outlive the node."""
 
 from __future__ import annotations
 
 import json
 import signal
+import subprocess
 import uuid
 from contextlib import contextmanager
 
 import pytest
+import yaml
 from geometry_msgs.msg import TransformStamped
 from nodes.children import start_client, start_node
 from std_msgs.msg import Int64, String
@@ -199,3 +201,140 @@ def test_cursors_outlive_the_node(roscore, cassandra, store, client, end):
     assert shown == [f"{n}{name}" for n in range(6) for name in "abc"]
     assert [data["key"] - T0 for data in found["range"]] == list(range(7))
     assert not any(cursors.values())
+
+
+# -------------------------------------------------------------------- info, addData, removeData
+
+
+def typed(roscore, service, request):
+    """Call a service as a person does in a shell; return what is printed, as YAML reads it."""
+    words = ["rosservice", "call", service, request]
+    done = subprocess.run(words, env=roscore.env, capture_output=True, text=True, check=True)
+    return yaml.safe_load(done.stdout)
+
+
+def test_a_message_typed_into_a_shell_is_stored_told_and_removed(roscore, write, store):
+    """By rosservice alone."""
+    what = "topic: /typed, type: std_msgs/String, yaml: 'data: hello'"
+    added = typed(roscore, "/writing/addData", f"{{{what}, key_text: '{T0}'}}")
+    assert (added["success"], added["message"]) == (True, "")
+    assert added["key"] == {"secs": T0 // 10**9, "nsecs": 0}
+    assert added["key_text"] == str(T0)
+    assert store.getTopic("/typed").getData(T0).data == "hello"
+    told = typed(roscore, "/writing/info", "{topics: [/typed]}")
+    assert (told["success"], told["keyspace"]) == (True, store.keyspace)
+    assert [(t["topic"], t["type"], t["messages"]) for t in told["topics"]] == [
+        ("/typed", "std_msgs/String", 1)
+    ]
+    assert told["topics"][0]["first"] == told["topics"][0]["last"] == added["key"]
+    text = typed(roscore, "/writing/explainCQL", "{statement: 'select data from typed'}")["text"]
+    assert "rows returned: 1" in text
+    gone = typed(roscore, "/writing/removeData", f"{{topic: /typed, key_text: '{T0}'}}")
+    assert (gone["success"], gone["messages"]) == (True, 1)
+    assert store.getTopic("/typed").countTopicData() == 0
+
+
+def test_nothing_is_added_or_removed_where_only_reading_is_allowed(read, client, store):
+    for service, more in (("addData", {"yaml": "data: 1"}), ("removeData", {"where": "data > 3"})):
+        answer = client.call(f"/reading/{service}", topic="/numbers", **more)
+        assert not answer["success"]
+        assert "_allow_writes:=true" in answer["message"]
+    told = client.call("/reading/info", node_id="a")
+    assert [(t["topic"], t["messages"]) for t in told["topics"]] == [("/numbers", 20)]
+    assert not client.call("/reading/info", topics=["/number"])["success"]
+    assert store.getTopic("/numbers").countTopicData() == 40
+
+
+def test_messages_are_added_as_bytes_or_yaml(write, client, store):
+    def add(**request):
+        return client.call("/writing/addData", **request)
+
+    wire = (5).to_bytes(8, "little")
+    kind = {"type": "std_msgs/Int64", "format": "packed"}
+    first = add(topic="/added", data=list(wire), node_id="a", **kind)
+    assert first["success"], first["message"]
+    topic = store.getTopic("/added")
+    assert topic.getMeta["format"] == "packed"
+    assert topic.getData(int(first["key_text"])).data == 5
+    # The type is known now; times may be typed in any form.
+    assert add(topic="added", yaml="[7]", key_text="2014-05-13T16:53:20Z")["key"] == T0
+    assert add(topic="added", yaml="{}", key=T0 + 1)["key_text"] == str(T0 + 1)
+    values = [(row.t, row.message().data, row.node) for row in topic.rows(T0, T0 + 1)]
+    assert values == [(T0, 7, ""), (T0 + 1, 0, "")]
+    # A type that is nowhere installed comes with its definition.
+    mine = {"type": "my_msgs/Pair", "definition": "int8 a\nint8 b\n"}
+    assert add(topic="/pairs", data=[1, 2], **mine)["success"]
+    assert add(topic="/pairs", yaml="{a: 3, b: 4}")["success"]
+    rows_ = client.call("/writing/executeCQL", statement="select a, b from pairs")["rows"]
+    assert [row["values"] for row in rows_] == [["1", "2"], ["3", "4"]]
+    store.addTopic("/places", key_format="manual", msg_type="std_msgs/String")
+    named = add(topic="/places", yaml="data: x", key_text="kitchen")
+    assert (named["success"], named["key_text"]) == (True, "kitchen")
+    assert store.getTopic("/places").getData("kitchen").data == "x"
+
+
+@pytest.mark.parametrize(
+    ("request_", "word"),
+    [
+        ({"topic": "/new", "yaml": "data: 1"}, "give the type"),
+        ({"topic": "/new", "type": "a/B", "yaml": "data: 1"}, "not installed"),
+        ({"topic": "/new", "type": "a/B", "definition": "int8 = ", "data": [1]}, "a/B"),
+        ({"topic": "/new", "type": "std_msgs/Int64", "md5sum": "1" * 32}, "give definition"),
+        ({"topic": "/numbers", "type": "std_msgs/String", "yaml": "data: x"}, "std_msgs/Int64"),
+        ({"topic": "/numbers", "data": [1] * 7}, "7 bytes are no std_msgs/Int64"),
+        ({"topic": "/numbers", "data": [1] * 9}, "9 bytes are no std_msgs/Int64"),
+        ({"topic": "/numbers"}, "0 bytes are no std_msgs/Int64"),
+        ({"topic": "/numbers", "yaml": "data: x"}, "Int64"),
+        ({"topic": "/numbers", "yaml": "date: 3"}, "date"),
+        ({"topic": "/numbers", "yaml": "!!python/object:os.system {}"}, "the YAML is no"),
+        ({"topic": "/numbers", "yaml": "data: 3", "data": [1] * 8}, "not as both"),
+        ({"topic": "/numbers", "yaml": "data: 3", "key_text": "noon"}, "noon"),
+    ],
+)
+def test_what_cannot_be_added_says_why(write, client, store, request_, word):
+    answer = client.call("/writing/addData", **request_)
+    assert not answer["success"]
+    assert word in answer["message"]
+    assert "internal error" not in answer["message"]
+    assert not store.existTopic("/new")
+    assert store.getTopic("/numbers").countTopicData() == 40
+
+
+def test_messages_are_removed_by_time_node_condition_and_run(write, client, store):
+    def remove(**request):
+        return client.call("/writing/removeData", topic="/less", **request)
+
+    less = store.addTopic("/less", format="ros")
+    for n in range(20):
+        less.addData(Int64(data=n), key=T0 + n, nodeID="ab"[n % 2])
+    assert remove(where="data > 15", dry_run=True)["messages"] == 4
+    assert less.countTopicData() == 20
+    assert remove(where="data > 15", node_id="a")["messages"] == 2
+    assert remove(key=T0 + 17)["messages"] == 1
+    assert remove(key=T0, to_key=T0 + 4)["messages"] == 5
+    assert remove(to_key=T0 + 5)["messages"] == 1
+    assert remove(key=T0 + 6, to_key=T0 + 9, where="data < 8", dry_run=True)["messages"] == 2
+    for request in ({}, {"dry_run": True}, {"node_id": "a"}):
+        answer = remove(**request)
+        assert (answer["success"], answer["messages"]) == (False, 0)
+        assert "TRUNCATE /less" in answer["message"]
+    assert "no message" in remove(key=T0 + 3)["message"]
+    assert "did you mean data" in remove(where="date > 3")["message"]
+    assert "no run" in remove(run="noon")["message"]
+    assert less.countTopicData() == 11
+
+
+def test_a_statement_is_explained(read, client):
+    def explain(statement, *params):
+        return client.call("/reading/explainCQL", statement=statement, params=list(params))
+
+    answer = explain("select data from numbers where data < ? and KEY > 5", "3")
+    assert (answer["success"], answer["topic"]) == (True, "/numbers")
+    assert answer["rows_returned"] == 6
+    assert answer["server"] or answer["client"]
+    assert f"rows read:     {answer['rows_read']}" in answer["text"]
+    assert answer["whole"] + answer["filtered"] + answer["indexed"] <= answer["buckets"]
+    answer = explain("select data frm numbers")
+    assert not answer["success"]
+    assert answer["message"].endswith("^")
+    assert not explain("delete from numbers where KEY > 0")["success"]

@@ -133,10 +133,7 @@ def import_bag(
                 for n, connection in reader.connections.items()
                 if n in numbers
             }
-            for handle in handles.values():
-                report.topics.setdefault(handle.topic, ImportedTopic(handle.format))
-                if handle.warning and handle.warning not in report.warnings:
-                    report.warnings.append(handle.warning)
+            _name_topics(handles, report)
             _remove_other_blocks(ros_cas, handles, run)
             task = partial(Part, reader.path, salvage, formats, lengths, writer_id, nodeID, store)
             parts = list(map(task, spans_of_jobs(reader, handles, content, jobs)))
@@ -144,6 +141,14 @@ def import_bag(
                 _write_messages(reader, writer, handles, report, progress)
             writer.close(lost=report.lost)
     return report
+
+
+def _name_topics(handles: Mapping[int, Handle], report: ImportReport) -> None:
+    """Note which topics are stored, in which formats, and what is to be said of them."""
+    for handle in handles.values():
+        report.topics.setdefault(handle.topic, ImportedTopic(handle.format))
+        if handle.warning and handle.warning not in report.warnings:
+            report.warnings.append(handle.warning)
 
 
 def _run(

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Answer questions about recorded topics over services.
 
-They are ~getData, ~range, ~executeCQL and ~lookupTransform. The node is called cassandra_ros;
-its parameters ~host, ~port, ~keyspace, ~cqlshrc, ~credentials and ~allow_writes count where the
-options of the same names are not given.
+They are ~getData, ~range, ~executeCQL, ~explainCQL, ~info and ~lookupTransform, and where writes
+are allowed ~addData and ~removeData. The node is called cassandra_ros; its parameters ~host, ~port,
+~keyspace, ~cqlshrc, ~credentials and ~allow_writes count where the options of the same names are
+not given.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--allow-writes",
         action="store_true",
-        help="let executeCQL run DELETE, TRUNCATE, CREATE INDEX and DROP INDEX (default: only "
-        "SELECT)",
+        help="let executeCQL run DELETE, TRUNCATE, CREATE INDEX and DROP INDEX, addData store and "
+        "removeData delete (default: nothing is changed)",
     )
     return parser
 

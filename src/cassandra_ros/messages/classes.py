@@ -21,6 +21,7 @@ import genpy.dynamic
 import genpy.generator
 import genpy.message
 import numpy as np
+import yaml
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError, TypeMismatch
 from cassandra_ros.messages.definition import Definition, attribute_name, definition_of, render_spec
@@ -206,6 +207,35 @@ def _maker(cls: Any) -> Callable[[bytes], Any]:
         return cls().deserialize(wire)
 
     return make
+
+
+def exact_message(cls: Any, wire: bytes) -> Any:
+    """Make a message of wire bytes that are its own to the last; else CorruptMessage."""
+    found = deserialize(cls, wire)
+    if serialize(found) != wire:
+        raise CorruptMessage(
+            f"{len(wire)} bytes are no {cls._type}: as a message they would be others, for a bool "
+            "is neither 0 nor 1, or something stands behind its end"
+        )
+    return found
+
+
+def message_of_yaml(cls: Any, text: str) -> Any:
+    """Make a message of what ``rostopic pub`` takes: a mapping of fields, or a list of them all.
+
+    Raises:
+        TypeMismatch: It is no YAML, or not of that type; nothing but plain values is read.
+    """
+    found = cls()
+    try:
+        values = yaml.safe_load(text)
+        arguments = [values] if isinstance(values, dict) else values
+        genpy.message.fill_message_args(found, [] if arguments is None else arguments)
+        serialize(found)  # who fills it in looks at no number
+    except (yaml.YAMLError, genpy.MessageException, ValueError, RecursionError) as exc:
+        why = " ".join(str(exc).split())[:300]
+        raise TypeMismatch(f"the YAML is no {cls._type}: {why}") from exc
+    return found
 
 
 def to_yaml(msg: Any) -> str:

@@ -18,11 +18,19 @@ from cassandra_ros.errors import (
     DefinitionError,
     InvalidKey,
     InvalidName,
+    InvalidOption,
 )
-from cassandra_ros.keys import SECOND_NS, decode_cursor, encode_cursor
-from cassandra_ros.messages.classes import to_yaml
+from cassandra_ros.keys import SECOND_NS, RowName, decode_cursor, encode_cursor
+from cassandra_ros.messages.classes import (
+    exact_message,
+    installed_definition,
+    message_class,
+    message_of_yaml,
+    to_yaml,
+)
+from cassandra_ros.messages.definition import Definition, parse_definition
 from cassandra_ros.messages.stamps import iso_time, to_ns
-from cassandra_ros.msg import Row, StoredMessage
+from cassandra_ros.msg import Row, StoredMessage, StoredTopic
 from cassandra_ros.nodes.node import (
     bound_master_calls,
     forward_logging,
@@ -34,21 +42,35 @@ from cassandra_ros.query.parse import parse_statement
 from cassandra_ros.query.run import Condition
 from cassandra_ros.query.syntax import Select
 from cassandra_ros.srv import (
+    AddData,
+    AddDataRequest,
+    AddDataResponse,
     ExecuteCQL,
     ExecuteCQLRequest,
     ExecuteCQLResponse,
+    ExplainCQL,
+    ExplainCQLRequest,
+    ExplainCQLResponse,
     GetData,
     GetDataRequest,
     GetDataResponse,
+    Info,
+    InfoRequest,
+    InfoResponse,
     LookupTransform,
     LookupTransformRequest,
     LookupTransformResponse,
     Range,
     RangeRequest,
     RangeResponse,
+    RemoveData,
+    RemoveDataRequest,
+    RemoveDataResponse,
 )
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.totals import TopicInfo
 
 Request = TypeVar("Request")
 Response = TypeVar("Response")
@@ -62,9 +84,9 @@ MAX_REPLY_BYTES = 16 * 1024 * 1024
 YAML_BYTES = 1024 * 1024
 """Larger messages are not written as YAML: it takes seconds, and ten times the bytes."""
 READ_ONLY = (
-    "the statement changes what is stored, and this node only reads; start it with the parameter "
-    "~allow_writes, as rosrun cassandra_ros query_server _allow_writes:=true, or run the statement "
-    "with RosCassandra.executeCQL"
+    "this would change what is stored, and the node only reads; start it with the parameter "
+    "~allow_writes, as rosrun cassandra_ros query_server _allow_writes:=true, or do it in Python, "
+    "with RosCassandra"
 )
 
 
@@ -96,6 +118,10 @@ def serve(ros_cas: RosCassandra, say: Callable[[str], None], allow_writes: bool 
         ("~getData", GetData, GetDataResponse, services.get_data),
         ("~range", Range, RangeResponse, services.range),
         ("~executeCQL", ExecuteCQL, ExecuteCQLResponse, services.execute_cql),
+        ("~explainCQL", ExplainCQL, ExplainCQLResponse, services.explain_cql),
+        ("~info", Info, InfoResponse, services.info),
+        ("~addData", AddData, AddDataResponse, services.add_data),
+        ("~removeData", RemoveData, RemoveDataResponse, services.remove_data),
         ("~lookupTransform", LookupTransform, LookupTransformResponse, services.lookup_transform),
     ):
         rospy.Service(name, kind, partial(_answer, handler, response_class))
@@ -131,7 +157,7 @@ class Services:
 
     ros_cas: RosCassandra
     allow_writes: bool
-    """Run statements that change what is stored."""
+    """Do also what changes what is stored."""
 
     def get_data(self, request: GetDataRequest) -> GetDataResponse:
         """Answer GetData."""
@@ -219,6 +245,63 @@ class Services:
                 response.next_cursor = ""
         return response
 
+    def explain_cql(self, request: ExplainCQLRequest) -> ExplainCQLResponse:
+        """Answer ExplainCQL."""
+        params = [from_json(text, f"params[{n}]") for n, text in enumerate(request.params)]
+        node, run = request.node_id or None, request.run or None
+        found = self.ros_cas.explainCQL(request.statement, params, nodeID=node, run=run)
+        numbers = ("buckets", "indexed", "filtered", "whole", "skipped", "rows_read")
+        return ExplainCQLResponse(
+            success=True,
+            text=clean(str(found)),
+            topic=clean(found.topic),
+            server=[clean(text) for text in found.server],
+            client=[clean(text) for text in found.client],
+            rows_returned=found.rows_returned,
+            **{name: getattr(found, name) for name in numbers},
+        )
+
+    def info(self, request: InfoRequest) -> InfoResponse:
+        """Answer Info."""
+        node, run = request.node_id or None, request.run or None
+        found = self.ros_cas.info(request.topics or None, nodeID=node, run=run)
+        topics = [_stored_topic(each) for each in found]
+        return InfoResponse(True, "", self.ros_cas.keyspace, topics)
+
+    def add_data(self, request: AddDataRequest) -> AddDataResponse:
+        """Answer AddData."""
+        if not self.allow_writes:
+            return AddDataResponse(success=False, message=READ_ONLY)
+        if request.data and request.yaml:
+            raise InvalidOption("give the message as data or as yaml, not as both")
+        asked, text, store = request.topic, request.yaml, self.ros_cas
+        stored = store.getTopic(asked) if store.existTopic(asked) else None
+        cls = message_class(_definition(request, stored))
+        msg = message_of_yaml(cls, text) if text else exact_message(cls, bytes(request.data))
+        # The name as it is stored, with or without leading slash.
+        topic = store.addTopic(stored.name if stored else asked, request.format or None)
+        when = request.key_text.strip() or request.key or None
+        key = topic.addData(msg, key=when, nodeID=request.node_id)
+        t_ns = key.t if isinstance(key, RowName) else to_ns(key)
+        return AddDataResponse(True, "", _time(t_ns), clean(str(key)))
+
+    def remove_data(self, request: RemoveDataRequest) -> RemoveDataResponse:
+        """Answer RemoveData."""
+        if not self.allow_writes:
+            return RemoveDataResponse(success=False, message=READ_ONLY)
+        topic = self.ros_cas.getTopic(request.topic)
+        text = request.key_text
+        key = topic.keyOfText(text) if text.strip() else request.key or None
+        to_key, run = request.to_key or None, request.run or None
+        where, node = request.where or None, request.node_id or None
+        if key is to_key is where is run is None:
+            raise InvalidKey(
+                "give key, to_key, key_text, where or run; all messages of a topic are removed by "
+                f"executeCQL with the statement TRUNCATE {topic.name}"
+            )
+        work = topic.countTopicData if request.dry_run else topic.removeData
+        return RemoveDataResponse(True, "", work(key, to_key, node, where=where, run=run))
+
     def lookup_transform(self, request: LookupTransformRequest) -> LookupTransformResponse:
         """Answer LookupTransform."""
         asked = {"nodeID": request.node_id, "run": request.run}
@@ -232,10 +315,52 @@ class Services:
         return LookupTransformResponse(True, "", found)
 
 
+def _definition(request: AddDataRequest, topic: Optional[CassandraTopic]) -> Definition:
+    """Find the definition of a message that is to be stored, in a topic that is there or not."""
+    kind, md5sum = request.type, request.md5sum or None
+    if topic is not None:
+        stored = topic.tables[-1].metadata
+        kind = kind or stored.msg_type
+        same = kind == stored.msg_type and md5sum in (None, stored.md5sum)
+        if same and not request.definition:
+            return parse_definition(kind, stored.definition, stored.md5sum)
+    if not kind:
+        raise InvalidName(f"topic {request.topic} is not stored yet: give the type, 'pkg/Name'")
+    if request.definition:
+        return parse_definition(kind, request.definition, md5sum)
+    found = installed_definition(kind)
+    if md5sum not in (None, found.md5sum):
+        raise DefinitionError(
+            f"the installed {kind} has the md5 {found.md5sum}, not {md5sum}: give definition"
+        )
+    return found
+
+
+def _stored_topic(info: TopicInfo) -> StoredTopic:
+    """Make a StoredTopic of what the directory says."""
+    return StoredTopic(
+        topic=clean(info.topic),
+        type=clean(info.type),
+        md5sum=clean(info.md5sum),
+        format=info.format,
+        node_id=clean(info.node),
+        found_by=info.key,
+        messages=info.count,
+        bytes=info.bytes,
+        first=_time(info.first_ns or 0),
+        last=_time(info.last_ns or 0),
+        lost=info.lost,
+    )
+
+
+def _time(t_ns: int) -> rospy.Time:
+    return rospy.Time(*divmod(t_ns, SECOND_NS))
+
+
 def pack(row: StoredRow, omit_data: bool, omit_yaml: bool) -> StoredMessage:
     """Make a StoredMessage of a stored row."""
     return StoredMessage(
-        key=rospy.Time(*divmod(row.t, SECOND_NS)),
+        key=_time(row.t),
         key_text=clean(row.name) or (iso_time(row.t) if row.table.value_part else str(row.t)),
         node_id=clean(row.node),
         topic=clean(row.topic),
