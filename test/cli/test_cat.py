@@ -49,6 +49,7 @@ def test_cat(rosCas, call, cql):
     assert (found[0]["time_ns"], found[0]["node"], found[0]["type"]) == (T, "r1", Twist._type)
     assert base64.b64decode(found[2]["message"]["data"]) == b"\x01\x02"
     assert found[3]["message"]["data"] is None
+    # Seconds, as rosbag has them: no nanoseconds that are meant as seconds.
     assert json.loads(call("cat", "--json", "--end", "5")[1]) == []
 
     # What cannot be read is told, and the others come.

@@ -26,6 +26,7 @@ from cassandra_ros.store.address import (
 from cassandra_ros.store.login import CQLSHRC, CREDENTIALS, read_login
 
 if TYPE_CHECKING:
+    from cassandra_ros.messages.stamps import Stamp
     from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 RETRY_SEC = 1.0
@@ -199,23 +200,25 @@ def add_time_options(parser: argparse.ArgumentParser, what: str = "") -> None:
     parser.add_argument("--end", metavar="T", help=f"{what}last time, included")
 
 
-def read_times(options: argparse.Namespace) -> tuple[int | None, int | None]:
-    """Return --start and --end in nanoseconds since 1970; None = open."""
-    start, end = (_time_ns(name, getattr(options, name)) for name in ("start", "end"))
+def read_times(options: argparse.Namespace) -> tuple[Stamp | None, Stamp | None]:
+    """Return --start and --end; None = open."""
+    start, end = (_read_time(name, getattr(options, name)) for name in ("start", "end"))
     if start is not None and end is not None and start > end:
         raise InvalidOption(f"--start {options.start} lies behind --end {options.end}")
     return start, end
 
 
-def _time_ns(option: str, text: str | None) -> int | None:
-    from cassandra_ros.messages.stamps import to_ns
+def _read_time(option: str, text: str | None) -> Stamp | None:
+    from cassandra_ros.messages.stamps import Stamp, to_ns
 
     if text is None:
         return None
     whole = re.fullmatch(r"\s*([0-9]{1,40})\s*", text)
     try:
         # As rosbag users write them; what is larger lies far behind the end of ROS time as seconds.
-        return to_ns(Decimal(whole[1]) if whole and int(whole[1]) < 10**12 else text)
+        ns = to_ns(Decimal(whole[1]) if whole and int(whole[1]) < 10**12 else text)
+        # Not an integer of nanoseconds: one that looks like seconds is refused.
+        return Stamp.from_ns(ns)
     except InvalidKey as exc:
         raise InvalidOption(
             f"--{option} {text!r} is not a time of ROS: write seconds since 1970 (1368021980 or "

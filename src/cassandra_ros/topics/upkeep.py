@@ -13,7 +13,6 @@ from cassandra_ros.topics.checking import CheckReport, check_store
 from cassandra_ros.topics.copying import Progress
 from cassandra_ros.topics.deletion import delete_messages
 from cassandra_ros.topics.runs import RunName
-from cassandra_ros.topics.selection import Stretch
 
 
 class Upkeep:
@@ -50,7 +49,8 @@ class Upkeep:
                 has no condition beside others, or the run goes on.
             TopicNotFound, RunNotFound, InvalidName, InvalidQuery: As readMessages.
         """
-        names, stretch = check_topics(topics), Stretch.between(key, to_key)
+        names = check_topics(topics)
+        stretch = self._catalog.stretch(names, key, to_key)
         return delete_messages(self._catalog, names, stretch, nodeID, run, where, dry_run)
 
     def check(
@@ -68,5 +68,6 @@ class Upkeep:
             key, to_key: Ends, both included; whole stretches of time (buckets) are read.
             repair: Mend what can be: counts, entries in the directory, pieces without a message.
         """
-        names, stretch = check_topics(topics), Stretch.between(key, to_key)
+        names = check_topics(topics)
+        stretch = self._catalog.stretch(names, key, to_key)
         return check_store(self._catalog, names, stretch, repair, progress)
