@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 from campaign import campaign
 from hypothesis import given
@@ -17,6 +19,7 @@ from cassandra_ros.query.syntax import (
     CreateIndex,
     Delete,
     DropIndex,
+    DurationNs,
     Either,
     IsNull,
     KeyOperand,
@@ -144,6 +147,81 @@ def test_parameters_are_values():
     assert select.limit == 7
 
 
+def test_arithmetic_binds_as_it_reads():
+    for text, shown in (
+        ("a + b * c - d", "a + b * c - d"),
+        ("(a + b) * c", "(a + b) * c"),
+        ("a - (b - c)", "a - (b - c)"),
+        ("a / b / c", "a / b / c"),
+        ("-(a + b)", "-(a + b)"),
+        ("- -a", "-(-a)"),
+        ("a -1", "a - 1"),
+        ("abs(a-b)/2", "abs(a - b) / 2"),
+        ("MIN(ranges) + Len(ranges)", "min(ranges) + len(ranges)"),
+        ("a + 2 * 3", "a + 6"),
+        ("a * (1.5h + 30m)", "a * 2h"),
+    ):
+        assert parse_condition(f"{text} < b").operand.text == shown
+    assert parse_condition("5 < a + 1").operator == ">"
+    assert parse_condition("a > 2 + 3 * 4").value.value == 14
+    assert parse_condition("a > ? - ?", [5, 3]).value.value == 2
+
+
+def test_any_and_all():
+    found = parse_condition("ANY(a) = 5")  # of which the planner knows what it can do
+    assert (type(found), found.operand.text, found.operator) == (Compare, "a", "CONTAINS")
+    found = parse_condition("0.2 > any(ranges)")
+    assert (found.text, found.every) == ("ANY(ranges) < 0.2", False)
+    found = parse_condition("ALL(a) NOT BETWEEN b AND 3")
+    assert found.text == "ALL(a) NOT (>= b AND <= 3)"
+    assert parse_condition("any = 1 and all.any > 2").items[1].operand.text == "all.any"
+
+
+@pytest.mark.parametrize(
+    ("text", "ns"),
+    [
+        ("1h", 3600 * 10**9),
+        ("1h30m", 5400 * 10**9),
+        ("1.5s", 15 * 10**8),
+        ("-500ms", -5 * 10**8),
+        (".1us", 100),
+        ("2d", 2 * 86400 * 10**9),
+        ("7ns", 7),
+    ],
+)
+def test_durations(text, ns):
+    found = parse_condition(f"x > {text}").value.value
+    assert isinstance(found, DurationNs)
+    assert found == ns
+
+
+def test_now_is_one_moment_of_each_parsing():
+    before = time.time_ns()
+    first, second = parse_condition("KEY > now() - 1h and KEY < now()").items
+    assert second.value.value - first.value.value == 3600 * 10**9
+    assert before <= second.value.value <= time.time_ns()
+    again = parse_condition("KEY > now() - 1h and KEY < now()").items[1].value.value
+    assert again > second.value.value
+
+
+def test_groups_and_distinct():
+    select = parse_select(
+        "select distinct a, time(10s), b + ? as s from t where c > ? "
+        "group by time(10s), a order by s desc, count(*), a limit ?",
+        [1, 2, 3],
+    )
+    assert select.distinct
+    assert [term.text for term in select.group] == ["time(10s)", "a"]
+    assert [(part.what.text, part.descending) for part in select.order] == [
+        ("s", True),
+        ("count(*)", False),
+        ("a", False),
+    ]
+    assert (select.columns[2].what.text, select.limit) == ("b + 1", 3)
+    for text in ("select distinct from t", "select distinct, a from t", "select distinct.x from t"):
+        assert not parse_select(text).distinct
+
+
 def test_limit_and_order():
     select = parse_select("select a from t order by KEY desc limit 10 allow filtering")
     assert (select.descending, select.limit) == (True, 10)
@@ -164,15 +242,29 @@ def test_limit_and_order():
         ("select a from t limit 0", (), "0", "at least 1"),
         ("select a from t limit ?", [True], "?", "at least 1"),
         ("select a from t limit 5.5", (), ".5", "ALLOW"),
-        ("select count(*), a from t", (), "count", "stands alone"),
+        ("select count(*) + 1 from t", (), "count", "stands alone in SELECT"),
         ("select *, KEY from t", (), ",", "* stands alone: it gives KEY and every field"),
         ("select * frm t", (), "frm", "did you mean FROM?"),
         ("select *", (), "", "the statement ends here; expected FROM"),
-        ("select a, b, max(c) from t", (), "max", "not beside a"),
         ("select min(*) from t", (), "*", "min takes one field"),
-        ("select mean(x) from t", (), "(", "the functions are count, min, max, sum and avg"),
-        ("select min(max(x)) from t", (), "(x", "')'"),
-        ("select a from t where b = 1 and max(c) > 3", (), "max", "max(c) is made of the rows"),
+        ("select mean(x) from t", (), "(", "the functions are count, min, max, sum, avg, len"),
+        ("select a from t where b = 1 and count(c) > 3", (), "count", "count(c) is made of all"),
+        ("select a from t where 1 < 2", (), "1", "names no field"),
+        ("select a from t where ANY(b) + 1 > 2", (), "ANY", "stands alone on one side"),
+        ("select ALL(b) from t", (), "ALL", "stands alone on one side"),
+        ("select a from t where ANY(b + 1) > 2", (), "+", "takes an array, not b + 1"),
+        ("select a from t where ANY(b) > ALL(c)", (), "ALL", "stands alone"),
+        ("select a from t where a like b", (), "b", "text stands in quotes"),
+        ("select a from t where a in (1, b)", (), "b", "differs from row to row"),
+        ("select a from t where a > now(1)", (), "now", "takes nothing"),
+        ("select a from t where KEY > now() - 1", (), "- 1", "a duration is written 5s"),
+        ("select a from t where KEY > now() + now()", (), "+ now", "cannot be computed of a time"),
+        ("select a from t where a > 1s / 0", (), "/ 0", "cannot be computed"),
+        ("select a from t where a > 1 + ?", ["x"], "+", "an integer and a string"),
+        ("select a from t where a > -?", [True], "?", "true is no number"),
+        ("select a from t where a = " + "(" * 9 + "-a" + ")" * 8, (), "", "')'"),
+        ("select time(*) from t", (), "*", "time takes one duration"),
+        ("select a from t group a", (), "a", "BY"),
         ("select a from t where x like", (), "", "the statement ends here"),
         ("select a from t where x is 5", (), "5", "NULL"),
         ("select a as 5 from t", (), "5", "a field"),
@@ -182,7 +274,7 @@ def test_limit_and_order():
         ("select a from t where x in (1", (), "", "','"),
         ("select a from t /* where", (), "/*", "not closed"),
         ("", (), "", "SELECT"),
-        ("select a from t order by a", (), "a", "KEY"),
+        ("select a from t order by *", (), "*", "a field"),
         ("select a from t where x = " + "9" * 500, (), "9", "digits"),
         ("select a from t where key = 1; select b from t", (), "select b", "found"),
     ],

@@ -271,7 +271,38 @@ def test_condition_for_getdata_and_range(husky):
         ("select avg(header.stamp) from fix", "header.stamp", "is a time"),
         ("select max(latitude), avg(KEY) from fix", "KEY", "avg is for numbers"),
         ("select sum(NODE) from fix", "NODE", "sum is for numbers"),
-        ("select min(axes) from joy", "axes", "axes[0]"),
+        ("select count(axes) from joy", "axes", "axes[0]"),
+        ("select count(*), latitude from fix", "count", "stands alone"),
+        ("select KEY, max(latitude) from fix", "max", "not beside KEY"),
+        ("select min(max(latitude)) from fix", "latitude", "not an array"),
+        ("select KEY from fix where max(latitude) > 3", "latitude", "not an array"),
+        ("select KEY from fix where latitude > header.stamp", "> header", "cannot be compared"),
+        ("select KEY from fix where header.frame_id = base", "base", "in quotes: 'base'"),
+        ("select KEY from fix where latitude > 1s", "1s", "compare it with a number"),
+        ("select KEY from fix where header.stamp > 1s", "1s", "now() - 1s would be one"),
+        ("select KEY from fix where KEY - now() > now()", "now", "a duration"),
+        ("select KEY from fix where ANY(latitude) > 3", "latitude", "not an array"),
+        ("select KEY from joy where ANY(axes) > header.frame_id", "ANY", "cannot be compared"),
+        ("select KEY from joy where ALL(axes) like 'a'", "axes", "LIKE is for text"),
+        ("select sum(name) from joy", "name", "no field name"),
+        ("select len(latitude) from fix", "len", "for arrays and text"),
+        ("select len(header) from fix", "header", "is a message"),
+        (
+            "select len(transforms), transforms.child_frame_id from tf",
+            "transforms)",
+            "each element",
+        ),
+        ("select time(0s) from fix", "0s", "longer than 0"),
+        ("select time(5) from fix", "5", "a duration"),
+        ("select * from fix group by NODE", "NODE", "instead of *"),
+        ("select latitude, count(*) from fix group by NODE", "latitude", "max(latitude)"),
+        ("select NODE from fix group by NODE order by altitude", "altitude", "select it, too"),
+        ("select distinct NODE from fix order by altitude", "altitude", "select it, too"),
+        ("select count(*) from fix group by axes", "axes", "no field axes"),
+        ("select count(*) from joy group by axes", "axes", "is an array"),
+        ("select KEY from joy order by axes", "axes", "is an array"),
+        ("select KEY from fix order by header", "header", "is a message"),
+        ("select count(*) from fix group by 5", "5", "the same in every row"),
         ("select min(header) from fix", "header", "is a message"),
         ("select header as h from fix", "header as", "AS gives a name to one"),
         ("select KEY from fix where KEY like '2%'", "KEY like", "LIKE is for text"),
@@ -284,6 +315,68 @@ def test_errors_come_at_once_with_the_statement(husky, statement, spot, word):
     assert statement[caught.value.position :].startswith(spot)
     assert word in caught.value.reason
     assert statement in str(caught.value)
+
+
+def test_several_rows_make_one(husky):
+    """GROUP BY, DISTINCT and ORDER BY beside loops over the bag, whole and page by page."""
+    fixes, encoders = husky.messages["/fix"], husky.messages["/encoder"]
+    second = 10**9
+    groups = {}
+    for t, m in encoders:
+        groups.setdefault(t - t % (10 * second), []).append(m.twist.twist.linear.x)
+    statement = "select time(10s) as t, count(*), max(twist.twist.linear.x) as m "
+    statement += "from encoder group by t"
+    expected = [(key(t), len(found), max(found)) for t, found in groups.items()]
+    assert len(expected) > 3
+    assert husky.ask(statement) == expected
+    assert (
+        husky.ask(statement + " order by m desc limit 2")
+        == sorted(expected, key=lambda row: -row[2])[:2]
+    )
+
+    by_height = sorted(fixes, key=lambda found: (-found[1].altitude, found[0]))
+    statement = "select KEY, header.seq from fix order by altitude desc"
+    expected = [(key(t), m.header.seq) for t, m in by_height]
+    assert husky.ask(statement) == expected
+    assert husky.ask(statement + ", KEY limit 7") == expected[:7]
+
+    frames = dict.fromkeys(
+        (x.header.frame_id, x.child_frame_id)
+        for _, m in husky.messages["/tf"]
+        for x in m.transforms
+    )
+    statement = "select distinct transforms.header.frame_id, transforms.child_frame_id from tf"
+    expected = list(frames)
+    assert husky.ask(statement) == expected
+    pages, cursor = [], None
+    for _ in range(len(expected) + 1):
+        with husky.store.statements.select(statement, limit=2, after=cursor) as result:
+            pages += result
+            cursor = result.cursor
+    assert pages == expected
+
+    ((least, most, mean),) = husky.ask(
+        "select min(min(axes)), max(max(axes)), avg(len(axes)) from joy"
+    )
+    axes = [m.axes for _, m in husky.messages["/joy"]]
+    assert (least, most) == (min(map(min, axes)), max(map(max, axes)))
+    assert mean == sum(map(len, axes)) / len(axes)
+
+
+def test_memory_is_bounded(husky, monkeypatch):
+    monkeypatch.setattr("cassandra_ros.query.gathered.MEMORY_BYTES", 2**16)
+    for statement, remedy in (
+        ("select KEY, pose.covariance from encoder order by pose.pose.position.x", "add a LIMIT"),
+        ("select count(*) from tf group by KEY", "time(1h)"),
+        ("select distinct KEY, transforms.transform.rotation.w from tf", "fewer columns"),
+    ):
+        with pytest.raises(InvalidQuery, match="more than 0 MiB would have to be kept") as caught:
+            husky.ask(statement)
+        assert remedy in caught.value.reason
+    few = "select KEY from encoder order by pose.pose.position.x limit 5"
+    assert len(husky.ask(few)) == 5
+    # What is grouped by time is given as soon as it is complete.
+    assert len(husky.ask("select count(*) from tf group by time(10ms)")) > 500
 
 
 # -------------------------------------------------------------------- stores made for the purpose

@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassandra_ros.query.names import Array
-from cassandra_ros.query.projection import Output, Projection, Projections
+from cassandra_ros.query.projection import Projection, Projections
 from cassandra_ros.query.protocols import Table
+from cassandra_ros.query.resolve import Output
+from cassandra_ros.query.settle import settle
 from cassandra_ros.query.syntax import Select
 
 if TYPE_CHECKING:
@@ -81,6 +83,7 @@ def group_types(projection: Projection, table: Table) -> list[list[Typed]]:
 
 def column_types(select: Select, tables: Sequence[Table]) -> list[Typed]:
     """Return name and type of each column of the result of a statement on a topic's tables."""
+    select = replace(settle(select, tables), hidden=())
     projections = Projections(select, tables)
     return unite_columns([group_types(projections.of(table), table) for table in tables])
 

@@ -18,8 +18,9 @@ from cassandra_ros.errors import InvalidQuery, TopicNotFound
 from cassandra_ros.query.names import Findings
 from cassandra_ros.query.parse import parse_condition, parse_select
 from cassandra_ros.query.protocols import Row, Table
+from cassandra_ros.query.settle import settle
 from cassandra_ros.query.source import Source
-from cassandra_ros.query.syntax import Aggregate, KeyOperand, Operand, Select, Selected
+from cassandra_ros.query.syntax import Aggregate, KeyOperand, Select, Selected, Term
 
 Where = Union[None, str, Tuple[str, Sequence[object]]]
 """A condition, or a condition with the values of its ``?``."""
@@ -70,7 +71,7 @@ def gather_fields(
         text, params = where
     if text is not None:
         parse_condition(text, params)  # by itself: it must not end before its end
-    select = _statement(topic.name, fields, text, params)
+    select = _statement(topic, fields, text, params)
     findings = Findings(select.text)
     tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
     findings.check()
@@ -142,18 +143,20 @@ def _masked(values: AnyArray, missing: AnyArray) -> AnyArray:
 
 
 def _statement(
-    topic: str, fields: Fields, where: Optional[str], params: Sequence[object]
+    topic: Source[Row], fields: Fields, where: Optional[str], params: Sequence[object]
 ) -> Select:
     """Parse what was asked for as the statement that it is."""
     names = ["*"] if fields is None else check_list("fields", fields, "['linear.x']")
-    for name in names:
-        if not isinstance(name, str):
-            raise InvalidQuery(str(name), 0, f"a field is text, not {type(name).__name__}")
-    shown = topic if _PLAIN_TOPIC.fullmatch(topic) else '"' + topic.replace('"', '""') + '"'
+    for field in names:
+        if not isinstance(field, str):
+            raise InvalidQuery(str(field), 0, f"a field is text, not {type(field).__name__}")
+    name = topic.name
+    shown = name if _PLAIN_TOPIC.fullmatch(name) else '"' + name.replace('"', '""') + '"'
     # In lines of their own no comment hides what follows, and an error shows the one alone.
     text = f"SELECT {', '.join(names)}\nFROM {shown}"  # noqa: S608 (read by our own grammar)
     select = parse_select(text if where is None else f"{text} WHERE (\n{where}\n)", params)
-    called: dict[str, Operand] = {}
+    select = settle(select, topic.tables)
+    called: dict[str, Term] = {}
     for column in select.columns or ():
         what = column.what
         if isinstance(what, Aggregate):

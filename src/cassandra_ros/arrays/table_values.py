@@ -40,8 +40,9 @@ from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFo
 from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.plan import wire_plan
 from cassandra_ros.query.names import FieldRef, Findings
-from cassandra_ros.query.projection import KEY_PLACE, NODE_PLACE, Projection
+from cassandra_ros.query.projection import Projection
 from cassandra_ros.query.protocols import Row, Table
+from cassandra_ros.query.resolve import KEY_PLACE, NODE_PLACE
 from cassandra_ros.query.syntax import Select
 
 _log = logging.getLogger(__name__)
@@ -92,7 +93,8 @@ class TableValues:
             for output, kind in zip(self._outputs, self._kinds)
         ]
         self._by_column = len(self._arrays) <= 1 and all(
-            origin or output.ref is None for output, origin in zip(self._outputs, self._origins)
+            origin or (output.ref is None and output.compute is None)
+            for output, origin in zip(self._outputs, self._origins)
         )
         self._cut = plan.cutter(self._names) if plan is not None and self._names else None
         condition = Projection.compile(replace(select, columns=()), table, Findings(select.text))
@@ -204,7 +206,7 @@ class TableValues:
             found = projection.values(row)
             if self._tester is not None:
                 found = [values for values in found if projection.check(values) is True]
-            self._decoded += found
+            self._decoded += map(projection.complete, found)
             self._numbers += [number] * len(found)
             self._bytes += row.size
         if len(self._numbers) >= BATCH_ROWS or self._bytes >= BATCH_BYTES:

@@ -1,36 +1,32 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Values made of all rows: count, min, max, sum, avg. One pass, and no row is kept.
+"""Values made of all rows, or of those of a group: see ``totals``. One pass, and no row is kept.
 
-What is missing is left out everywhere but in ``count(*)``. Without any value count is 0 and the
-others None. min and max leave NaN out, too, and keep the first of equals; sum and avg are NaN when
-one value is, or when +inf and −inf meet. Sums of integers are exact integers; those of floats, and
-every average, are exact until they are rounded once to a float (a sum beyond all floats is
-infinite). A bool counts as 0 or 1 in them.
+What is missing is left out everywhere but in ``count(*)``.
 """
 
 from __future__ import annotations
 
-import math
-import operator
-from collections import defaultdict
-from fractions import Fraction
-from typing import Any, Callable, Dict, Sequence, Union
+from typing import Iterable, Union
 
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.projection import ResultRow
-from cassandra_ros.query.syntax import Select
+from cassandra_ros.query.syntax import Aggregate, Select
+from cassandra_ros.query.totals import TOTALS, Count
 
 
 class Aggregation:
-    """The aggregates of a statement whose columns are such, over the rows that it is given."""
+    """The columns of a statement over all rows that it is given: aggregates, or the first value."""
 
     def __init__(self, select: Select) -> None:
         self._text = select.text
-        self._asked = select.aggregates
-        self._totals = [_TOTALS[asked.function]() for asked in self._asked]
+        self._asked = [column.what for column in select.columns or ()]
+        self._totals: list[Union[Count, _First]] = [
+            TOTALS[asked.function]() if isinstance(asked, Aggregate) else _First()
+            for asked in self._asked
+        ]
 
-    def add(self, rows: Sequence[ResultRow]) -> None:
+    def add(self, rows: Iterable[ResultRow]) -> None:
         """Take rows in; InvalidQuery: the values of a field have no order among them."""
         for row in rows:
             for total, asked, value in zip(self._totals, self._asked, row):
@@ -40,78 +36,24 @@ class Aggregation:
                 except TypeError as exc:
                     reason = (
                         "the definitions of this topic hold values of different kinds there, "
-                        f"which {asked.function} cannot compare ({exc})"
+                        f"which {asked.text.split('(')[0]} cannot compare ({exc})"
                     )
                     raise InvalidQuery(self._text, asked.position, reason) from None
 
     def values(self) -> ResultRow:
-        """Return the aggregates of the rows so far."""
+        """Return the values of the columns for the rows so far."""
         return tuple(total.value() for total in self._totals)
 
 
-class _Count:
-    _count = 0
+class _First:
+    """The first value: of what the rows are grouped by, all are the same."""
 
-    def add(self, value: Any) -> None:
-        self._count += 1
+    def __init__(self) -> None:
+        self._value: object = None
 
-    def value(self) -> object:
-        return self._count
-
-
-class _Extreme(_Count):
-    def __init__(self, better: Callable[[Any, Any], bool]) -> None:
-        self._better = better
-        self._best: Any = None
-
-    def add(self, value: Any) -> None:
-        # A NaN is not equal to itself.
-        if value == value and (self._best is None or self._better(value, self._best)):
-            self._best = value
+    def add(self, value: object) -> None:
+        if self._value is None:
+            self._value = value
 
     def value(self) -> object:
-        return self._best
-
-
-class _Sum(_Count):
-    """An exact sum; of integers alone an integer."""
-
-    def __init__(self, mean: bool = False) -> None:
-        self._mean = self._floats = mean
-        # A fraction for each row would cost thirty times as much as the row's integers.
-        self._numerators: Dict[int, int] = defaultdict(int)
-        """By their denominators."""
-        self._odd = 0.0
-        """Sum of infinities and NaNs."""
-
-    def add(self, value: Union[int, float]) -> None:
-        self._count += 1
-        if not isinstance(value, int):
-            self._floats = True
-            if not math.isfinite(value):
-                self._odd += value
-                return
-        numerator, denominator = value.as_integer_ratio()
-        self._numerators[denominator] += numerator
-
-    def value(self) -> Union[int, float, None]:
-        if not self._count:
-            return None
-        if self._odd != 0:
-            return self._odd
-        exact = sum((Fraction(n, d) for d, n in self._numerators.items()), Fraction())
-        if not self._floats:
-            return int(exact)
-        try:
-            return float(exact / self._count if self._mean else exact)
-        except OverflowError:
-            return math.inf if exact > 0 else -math.inf
-
-
-_TOTALS: dict[str, Callable[[], _Count]] = {
-    "count": _Count,
-    "min": lambda: _Extreme(operator.lt),
-    "max": lambda: _Extreme(operator.gt),
-    "sum": _Sum,
-    "avg": lambda: _Sum(mean=True),
-}
+        return self._value

@@ -41,6 +41,7 @@ def compile_rows(
     checked: Sequence[int],
     shown: Shown,
     key_place: int,
+    computed: Sequence[Get] = (),
     *,
     own_width: int,
     asked: int,
@@ -53,6 +54,7 @@ def compile_rows(
         own: Gives the values of a row that are of no field.
         checked: Places of the values that the condition needs.
         key_place: Where KEY stands, which is shown as the row's key.
+        computed: Gives of the values those that stand behind them, for what is shown alone.
         own_width: How many values are of no field.
         asked, stored: How many columns a row has that was asked for the fields alone, and as a
             whole.
@@ -60,7 +62,9 @@ def compile_rows(
     places = range(own_width, own_width + len(direct))
     spots = {asked: [d.asked for d in direct], stored: [d.stored for d in direct]}
     layouts = {n: _fills(list(zip(places, each, direct)), checked) for n, each in spots.items()}
-    return _compile_rows(layouts, own, check, len(direct), _compile_show(shown, key_place))
+    return _compile_rows(
+        layouts, own, check, len(direct), _compile_show(shown, key_place, computed)
+    )
 
 
 def compile_wire_rows(
@@ -69,9 +73,10 @@ def compile_wire_rows(
     check: Check,
     shown: Shown,
     key_place: int,
+    computed: Sequence[Get] = (),
 ) -> CompiledRows:
     """As compile_rows, of a table whose rows hold serialised messages, which ``read`` reads."""
-    show = _compile_show(shown, key_place)
+    show = _compile_show(shown, key_place, computed)
 
     def rows(row: Row) -> Optional[ResultRows]:
         try:
@@ -160,8 +165,13 @@ def _numbers(parts: Sequence[_Part]) -> _Fill:
     return fill
 
 
-def _compile_show(shown: Shown, key_place: int) -> Callable[[Row, List[Any]], Tuple[Any, ...]]:
+def _compile_show(
+    shown: Shown, key_place: int, computed: Sequence[Get] = ()
+) -> Callable[[Row, List[Any]], Tuple[Any, ...]]:
     """Return what makes a row of the result of the values of a stored one."""
+    if computed:
+        inner = _compile_show(shown, key_place)
+        return lambda row, values: inner(row, [*values, *[get(values) for get in computed]])
     keys = [n for n, (place, get) in enumerate(shown) if place == key_place and get is None]
     gets = [(n, get) for n, (place, get) in enumerate(shown) if place is not None and get]
     places = [place for place, _ in shown]

@@ -14,6 +14,10 @@ nothing, ``!=`` to everything), −0.0 equal to 0, text by code point, times as 
 ``CONTAINS`` compares each element of an array of primitives so; ``LIKE`` the whole text with a
 pattern, in which ``%`` stands for any text, also none, ``_`` for exactly one code point, everything
 else for itself; there is no escape character, and upper and lower case differ.
+
+What is computed (see ``computed``) and fields of one message compare with one another in the same
+way. ``ANY(array) < x`` is true where it is for one element, ``ALL`` where it is for each of them,
+also where there is none; NOT, IN and BETWEEN behind them ask about the element.
 """
 
 from __future__ import annotations
@@ -21,11 +25,13 @@ from __future__ import annotations
 import operator
 import re
 from functools import partial
-from typing import Any, Callable, Optional, Pattern, Sequence
+from typing import Any, Callable, Optional, Pattern, Protocol, Sequence, Union
 
+from cassandra_ros.query.computed import Get
 from cassandra_ros.query.literals import Comparable
 from cassandra_ros.query.syntax import (
     All,
+    Call,
     Compare,
     Either,
     Expression,
@@ -33,16 +39,32 @@ from cassandra_ros.query.syntax import (
     Leaf,
     Literal,
     Negation,
+    OneOf,
+    Quantified,
+    Relate,
     given,
 )
 
 Values = Sequence[Any]
 """The values of one message, or of one element of its array; None = missing."""
 Check = Callable[[Values], Optional[bool]]
-Locate = Callable[[Leaf], Optional[int]]
-"""Finds the place of a comparison's operand among the values; None where there is none."""
-Fit = Callable[[Leaf, Literal], Optional[Comparable]]
-"""Fits a literal to its operand; None where it can never be compared."""
+
+
+class Fields(Protocol):
+    """What a condition names, in the rows of one table."""
+
+    def locate(self, leaf: Leaf) -> Optional[int]:
+        """Find the place of a comparison's operand among the values; None where there is none."""
+
+    def compute(self, leaf: Leaf) -> Sequence[Optional[Get]]:
+        """Return what computes the terms of a comparison, but for an operand with a place.
+
+        None for what is missing here, or can never be compared.
+        """
+
+    def fit(self, leaf: Leaf, literal: Literal) -> Optional[Comparable]:
+        """Fit a literal to its operand; None where it can never be compared."""
+
 
 _SWAPPED = {
     "=": operator.eq,
@@ -55,34 +77,95 @@ _SWAPPED = {
 """Their arguments are the other way round, so that ``partial`` can bind what is compared with."""
 
 
-def compile_condition(expression: Optional[Expression], locate: Locate, fit: Fit) -> Check:
+def compile_condition(expression: Optional[Expression], fields: Fields) -> Check:
     """Make a function that tells whether values satisfy a condition; None is always true."""
     if expression is None:
         return lambda values: True
     if isinstance(expression, Negation):
-        return _negation(compile_condition(expression.item, locate, fit))
+        return _negation(compile_condition(expression.item, fields))
     if isinstance(expression, (All, Either)):
-        checks = [compile_condition(item, locate, fit) for item in expression.items]
+        checks = [compile_condition(item, fields) for item in expression.items]
         return _joined(checks, isinstance(expression, Either))
-    place = locate(expression)
-    if isinstance(expression, IsNull):
+    if isinstance(expression, Relate):
+        left, right = fields.compute(expression)
+        return _related(expression.operator, left, right)
+    if isinstance(expression, Quantified):
+        return _quantified(expression, fields.locate(expression), fields.compute(expression))
+    if not isinstance(expression.operand, Call):
+        return _leaf(expression, fields.locate(expression), fields)
+    (get,) = fields.compute(expression)
+    if get is None:
+        return _leaf(expression, None, fields)
+    compute, check = get, _leaf(expression, 0, fields)
+    return lambda values: check((compute(values),))
+
+
+def _leaf(leaf: Union[Compare, OneOf, IsNull], place: Optional[int], fields: Fields) -> Check:
+    if isinstance(leaf, IsNull):
         return (lambda values: True) if place is None else (lambda values: values[place] is None)
-    listed = [fit(expression, value) for value in given(expression)]
+    listed = [fields.fit(leaf, value) for value in given(leaf)]
     if place is None:
         return lambda values: None
-    if isinstance(expression, Compare):
-        return _comparison(place, expression.operator, listed[0])
+    if isinstance(leaf, Compare):
+        return _comparison(place, leaf.operator, listed[0])
     return _membership(place, listed)
+
+
+def _related(sign: str, left: Optional[Get], right: Optional[Get]) -> Check:
+    if left is None or right is None:
+        return lambda values: None
+    first, second, test = left, right, _SWAPPED[sign]
+
+    def check(values: Values) -> Optional[bool]:
+        x, y = first(values), second(values)
+        return None if x is None or y is None else bool(test(y, x))
+
+    return check
+
+
+def _quantified(leaf: Quantified, place: Optional[int], gets: Sequence[Optional[Get]]) -> Check:
+    """ANY and ALL: of an array without elements ANY is false and ALL true."""
+    known = [get for get in gets if get is not None]
+    if place is None or len(known) < len(gets):
+        return lambda values: None
+    signs = [sign for sign, _ in leaf.tests]
+    quantify = all if leaf.every else any
+    fixed = None
+    if all(isinstance(term, Literal) for _, term in leaf.tests):
+        fixed = _element_test(leaf, [_test(s, get(())) for s, get in zip(signs, known)])
+
+    def check(values: Values) -> Optional[bool]:
+        array = values[place]
+        if array is None:
+            return None
+        test = fixed
+        if test is None:
+            wanted = [get(values) for get in known]
+            if any(value is None for value in wanted):
+                return None
+            test = _element_test(leaf, list(map(_test, signs, wanted)))
+        return quantify(map(test, array))
+
+    return check
+
+
+def _element_test(
+    leaf: Quantified, tests: Sequence[Callable[[Any], bool]]
+) -> Callable[[Any], bool]:
+    if len(tests) == 1 and not leaf.negated:
+        return tests[0]
+    join, negated = any if leaf.either else all, leaf.negated
+    return lambda element: join([test(element) for test in tests]) is not negated
+
+
+def _test(sign: str, wanted: Any) -> Callable[[Any], bool]:
+    return _like(wanted) if sign == "LIKE" else partial(_SWAPPED[sign], wanted)
 
 
 def _comparison(place: int, sign: str, wanted: Optional[Comparable]) -> Check:
     if wanted is None:
         return lambda values: None
-    if sign == "LIKE":
-        return _tested(place, _like(str(wanted)))
-    if sign == "CONTAINS":
-        return _tested(place, _holding(wanted))
-    return _tested(place, partial(_SWAPPED[sign], wanted))
+    return _tested(place, _holding(wanted) if sign == "CONTAINS" else _test(sign, wanted))
 
 
 def _membership(place: int, listed: Sequence[Optional[Comparable]]) -> Check:

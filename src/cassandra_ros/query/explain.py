@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 from typing import Iterator, Optional
 
 from cassandra_ros.query.protocols import Row
@@ -19,9 +20,13 @@ from cassandra_ros.query.syntax import (
     Leaf,
     Negation,
     Path,
+    Quantified,
+    Relate,
     conjuncts,
     given,
+    inside,
     leaves,
+    terms_of,
 )
 
 
@@ -120,7 +125,8 @@ def explain(result: QueryResult, source: Source[Row]) -> Explanation:
 def _alone(condition: Optional[Expression], pushed: set[Leaf]) -> Iterator[str]:
     """Yield the parts of a condition of which the server checked nothing."""
     for part in conjuncts(condition):
-        fields = any(isinstance(leaf.operand, Path) for leaf in leaves(part))
+        terms = chain.from_iterable(map(terms_of, leaves(part)))
+        fields = any(isinstance(p, Path) for term in terms for p in inside(term))
         if fields and not pushed.intersection(leaves(part)):
             yield _shown(part)
 
@@ -135,16 +141,12 @@ def _shown(condition: Expression) -> str:
 
 
 def _leaf(leaf: Leaf) -> str:
+    if isinstance(leaf, (Relate, Quantified)):
+        return leaf.text
     if isinstance(leaf, IsNull):
         return f"{leaf.operand.text} IS NULL"
-    values = [_value(v.value) for v in given(leaf)]
+    values = [value.text for value in given(leaf)]
     if isinstance(leaf, Compare):
         return f"{leaf.operand.text} {leaf.operator} {values[0]}"
     more = ", …" if len(values) > 5 else ""
     return f"{leaf.operand.text} IN ({', '.join(values[:5])}{more})"
-
-
-def _value(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return f"'{value[:40]}'" if isinstance(value, str) else str(value)[:40]

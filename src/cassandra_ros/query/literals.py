@@ -10,14 +10,26 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from datetime import timedelta
 from decimal import Decimal
 from numbers import Integral, Real
 from typing import Any, Callable, Iterator, Optional, Union
 
+import numpy as np
+
 from cassandra_ros.errors import InvalidKey
-from cassandra_ros.messages.stamps import seconds_to_ns, to_ns
+from cassandra_ros.messages.stamps import duration_ns, is_time, seconds_to_ns, to_ns
 from cassandra_ros.query.names import FieldRef
-from cassandra_ros.query.syntax import DecimalText, Leaf, Literal, StatementError, given
+from cassandra_ros.query.syntax import (
+    DecimalText,
+    DurationNs,
+    Leaf,
+    Literal,
+    StatementError,
+    TimeNs,
+    given,
+    value_text,
+)
 
 Comparable = Union[int, float, str]
 
@@ -27,13 +39,20 @@ _BEYOND_SEC = 1e20
 
 def fit_to_field(literal: Literal, ref: FieldRef) -> Comparable:
     """Return what the values of a field can be compared with; StatementError: there is nothing."""
-    if ref.type == "time":
-        return fit_to_time(literal, ref.name)
-    fit, wanted = _FITS.get(ref.type, (_number, "a number"))
+    return fit_to_kind(literal, ref.type, ref.name, f"a {ref.type}{'[]' if ref.is_array else ''}")
+
+
+def fit_to_kind(literal: Literal, kind: str, name: str, is_a: str) -> Comparable:
+    """Return what values of a kind, which error texts call so, can be compared with.
+
+    StatementError: there is nothing.
+    """
+    if kind == "time":
+        return fit_to_time(literal, name)
+    fit, wanted = _FITS.get(kind, (_number, "a number"))
     fitted = fit(literal.value)
     if fitted is None:
-        is_a = f"{ref.name} is a {ref.type}{'[]' if ref.is_array else ''}"
-        reason = f"{is_a}; compare it with {wanted}, not with {_shown(literal.value)}"
+        reason = f"{name} is {is_a}; compare it with {wanted}, not with {_shown(literal.value)}"
         raise StatementError(literal.position, reason)
     return fitted
 
@@ -50,6 +69,9 @@ def fit_to_time(literal: Literal, name: str = "KEY") -> int:
 
     Numbers may lie outside of what ROS can express: the comparison is then simply true or false.
     """
+    if length_ns(literal.value) is not None:
+        reason = f"{name} is a time, {literal.text} is none; now() - {literal.text} would be one"
+        raise StatementError(literal.position, reason)
     ns = _number_to_ns(literal.value)
     if ns is not None:
         return ns
@@ -68,7 +90,7 @@ def fit_to_text(literal: Literal, name: str) -> str:
 
 
 def _number(value: object) -> Optional[Comparable]:
-    if isinstance(value, bool):
+    if isinstance(value, (bool, TimeNs, DurationNs, np.timedelta64)):
         return None
     if isinstance(value, Integral):
         return int(value)
@@ -100,23 +122,34 @@ def _number_to_ns(value: object) -> Optional[int]:
         return None  # NaN
 
 
-def _duration(value: Any) -> Optional[Comparable]:
-    if hasattr(value, "to_nsec"):
+def length_ns(value: Any) -> Optional[int]:
+    """Return the nanoseconds of an object that is a length of time (no number), or None."""
+    if isinstance(value, DurationNs):
+        return int(value)
+    if hasattr(value, "to_nsec") and not is_time(value):
         return int(value.to_nsec())
+    if isinstance(value, (timedelta, np.timedelta64)):
+        with suppress(InvalidKey):
+            return duration_ns(value)
+    return None
+
+
+def _duration(value: Any) -> Optional[Comparable]:
+    ns = length_ns(value)
+    if ns is not None or isinstance(value, (TimeNs, np.timedelta64)):
+        return ns
     return _number_to_ns(value)
 
 
 _FITS: dict[str, tuple[Callable[[object], Optional[Comparable]], str]] = {
     "bool": (_bool, "true or false"),
     "string": (_text, "'text'"),
-    "duration": (_duration, "a number (integer nanoseconds or decimal seconds)"),
+    "duration": (_duration, "500ms, say, or a number (integer nanoseconds, decimal seconds)"),
 }
 """For the type of a field what fits a value to it (None: of another kind), and what it takes."""
 
 
 def _shown(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
     if isinstance(value, str):
         return f"text {value[:40]!r}"
-    return repr(value)[:60]
+    return value_text(value) if isinstance(value, (bool, DurationNs)) else repr(value)[:60]

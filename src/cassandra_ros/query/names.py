@@ -132,6 +132,22 @@ def field_of(path: Path, definition: Definition, array: Optional[bool] = False) 
     raise StatementError(path.position, f"{path.text} {reason}")
 
 
+def counted_field(path: Path, definition: Definition) -> FieldRef:
+    """Find a field with as many values as a path, an array or text, is long.
+
+    Of an array of messages the first field in them. StatementError: there is none.
+    """
+    found = fields_of(path, definition)
+    if found and len(found[0].steps) > len(path.parts):
+        step = found[0].steps[len(path.parts) - 1]
+        if not step.many or step.index is not None:
+            found = []
+    if not found:
+        reason = f"{path.text} is a message; len is for arrays and text"
+        raise StatementError(path.position, reason)
+    return found[0]
+
+
 def nearest(name: str, known: Sequence[str]) -> str:
     """Return ' (did you mean …?)' with the names most like one, or '' where none is."""
     lowered = {other.lower(): other for other in known}

@@ -8,57 +8,23 @@ import logging
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
-from typing import Any, Callable, Iterator, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Iterator, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
-from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.compiled_rows import CompiledRows, compile_rows, compile_wire_rows
-from cassandra_ros.query.evaluate import Check, Values, compile_condition
-from cassandra_ros.query.extract import Extractor, Get, extractor_of
-from cassandra_ros.query.literals import Comparable, fit_to_field, fit_to_text, fit_to_time
-from cassandra_ros.query.names import Array, FieldRef, Findings, all_fields, field_of, fields_of
+from cassandra_ros.query.computed import Get
+from cassandra_ros.query.evaluate import Check, Values
+from cassandra_ros.query.extract import Extractor, extractor_of
+from cassandra_ros.query.names import Array, Findings
 from cassandra_ros.query.protocols import Row, Table
-from cassandra_ros.query.syntax import (
-    Aggregate,
-    Compare,
-    KeyOperand,
-    Leaf,
-    Literal,
-    NodeOperand,
-    Operand,
-    Path,
-    RunOperand,
-    Select,
-    Selected,
-    StatementError,
-    wants_array,
-)
+from cassandra_ros.query.resolve import COUNTED, KEY_PLACE, OWN_WIDTH, Names, Output
+from cassandra_ros.query.syntax import Select
 
 _log = logging.getLogger(__name__)
 
-KEY_PLACE, NODE_PLACE, RUN_PLACE = 0, 1, 2
-_OWN_WIDTH = 3
-_BESIDE = -1
-"""From here downwards are the marks of problems that no other table can make good."""
-_COUNTED = "int64"
-"""Kind of a count: whatever is counted is not shown."""
-_NO_NUMBERS = ("string", "time", "duration")
-
 ResultRow = Tuple[Any, ...]
 """A value for each column of the result."""
-
-
-class Output(NamedTuple):
-    """One column of a result, in one table."""
-
-    name: str
-    place: int
-    """Where its value stands among the values of a row."""
-    kind: str
-    """ROS type of a value; 'sum' is an integer of any size."""
-    ref: Optional[FieldRef] = None
-    """The field that it shows; None for KEY, NODE, RUN and what is computed."""
 
 
 @dataclass(frozen=True)
@@ -89,29 +55,26 @@ class Projection:
     """Places of the values that the condition needs."""
     stored: int = 0
     """How many columns its table has."""
+    computed: tuple[Get, ...] = ()
+    """What gives the values that are computed of the others; they stand behind them."""
 
     @classmethod
     def compile(cls, select: Select, table: Table, findings: Findings) -> Projection:
         """Find out what a statement means in a table; findings collect what it names in vain."""
-        names = _Names(table, findings)
-        every = (Selected(KeyOperand(0)), None)
-        asked = every if select.columns is None else select.columns
-        groups = tuple(tuple(names.outputs(selected)) for selected in asked)
-        checked: set[int] = set()
-
-        def locate(leaf: Leaf) -> Optional[int]:
-            place = names.locate(leaf)
-            checked.update(() if place is None else (place,))
-            return place
-
-        check = compile_condition(select.condition, locate, names.fit)
+        names = Names(table, findings)
+        groups = [names.outputs(selected) for selected in select.visible]
+        groups += [names.single(selected) for selected in select.hidden]
+        checked, check = names.condition(select.condition)
+        names.check_lengths()
         extractor = None
         columns: Optional[Sequence[str]] = ()
         if table.definition is not None and names.refs:
             extractor = extractor_of(table.definition, tuple(names.refs), tuple(names.unnested))
             columns = extractor.columns if table.by_field else None
-        unnested, width = tuple(names.unnested), _OWN_WIDTH + len(names.refs)
-        made = cls(groups, check, columns, unnested, table.named, extractor, width, names.runs)
+        unnested, width = tuple(names.unnested), OWN_WIDTH + len(names.refs)
+        placed, computed = _place_computed(groups, width)
+        made = cls(placed, check, columns, unnested, table.named, extractor, width, names.runs)
+        made = replace(made, computed=computed)
         if table.by_field:
             made = replace(made, checked=frozenset(checked), stored=len(table.columns))
         return made.showing([[output.name for output in group] for group in groups])
@@ -133,7 +96,9 @@ class Projection:
             read = self.extractor.whole()
             if read is None:
                 return None
-            return compile_wire_rows(read, self.own, self.check, self.shown, KEY_PLACE)
+            return compile_wire_rows(
+                read, self.own, self.check, self.shown, KEY_PLACE, self.computed
+            )
         direct = self.extractor.direct()
         if direct is None or self.columns is None:
             return None
@@ -144,7 +109,8 @@ class Projection:
             tuple(self.checked),
             self.shown,
             KEY_PLACE,
-            own_width=_OWN_WIDTH,
+            self.computed,
+            own_width=OWN_WIDTH,
             asked=len(self.columns),
             stored=self.stored,
         )
@@ -164,7 +130,7 @@ class Projection:
             return []  # removed since its columns were read
         except CorruptMessage as exc:
             _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
-            return [(*own, *[None] * (self.width - _OWN_WIDTH))]
+            return [(*own, *[None] * (self.width - OWN_WIDTH))]
 
     def hits(self, row: Row) -> Iterator[bool]:
         """Say of each unnested element of a stored row whether it satisfies the condition."""
@@ -182,7 +148,12 @@ class Projection:
             return found
         return [self._row(row, v) for v in self.values(row) if self.check(v) is True]
 
+    def complete(self, values: Values) -> Values:
+        """Return the values of a row, also those that are computed for the result."""
+        return [*values, *[get(values) for get in self.computed]] if self.computed else values
+
     def _row(self, row: Row, values: Values) -> ResultRow:
+        values = self.complete(values)
         found: list[object] = []
         for place, show in self.shown:
             if place is None:
@@ -198,7 +169,7 @@ class Projections:
     """The projections of a statement, one for each table of a topic, also of those made since.
 
     Attributes:
-        names: The columns of each selected path, over all tables.
+        names: The columns of each selected path, over all tables, those that are hidden last.
 
     Raises:
         InvalidQuery: The statement names what no table has.
@@ -209,8 +180,7 @@ class Projections:
         findings = Findings(select.text)
         made = {table.name: Projection.compile(select, table, findings) for table in tables}
         findings.check()
-        columns = select.columns or (Selected(KeyOperand(0)),)
-        self.names = [[selected.text] for selected in columns]
+        self.names = [[selected.text] for selected in select.asked if selected is not None]
         if made:
             same = zip(*(projection.groups for projection in made.values()))
             self.names = [list(dict.fromkeys(o.name for o in chain(*groups))) for groups in same]
@@ -235,143 +205,21 @@ class Projections:
         return self.of(row.table).hit(row)
 
 
-class _Names:
-    """Finds the fields that a statement names in one table, while it is compiled."""
-
-    def __init__(self, table: Table, findings: Findings) -> None:
-        self._definition = table.definition
-        self._named = table.named
-        self._findings = findings
-        self.refs: list[FieldRef] = []
-        """The fields that were found so far, in the order of their values."""
-        self._places: dict[FieldRef, int] = {}
-        self.unnested: list[Array] = []
-        """The arrays of messages whose elements are named, outermost first."""
-        self.runs = False
-        """RUN is named."""
-
-    def outputs(self, selected: Optional[Selected]) -> Sequence[Output]:
-        """Return the columns that one selected path gives; None = every field."""
-        if selected is None:
-            return self._shown(() if self._definition is None else all_fields(self._definition))
-        what = selected.what
-        if isinstance(what, Aggregate):
-            return self._aggregated(what, selected.text)
-        if not isinstance(what, Path):
-            own = self._output(what)
-            return [] if own is None else [own._replace(name=selected.text)]
-        found = self._shown(self._resolved(what, lambda definition: fields_of(what, definition)))
-        if selected.alias is None:
-            return found
-        if len(found) > 1:
-            self._refuse(what, f"{what.text} has {len(found)} fields; AS gives a name to one")
-        return [output._replace(name=selected.alias) for output in found[:1]]
-
-    def _shown(self, refs: Sequence[FieldRef]) -> list[Output]:
-        return [Output(ref.name, self._place(ref), ref.type, ref) for ref in refs]
-
-    def _aggregated(self, asked: Aggregate, name: str) -> Sequence[Output]:
-        operand, function = asked.operand, asked.function
-        found = self._output(operand or KeyOperand(0))
-        if found is None:
-            return []
-        if operand is not None and function in ("sum", "avg") and found.kind in _NO_NUMBERS:
-            reason = f"{operand.text} is a {found.kind}, and {function} is for numbers; "
-            problem = StatementError(operand.position, reason + "min, max and count take any field")
-            self._findings.wrong.setdefault(asked.position, problem)
-            return []
-        self._findings.fine.add(asked.position)
-        if function in ("min", "max"):
-            return [found._replace(name=name)]
-        total = "float64" if found.kind.startswith("float") else "sum"
-        kinds = {"count": _COUNTED, "avg": "float64", "sum": total}
-        return [Output(name, found.place, kinds[function])]
-
-    def _output(self, operand: Operand, array: Optional[bool] = False) -> Optional[Output]:
-        """Return the column of one operand; None where the table lacks it."""
-        if isinstance(operand, NodeOperand):
-            return Output(operand.text, NODE_PLACE, "string")
-        if isinstance(operand, RunOperand):
-            self.runs = True
-            return Output(operand.text, RUN_PLACE, "string")
-        if isinstance(operand, KeyOperand):
-            return Output(operand.text, KEY_PLACE, "string" if self._named else "time")
-        found = self._resolved(operand, lambda definition: [field_of(operand, definition, array)])
-        return self._shown(found)[0] if found else None
-
-    def locate(self, leaf: Leaf) -> Optional[int]:
-        """Return the place of a comparison's operand; None where the table lacks it."""
-        found = self._output(leaf.operand, wants_array(leaf))
-        return None if found is None else found.place
-
-    def fit(self, leaf: Leaf, literal: Literal) -> Optional[Comparable]:
-        """Fit a literal to its operand; None where they cannot be compared here."""
-        found = self._output(leaf.operand, wants_array(leaf))
-        if found is None:
-            return None
-        try:
-            fitted = _fitted(found, leaf, literal)
-        except StatementError as exc:
-            self._findings.wrong.setdefault(literal.position, exc)
-            return None
-        self._findings.fine.add(literal.position)
-        return fitted
-
-    def _resolved(
-        self, path: Path, resolve: Callable[[Definition], list[FieldRef]]
-    ) -> list[FieldRef]:
-        try:
-            if self._definition is None:
-                raise StatementError(path.position, "the messages of this topic have no definition")
-            found = resolve(self._definition)
-        except StatementError as exc:
-            self._findings.wrong.setdefault(path.position, exc)
-            return []
-        self._findings.fine.add(path.position)
-        for ref in found:
-            # Those whose elements the path names, not those that it names whole.
-            for array in ref.arrays:
-                if len(array) < len(path.parts) and array not in self.unnested:
-                    self._unnest(path, array)
-        return found
-
-    def _unnest(self, path: Path, array: Array) -> None:
-        inner = self.unnested[-1] if self.unnested else ()
-        if array[: len(inner)] == inner:
-            self.unnested.append(array)
-            return
-        names = [".".join(step.name for step in a) for a in (inner, array)]
-        self._refuse(
-            path,
-            f"the statement names fields inside two arrays of messages, {names[0]} and "
-            f"{names[1]}; ask for them in two statements, or name an element: {names[1]}[0]",
-        )
-
-    def _refuse(self, path: Path, reason: str) -> None:
-        """Note that a path, although there is such a field, cannot stand where it does."""
-        self._findings.wrong.setdefault(
-            _BESIDE - path.position, StatementError(path.position, reason)
-        )
-
-    def _place(self, ref: FieldRef) -> int:
-        place = self._places.get(ref)
-        if place is None:
-            place = self._places[ref] = _OWN_WIDTH + len(self.refs)
-            self.refs.append(ref)
-        return place
-
-
-def _fitted(found: Output, leaf: Leaf, literal: Literal) -> Comparable:
-    operand, sign = leaf.operand, leaf.operator if isinstance(leaf, Compare) else ""
-    if sign == "CONTAINS" and found.ref is None:
-        reason = f"{operand.text} is not an array; compare it with ="
-        raise StatementError(operand.position, reason)
-    if sign == "LIKE" and found.kind != "string":
-        reason = f"is a {found.kind}, and LIKE is for text; compare it with = < > or BETWEEN"
-        raise StatementError(operand.position, f"{operand.text} {reason}")
-    if found.ref is not None:
-        return fit_to_field(literal, found.ref)
-    return fit_to_text(literal, operand.text) if found.kind == "string" else fit_to_time(literal)
+def _place_computed(
+    groups: Sequence[Sequence[Output]], width: int
+) -> tuple[tuple[tuple[Output, ...], ...], tuple[Get, ...]]:
+    """Give what is computed its places behind the other values."""
+    computed: list[Get] = []
+    placed: list[tuple[Output, ...]] = []
+    for group in groups:
+        found = []
+        for output in group:
+            if output.compute is not None:
+                computed.append(output.compute)
+                output = output._replace(place=width + len(computed) - 1)
+            found.append(output)
+        placed.append(tuple(found))
+    return tuple(placed), tuple(computed)
 
 
 def _shown_as(make: Get) -> Get:
@@ -402,7 +250,7 @@ _SHOWS = {"time": _shown_as(_time), "duration": _shown_as(_duration)}
 def _show_of(output: Output) -> Optional[Get]:
     """Return how to show a value; None = as it is, of KEY the row's key."""
     if output.place == KEY_PLACE:
-        return _itself if output.kind == _COUNTED else None
+        return _itself if output.kind == COUNTED else None
     return _SHOWS.get(output.kind)
 
 

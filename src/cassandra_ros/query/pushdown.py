@@ -36,9 +36,9 @@ from cassandra_ros.query.syntax import (
     Compare,
     Either,
     Expression,
-    IsNull,
     Leaf,
     Negation,
+    OneOf,
     Path,
     StatementError,
     wants_array,
@@ -290,7 +290,9 @@ def _joined(found: Sequence[Optional[list[Branch]]]) -> Optional[list[Branch]]:
 
 
 def _need(leaf: Leaf, table: Table) -> Need:
-    if isinstance(leaf, IsNull) or not isinstance(leaf.operand, Path) or table.definition is None:
+    if not isinstance(leaf, (Compare, OneOf)) or table.definition is None:
+        return Need(leaf)
+    if not isinstance(leaf.operand, Path):
         return Need(leaf)
     operator = leaf.operator if isinstance(leaf, Compare) else "="
     try:

@@ -17,12 +17,13 @@ from cassandra_ros.arguments import check_node
 from cassandra_ros.errors import InvalidKey, InvalidName, InvalidQuery
 from cassandra_ros.keys import MAX_NS, Position, decode_cursor, encode_cursor, is_behind
 from cassandra_ros.messages.stamps import SECONDS_BELOW, Stamp, is_time, iso_time, to_ns
-from cassandra_ros.query.aggregates import Aggregation
+from cassandra_ros.query.gathered import gather
 from cassandra_ros.query.literals import fit_to_text, fit_to_time
 from cassandra_ros.query.parse import parse_condition
 from cassandra_ros.query.projection import Projections, ResultRow
 from cassandra_ros.query.protocols import Row, Runs, Table
 from cassandra_ros.query.pushdown import Pushdown
+from cassandra_ros.query.settle import settle
 from cassandra_ros.query.source import Columns, RowT_co, Source, Writers
 from cassandra_ros.query.syntax import (
     Compare,
@@ -291,8 +292,8 @@ def read_place(cursor: Cursor) -> Place:
     return Place(int(given), int(skip), decode_cursor(position))
 
 
-_ENDED = Place(1, 0, Position(0, "", 0, ""))
-"""Behind the one row of aggregates."""
+_NOWHERE = Position(0, "", 0, "")
+"""Where a row lies that is made of several: it is counted alone."""
 
 
 class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples of any values
@@ -309,7 +310,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
 
     Attributes:
         columns: Names of the columns.
-        direct: Every message that the store gives is a row: to look for one more costs nothing.
+        direct: To look for one more row costs nothing: every message that the store gives is one,
+            or all are known with the first.
         select: The statement.
         pushdown: What the server checks of it.
         read: How many rows have come from the server.
@@ -331,8 +333,9 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         after: Cursor = None,
         plan: str = "auto",
     ) -> None:
-        self.select, self._source = select, source
         tables = source.tables
+        self.select = select = settle(select, tables)
+        self._source = source
         named = any(table.named for table in tables)
         runs = next((table.runs for table in tables), None)
         self._bounds = bounds = bounds_of(select, node, named, run, runs)
@@ -347,14 +350,16 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         self._row: Optional[Row] = None
         """The last one of which rows were taken."""
         self._projections = Projections(select, tables)
-        self.columns = tuple(name for names in self._projections.names for name in names)
+        shown = self._projections.names[: len(select.visible)]
+        self.columns = tuple(name for names in shown for name in names)
         self.pushdown = Pushdown(None if bounds.whole else select.condition, plan)
-        self.direct = bounds.whole and not any(p.unnested for p in self._projections)
+        unnested = any(projection.unnested for projection in self._projections)
+        self.direct = select.gathers or (bounds.whole and not unnested)
         self.read = 0
         self.counted = bool(select.counts and bounds.whole and bounds.name is None)
         left = None if select.limit is None else max(0, select.limit - place.given)
         self._left = min((n for n in (left, limit) if n is not None), default=None)
-        self._rows = self._aggregated() if select.aggregates else self._selected(place)
+        self._rows = self._gathered(place.given) if select.gathers else self._selected(place)
 
     def __next__(self) -> ResultRow:
         return next(self._rows)
@@ -423,7 +428,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         limit: Optional[int] = None,
     ) -> Iterator[Row]:
         columns, push = self._projections.columns, self.pushdown
-        wanted = None if self.select.aggregates else self._left
+        wanted = None if self.select.gathers else self._left
         rows = bounded_rows(
             self._source, bounds, columns, push, after, reverse, limit, wanted=wanted
         )
@@ -431,21 +436,28 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             self.read += 1
             yield row
 
-    def _aggregated(self) -> _Rows:
-        if self._place.position is not None or self._left == 0:
+    def _gathered(self, given: int) -> _Rows:
+        """Yield rows that are made of several, behind so many that were given before."""
+        one = bool(self.select.aggregates) and not self.select.group
+        if (given and one) or self._left == 0:
             return
-        self._place, bounds = _ENDED, self._bounds
+        last = None if self._left is None else given + self._left
+        for row in islice(self._made(last), given, last):
+            given += 1
+            self._place = Place(given, 0, _NOWHERE)
+            yield row
+
+    def _made(self, most: Optional[int]) -> Iterator[ResultRow]:
+        select, bounds, projections = self.select, self._bounds, self._projections
         if self.counted and not bounds.empty:
             ends = (bounds.low, bounds.high)
             # Names have no order: where all is counted no end is named.
             low, high = (None, None) if ends == (0, MAX_NS) else map(Stamp.from_ns, ends)
             count = self._source.countTopicData(low, high, bounds.node, run=bounds.writers)
-            yield (count,) * len(self.select.aggregates)
-            return
-        totals = Aggregation(self.select)
-        for row in self._read(bounds):
-            totals.add(self._projections.of(row.table).rows(row))
-        yield totals.values()
+            return iter([(count,) * len(select.aggregates)])
+        stored = self._read(bounds, reverse=select.descending)
+        rows = chain.from_iterable(projections.of(row.table).rows(row) for row in stored)
+        return gather(select, projections.names, rows, most)
 
 
 class Rows(list):  # type: ignore[type-arg]

@@ -27,9 +27,9 @@ from cassandra_ros.query.syntax import (
     Compare,
     Either,
     Expression,
-    IsNull,
     Leaf,
     Negation,
+    OneOf,
     Path,
     StatementError,
     wants_array,
@@ -102,7 +102,7 @@ def _joined(tests: Sequence[_Test], join: Any) -> _Test:
 
 
 def _leaf(leaf: Leaf, definition: Definition, refs: List[FieldRef]) -> Optional[_Test]:
-    if isinstance(leaf, IsNull) or not isinstance(leaf.operand, Path):
+    if not isinstance(leaf, (Compare, OneOf)) or not isinstance(leaf.operand, Path):
         return None
     operator = leaf.operator if isinstance(leaf, Compare) else "="
     try:

@@ -1,0 +1,99 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Values made of many: count, min, max, sum, avg, of all rows or of one array. None is kept.
+
+Without any value count is 0 and the others None. min and max leave NaN out, and keep the first of
+equals; sum and avg are NaN when one value is, or when +inf and −inf meet. Sums of integers are
+exact integers; those of floats, and every average, are exact until they are rounded once to a float
+(a sum beyond all floats is infinite). A bool counts as 0 or 1 in them.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections import defaultdict
+from fractions import Fraction
+from typing import Any, Callable, Dict, Union
+
+
+class Count:
+    """How many values there are."""
+
+    _count = 0
+
+    def add(self, value: Any) -> None:
+        """Take a value in."""
+        self._count += 1
+
+    def value(self) -> object:
+        """Return what the values so far make."""
+        return self._count
+
+
+class _Extreme(Count):
+    """The least or the greatest value."""
+
+    def __init__(self, better: Callable[[Any, Any], bool]) -> None:
+        self._better = better
+        self._best: Any = None
+
+    def add(self, value: Any) -> None:
+        # A NaN is not equal to itself.
+        if value == value and (self._best is None or self._better(value, self._best)):
+            self._best = value
+
+    def value(self) -> object:
+        return self._best
+
+
+class _Sum(Count):
+    """An exact sum; of integers alone an integer."""
+
+    def __init__(self, mean: bool = False) -> None:
+        self._mean = self._floats = mean
+        # A fraction for each row would cost thirty times as much as the row's integers.
+        self._numerators: Dict[int, int] = defaultdict(int)
+        """By their denominators."""
+        self._odd = 0.0
+        """Sum of infinities and NaNs."""
+
+    def add(self, value: Union[int, float]) -> None:
+        self._count += 1
+        if not isinstance(value, int):
+            self._floats = True
+            if not math.isfinite(value):
+                self._odd += value
+                return
+        numerator, denominator = value.as_integer_ratio()
+        self._numerators[denominator] += numerator
+
+    def value(self) -> Union[int, float, None]:
+        if not self._count:
+            return None
+        if self._odd != 0:
+            return self._odd
+        exact = sum((Fraction(n, d) for d, n in self._numerators.items()), Fraction())
+        if not self._floats:
+            return int(exact)
+        try:
+            return float(exact / self._count if self._mean else exact)
+        except OverflowError:
+            return math.inf if exact > 0 else -math.inf
+
+
+TOTALS: dict[str, Callable[[], Count]] = {
+    "count": Count,
+    "min": lambda: _Extreme(operator.lt),
+    "max": lambda: _Extreme(operator.gt),
+    "sum": _Sum,
+    "avg": lambda: _Sum(mean=True),
+}
+
+
+def total_of(function: str, values: Any) -> object:
+    """Return what one of TOTALS makes of some values, of which none is missing."""
+    total = TOTALS[function]()
+    for value in values:
+        total.add(value)
+    return total.value()
