@@ -23,6 +23,17 @@ if LENGTH not in SHARES:
     raise pytest.UsageError(f"CASSANDRA_ROS_CAMPAIGN={LENGTH}: it is short, long or unset")
 
 
+FEW_FORMATS = ("ros", "packed")
+"""The formats that make test asks where all formats would take long: one with a column for each
+field, one with many messages in a row. The others keep a message as one value."""
+
+
+def sparing(values, kept):
+    """Parametrise with values of which make test asks only those kept, the campaign all."""
+    parts = [(value if isinstance(value, tuple) else (value,), value in kept) for value in values]
+    return [pytest.param(*part, marks=[pytest.mark.long] * (not here)) for part, here in parts]
+
+
 def examples(number, least=1):
     """Return how many examples a search asks for that has so many in the short campaign."""
     return max(least, round(number * SHARES[LENGTH]))

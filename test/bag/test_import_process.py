@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from bag.test_import_export import counts_agree, stored_rows
 from bag.truth import string_connection, string_wire
+from campaign import sparing
 from topics.test_run_states import age
 
 from cassandra_ros.bag.importer import import_bag
@@ -122,6 +123,7 @@ def test_memory_does_not_grow_with_the_bag(cassandra, keyspace, cql, rosCas, tmp
     assert peaks[1] <= peaks[0] + 50, f"peak RSS {peaks[0]:.0f} MB and {peaks[1]:.0f} MB"
 
 
+@pytest.mark.long
 def test_opening_a_bag_of_many_chunks_takes_little_memory(tmp_path):
     import tracemalloc
 
@@ -139,7 +141,9 @@ def test_opening_a_bag_of_many_chunks_takes_little_memory(tmp_path):
     tracemalloc.stop()
 
 
-@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "signal_number", sparing([signal.SIGINT, signal.SIGTERM], kept=[signal.SIGTERM])
+)
 @pytest.mark.fault
 def test_a_signal_ends_an_import_and_the_next_completes_it(
     rosCas, cassandra, keyspace, cql, tmp_path, signal_number

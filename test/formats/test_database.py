@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import pytest
-from campaign import LENGTH, examples
+from campaign import FEW_FORMATS, LENGTH, examples, sparing
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
@@ -67,7 +67,7 @@ def test_every_installed_type_comes_back_equal(fresh, name, record_property):
             checkStored(rosCas, name, batch, examples(3, least=3))
 
 
-@every_format
+@pytest.mark.parametrize("name", sparing(FORMATS, kept=FEW_FORMATS))
 @pytest.mark.campaign
 def test_random_types_come_back_equal(fresh, name):
     makers = [DefinitionMaker(seed, depth=seed % 5) for seed in range(40 if LENGTH else 5)]

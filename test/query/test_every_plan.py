@@ -48,7 +48,7 @@ def waysOf(seed):
     return [*(("ros", plan) for plan in PLANS), *some]
 
 
-IN_EVERY_RUN = ("every", "mixed", "string", "tf")
+IN_EVERY_RUN = ("every", "mixed", "tf")
 """Kinds that make test asks, too: they take longer to store than to ask."""
 
 

@@ -10,6 +10,7 @@ from fractions import Fraction
 
 import pytest
 import rosbag
+from campaign import sparing
 from geometry_msgs.msg import Twist
 from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import Float32, String
@@ -225,7 +226,7 @@ STATEMENTS = (
 )
 
 
-@pytest.mark.parametrize("size", [1, 7, 5000])
+@pytest.mark.parametrize("size", sparing([1, 7, 5000], kept=[7]))
 @pytest.mark.parametrize("statement", STATEMENTS)
 def test_pages_give_the_same_rows(husky, statement, size):
     whole = husky.ask(statement)

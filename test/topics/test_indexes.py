@@ -10,6 +10,7 @@ import signal
 import time
 
 import pytest
+from campaign import sparing
 from geometry_msgs.msg import TransformStamped, Vector3
 from sensor_msgs.msg import Image, JointState, PointCloud
 from std_msgs.msg import Float32, Float64, String, UInt8MultiArray
@@ -268,7 +269,10 @@ def test_a_writer_that_died_is_filled_and_may_come_back(rosCas, unhurried, monke
 # ---------------------------------------------------------------- values and formats
 
 
-@pytest.mark.parametrize("form", [name for name, made in FORMATS.items() if not made.PACKED])
+@pytest.mark.parametrize(
+    "form",
+    sparing([f for f, made in FORMATS.items() if not made.PACKED], kept=["ros", "json"]),
+)
 def test_every_format(rosCas, form):
     numbers = [0.0, -0.0, NAN, 1.5, float("inf"), float("-inf"), 0.1, 1.5]
     names = [["a", "b"], ["b"], [], ["x" * 1100, "a"], ["a"] * 300]
