@@ -118,8 +118,12 @@ def _compile_rows(
 
 
 def _fills(parts: Sequence[_Part], checked: Sequence[int]) -> Tuple[_Fill, _Fill]:
-    """Return what reads the fields that are checked, and what reads the others."""
-    first = [part for part in parts if part[0] in checked]
+    """Return what reads the fields that are checked, and what reads the others.
+
+    Where a number is checked all numbers are read: together they cost hardly more than one.
+    """
+    number = any(place in checked and direct.code for place, _, direct in parts)
+    first = [p for p in parts if p[0] in checked or (number and p[2].code)]
     return _compile_fill(first), _compile_fill([part for part in parts if part not in first])
 
 
@@ -153,11 +157,16 @@ def _numbers(parts: Sequence[_Part]) -> _Fill:
     take = itemgetter(*(at for _, at, _ in parts))
     unpack = struct.Struct(">" + "".join(d.code for _, _, d in parts)).unpack
     places = [place for place, _, _ in parts]
+    first, end = places[0], places[-1] + 1
+    together = places == list(range(first, end))
 
     def fill(held: Held, values: List[Any]) -> bool:
         raws = take(held)
         if None in raws:
             return False
+        if together:
+            values[first:end] = unpack(b"".join(raws))
+            return True
         for place, value in zip(places, unpack(b"".join(raws))):
             values[place] = value
         return True
@@ -168,24 +177,25 @@ def _numbers(parts: Sequence[_Part]) -> _Fill:
 def _compile_show(
     shown: Shown, key_place: int, computed: Sequence[Get] = ()
 ) -> Callable[[Row, List[Any]], Tuple[Any, ...]]:
-    """Return what makes a row of the result of the values of a stored one."""
+    """Return what makes a row of the result of the values of a stored one, which it may change."""
     if computed:
         inner = _compile_show(shown, key_place)
         return lambda row, values: inner(row, [*values, *[get(values) for get in computed]])
     keys = [n for n, (place, get) in enumerate(shown) if place == key_place and get is None]
     gets = [(n, get) for n, (place, get) in enumerate(shown) if place is not None and get]
-    places = [place for place, _ in shown]
+    # A key is put behind the values.
+    places = [-1 if n in keys else place for n, (place, _) in enumerate(shown)]
     if None in places or len(places) < 2:
         take = _take(places)
     else:
         take = itemgetter(*places)
-    if not keys and not gets:
-        return lambda row, values: take(values)
 
     def show(row: Row, values: List[Any]) -> Tuple[Any, ...]:
+        if keys:
+            values.append(row.key)
+        if not gets:
+            return take(values)
         found = list(take(values))
-        for n in keys:
-            found[n] = row.key
         for n, get in gets:
             found[n] = get(found[n])
         return tuple(found)

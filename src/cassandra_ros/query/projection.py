@@ -143,7 +143,8 @@ class Projection:
 
     def rows(self, row: Row) -> list[ResultRow]:
         """Return the rows of the result that a stored row gives."""
-        found = None if self.compiled is None else self.compiled(row)
+        compiled = self.compiled
+        found = None if compiled is None else compiled(row)
         if found is not None:
             return found
         return [self._row(row, v) for v in self.values(row) if self.check(v) is True]

@@ -361,6 +361,9 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         self._left = min((n for n in (left, limit) if n is not None), default=None)
         self._rows = self._gathered(place.given) if select.gathers else self._selected(place)
 
+    def __iter__(self) -> Iterator[ResultRow]:
+        return self._rows
+
     def __next__(self) -> ResultRow:
         return next(self._rows)
 
@@ -388,9 +391,12 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         last = None if self._left is None else given + self._left
         if last == given:
             return
-        seen = place.position
+        seen, table = place.position, None
         for row in self._stored(place):
-            found = self._projections.of(row.table).rows(row)
+            if row.table is not table:
+                table = row.table
+                rows = self._projections.of(table).rows
+            found = rows(row)
             if not found:
                 continue
             skip = place.skip if seen is not None and _is_at(row, seen, self._source) else 0

@@ -39,6 +39,7 @@ from cassandra_ros.store.row_table import (
     RowTable,
     TableRow,
     bind,
+    decode_long,
     encode_int,
 )
 from cassandra_ros.store.scan import Chooser, Piece, Query, Scan, ends_of
@@ -227,7 +228,10 @@ class _Stream:
 
     def _crowds(self, keys: Sequence[RawRow]) -> bool:
         """Say whether so many keys were found that it is quicker to ask for the rows at once."""
-        return len(keys) > max(KEYS_AT_ONCE, KEYED_SHARE * self._piece.listed)
+        if len(keys) <= KEYS_AT_ONCE:
+            return False
+        span = abs(decode_long(keys[-1][0]) - decode_long(keys[0][0]))
+        return len(keys) > KEYED_SHARE * self._piece.listed_in(span)
 
     def _found(self) -> list[TableRow] | None:
         """Read what an index finds, to be turned; None where that fails, or it is too much."""
@@ -250,7 +254,9 @@ class _Stream:
                 return rows
         if heads is not None:
             values = (each for each in values if (each[1] or b"")[:4] in heads)
-        return (table.row_from_values(node, each) for each in values if not table.is_rest(each))
+        if table.metadata.ttl:
+            values = (each for each in values if not table.is_rest(each))
+        return map(partial(table.row_from_values, node), values)
 
     def _fetched(self, keys: Sequence[RawRow]) -> Iterator[RawRow]:
         """Fetch the rows of keys, in their order."""

@@ -105,6 +105,12 @@ class Piece(NamedTuple):
         """How many rows it has, as its writers say: of a closed bucket what there are."""
         return sum(row.rows for row in self.rows)
 
+    def listed_in(self, span_ns: int) -> float:
+        """Return how many rows lie in so much of its time, where they lie evenly."""
+        ends = [(row.t_min, row.t_max) for row in self.rows if row.rows]
+        length = max(last for _, last in ends) - min(first for first, _ in ends) if ends else 0
+        return self.listed * min(1.0, span_ns / max(1, length))
+
 
 def ends_of(piece: Piece, scan: Scan) -> tuple[Order, Order]:
     """Return the first and the last place in a bucket whose rows are read."""

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import heapq
+from itertools import repeat
 from typing import Callable, Iterable, Iterator, Optional, Sequence, Union, cast
 
 from cassandra_ros.arrays.stacked_values import MessageBlock
@@ -120,8 +121,12 @@ class RowReader:
     def _stored(
         self, rows: Iterable[TableRow], tables: Sequence[TopicTable]
     ) -> Iterator[StoredRow]:
-        by_name = {table.name: table for table in tables}
-        for row in chunks_ahead(StoredRow(row, by_name[row.table]) for row in rows):
+        if len(tables) == 1:
+            made: Iterable[StoredRow] = map(StoredRow, rows, repeat(tables[0]))
+        else:
+            by_name = {table.name: table for table in tables}
+            made = (StoredRow(row, by_name[row.table]) for row in rows)
+        for row in chunks_ahead(made):
             self._cassandra.require_open()  # also an iterator says at once that it cannot go on
             yield row
 
