@@ -45,7 +45,7 @@ def test_list_and_info(call, three_topics):
     assert call("list", "--json", "/none")[:2] == (0, "[]\n")
 
     found = json.loads(call("info", "--json")[1])
-    assert [(t["topic"], t["count"], t["first_ns"]) for t in found["topics"]] == [
+    assert [(t["topic"], t["messages"], t["first_ns"]) for t in found["topics"]] == [
         ("/cam/left", 2, 10**18),
         ("/cam/right", 2, 10**18 + 10**9),
         ("/tf", 2, 10**18 + 2 * 10**9),

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +16,7 @@ from bag.truth import read_with_rosbag, string_connection, string_wire
 
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.cli import cassandra_bag
+from cassandra_ros.store.directory import BucketTotals
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -96,7 +99,7 @@ def test_the_main_job(type_in, keyspace, bags, tmp_path):
     assert "messages:  8647 of 9 topics" in out
     line = next(line for line in out.splitlines() if line.startswith("/turtle1/pose"))
     assert line.split()[1:5] == ["turtlesim/Pose", "ros", "-", "1344"]
-    assert "2014-03-31T19:24:48Z" in line
+    assert "2014-03-31T19:24:48." in line
     assert "turtlesim_tf.bag" in out
 
     out = tmp_path / "out.bag"
@@ -111,16 +114,23 @@ def test_the_main_job(type_in, keyspace, bags, tmp_path):
         assert text.startswith(f"equal: {bag} and keyspace {keyspace}, 8647 messages")
 
 
+def table_of_topics(text):
+    """The words of the lines about topics, from the header on, that info prints."""
+    lines = [line.split() for line in text.splitlines()]
+    first = next(n for n, words in enumerate(lines) if words[:1] == ["topic"])
+    return list(itertools.takewhile(bool, lines[first:]))
+
+
 def test_info_of_other_keys(call, rosCas):
     from std_msgs.msg import Int64
 
     rosCas.addTopic("/time").addData(Int64(), key=5)
-    assert "key" not in call("info")[1].splitlines()[3].split()
+    assert "key" not in table_of_topics(call("info")[1])[0]
     rosCas.addTopic("/maps", key_format="manual").addData(Int64(), key="kitchen")
     rosCas.addTopic("/ids", key_format="msg_part", key_part="data").addData(Int64())
-    lines = [line.split() for line in call("info")[1].splitlines()]
-    assert lines[3][-2:] == ["bucket", "key"]
-    found = [(line[0], line[-1]) for line in lines[4:7]]
+    lines = table_of_topics(call("info")[1])
+    assert lines[0][-2:] == ["bucket", "key"]
+    found = [(line[0], line[-1]) for line in lines[1:]]
     assert found == [("/ids", "data"), ("/maps", "manual"), ("/time", "time")]
 
 
@@ -131,9 +141,63 @@ def test_info_as_yaml(call, bags):
     assert status == 0
     assert len(found["topics"]) == 1
     topic = found["topics"][0]
-    assert (topic["topic"], topic["node"], topic["count"]) == ("/array_test", "r1", 20)
+    assert (topic["topic"], topic["node"], topic["messages"]) == ("/array_test", "r1", 20)
     assert (topic["first_ns"], topic["last_ns"]) == (0, 19 * 10**9)
     assert found["runs"][0]["stored"] == {"/array_test": 20}
+
+
+def test_info_says_what_rosbag_info_says(call, ros_env, bags):
+    path = bags / "husky_gps_data.bag"
+    assert call("import", path, "-q")[0] == 0
+    rosbag = ["rosbag", "info", "--yaml", "--freq", str(path)]
+    done = subprocess.run(rosbag, env=ros_env, capture_output=True, text=True, check=True)
+    theirs = yaml.safe_load(done.stdout)
+    status, out, err = call("info", "-y", "--freq")
+    ours = yaml.safe_load(out)
+    assert (status, err) == (0, "")
+    for key in ("duration", "start", "end"):
+        assert ours[key] == pytest.approx(theirs[key], abs=1e-6)
+    assert (ours["messages"], ours["types"]) == (theirs["messages"], theirs["types"])
+    assert [t["topic"] for t in ours["topics"]] == [t["topic"] for t in theirs["topics"]]
+    for mine, wanted in zip(ours["topics"], theirs["topics"]):
+        assert (mine["type"], mine["messages"]) == (wanted["type"], wanted["messages"])
+    fix = next(t for t in ours["topics"] if t["topic"] == "/fix")
+    span = (fix["last_ns"] - fix["first_ns"]) / 1e9
+    assert fix["frequency"] == pytest.approx(94 / span)
+    same = json.loads(call("info", "--json", "--freq")[1])
+    assert same["topics"] == ours["topics"]
+
+    assert call("info", "-y", "-k", "duration")[1] == f"{ours['duration']}\n"
+    assert call("info", "--json", "--key", "messages")[1] == "12303\n"
+    assert call("info", "-k", "messages")[0] == 2
+    status, _, err = call("info", "-y", "-k", "colour")
+    assert (status, err.count("\n")) == (1, 1)
+    assert "there is no key 'colour'; there are keyspace, duration" in err
+
+    text = call("info", "--freq")[1]
+    assert "duration:  38.0s" in text
+    assert "start:     2013-05-08T14:06:20.007203000Z (1368021980.007203000)" in text
+    assert "types:     clearpath_base/DifferentialOutput [8f32685125452f5bdf68130369af5296]" in text
+    header, *rows = table_of_topics(text)
+    row = dict(zip(header, next(words for words in rows if words[0] == "/fix")))
+    assert (row["messages"], row["rate"]) == ("95", f"{94 / span:.1f}")
+    assert "rate" not in table_of_topics(call("info")[1])[0]
+
+
+def test_info_of_a_hundred_million_messages_reads_none_of_them(call, rosCas):
+    """The directory says what there is: here it says so of messages that nobody ever stored."""
+    with rosCas.messageWriter() as writer:
+        handle = writer.connect(string_connection("/many"))
+        writer.write(handle, 0, 0, string_wire("x"))
+    (table,) = rosCas.getTopic("/many").tables
+    totals = BucketTotals()
+    totals.add(1_000_000, 10**9, 1000, (5 * 10**9, 10**18), False)
+    for writer_id in range(100, 200):
+        rosCas.parts.directory.mark((table.name, "", 0, writer_id), 0, (), totals, closed=True)
+    status, out, _ = call("info")
+    assert status == 0
+    assert "messages:  100000001 of 1 topics" in out
+    assert "duration:  277777hr 46:40s (1000000000s)" in out
 
 
 def test_verify_prints_the_first_differences(call, rosCas, bags):

@@ -15,6 +15,7 @@ from cassandra_ros.cli.options import add_store_options, store_place, strip_rema
 from cassandra_ros.cli.text import (
     MessageBar,
     format_bytes,
+    format_duration,
     format_length,
     format_table,
     format_time,
@@ -104,6 +105,8 @@ def test_sizes_times_and_lengths():
     lengths = [format_length(s * 10**9) for s in (1, 10, 60, 600, 3600, 21600, 86400)]
     assert lengths == ["1 s", "10 s", "1 min", "10 min", "1 h", "6 h", "1 d"]
     assert format_length(5) == "5 ns"
+    durations = [format_duration(s * 10**8) for s in (0, 379, 599, 980, 72980)]
+    assert durations == ["0.0s", "37.9s", "59.9s", "1:38s (98s)", "2hr 1:38s (7298s)"]
 
 
 def test_text_from_outside_is_escaped():

@@ -52,6 +52,16 @@ def format_length(ns: int) -> str:
     return f"{ns} ns"
 
 
+def format_duration(ns: int) -> str:
+    """Write a duration as rosbag info does: 37.9s, 1:38s (98s), 2hr 1:38s (7298s)."""
+    total = ns // SECOND_NS
+    minutes, seconds = divmod(total, 60)
+    if not minutes:
+        return f"{ns / SECOND_NS:.1f}s"
+    hours, minutes = divmod(minutes, 60)
+    return f"{f'{hours}hr ' if hours else ''}{minutes}:{seconds:02d}s ({total}s)"
+
+
 def shown(text: str) -> str:
     """Make text from outside safe for a terminal: what is not printable is escaped."""
     return "".join(

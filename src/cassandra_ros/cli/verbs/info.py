@@ -1,17 +1,27 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Describe what is stored of each topic: messages, bytes, times, nodes, bucket lengths.
+"""Describe what is stored, as rosbag info does: duration, times, sizes, types, and each topic.
 
-A topic has a line for each type, format and node. Times are UTC and cut to seconds; --yaml
-prints them exactly, in nanoseconds. Where messages are found by something else than their receive
-time the last column says by what. What should have been recorded and was not is listed with the
-reason, also of topics that are not stored; then the latest recordings and imports.
+  cassandra_bag info
+  cassandra_bag info /tf -e '/camera/.*' --freq
+  cassandra_bag info -y -k duration
+
+A topic has a line for each type, format and node. All of it comes from the directory: it takes as
+long for a hundred million messages as for a thousand. Times are those of reception, in UTC, and
+what is in brackets seconds since 1970; --start and --end of other verbs take both. --freq prints
+the mean rate between the first and the last message (rosbag: the median). Where messages are found
+by something else than their receive time the last column says by what. What should have been
+recorded and was not is listed with the reason, also of topics that are not stored; then the latest
+recordings and imports.
+
+YAML and JSON have the keys of rosbag info -y (duration, start, end, size, messages, types, topics)
+and beside them keyspace, start_ns, end_ns, losses and runs.
 """
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Iterator
 
 from cassandra_ros.cli.answers import add_json_option, print_json
@@ -21,18 +31,60 @@ from cassandra_ros.cli.options import (
     open_store,
     store_place,
 )
-from cassandra_ros.cli.text import format_bytes, format_length, format_table, format_time, shown
+from cassandra_ros.cli.text import (
+    format_bytes,
+    format_duration,
+    format_length,
+    format_table,
+    format_time,
+    shown,
+)
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.runs import time_of
-from cassandra_ros.keys import NAMED_FORMATS
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
+from cassandra_ros.messages.stamps import iso_time
 
 if TYPE_CHECKING:
     from cassandra_ros.store.registry import Loss, LossKind, Run
     from cassandra_ros.topics.totals import TopicInfo
 
 _HEADER = ("topic", "type", "format", "node", "messages", "size", "first", "last", "bucket")
-_RIGHT = ("messages", "size", "bucket")
+_RIGHT = ("messages", "rate", "size", "bucket")
 _RUNS_SHOWN = 20
+
+
+@dataclass
+class _Found:
+    """What is stored, of the topics that are asked for."""
+
+    place: str
+    keyspace: str
+    infos: list[TopicInfo]
+    losses: list[Loss]
+    runs: list[Run]
+
+    @property
+    def ends(self) -> tuple[int, int] | None:
+        """Times of the first and of the last message, ns; None: there is none."""
+        firsts = [info.first_ns for info in self.infos if info.first_ns is not None]
+        lasts = [info.last_ns for info in self.infos if info.last_ns is not None]
+        return (min(firsts), max(lasts)) if firsts and lasts else None
+
+    @property
+    def messages(self) -> int:
+        """How many there are."""
+        return sum(info.count for info in self.infos)
+
+    @property
+    def bytes(self) -> int:
+        """Serialised bytes of the messages."""
+        return sum(info.bytes for info in self.infos)
+
+    @property
+    def types(self) -> list[tuple[str, str]]:
+        """Types and their md5sums."""
+        return sorted({(info.type, info.md5sum) for info in self.infos})
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,13 +92,45 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_topics(parser)
     add_origin_options(parser)
     form = parser.add_mutually_exclusive_group()
-    form.add_argument("-y", "--yaml", action="store_true", help="print YAML")
+    form.add_argument("-y", "--yaml", action="store_true", help="print information in YAML format")
     add_json_option(form)
+    text = "print only the information on this key, with -y or --json"
+    parser.add_argument("-k", "--key", metavar="KEY", help=text)
+    text = "print the mean rate of each topic, Hz"
+    parser.add_argument("--freq", action="store_true", help=text)
     add_store_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Print the description."""
+    if options.key is not None and not (options.yaml or options.json):
+        options.parser.error("-k goes with -y or --json")
+    found = _find(options)
+    if options.yaml or options.json:
+        answer = _chosen(_answer(found, options.freq), options.key)
+        (_print_yaml if options.yaml else print_json)(answer)
+        return 0
+    _print_summary(found)
+    if found.infos:
+        print()
+        _print_topics(found.infos, options.freq)
+    if found.losses:
+        print()
+        columns = ("lost of topic", "node", "run", "messages", "from", "to", "why")
+        rows = list(_loss_rows(found.losses, found.runs))
+        print(format_table(columns, rows, right=("messages",)))
+    if found.runs and not options.topics:
+        print()
+        rows = [_run_row(run) for run in found.runs[-_RUNS_SHOWN:]]
+        columns = ("run", "kind", "node", "started", "state", "messages", "lost")
+        print(format_table(columns, rows, right=("messages", "lost")))
+        if len(found.runs) > _RUNS_SHOWN:
+            print(f"… and {len(found.runs) - _RUNS_SHOWN} earlier ones")
+    return 0
+
+
+def _find(options: argparse.Namespace) -> _Found:
+    hosts, port = store_place(options)
     with open_store(options) as ros_cas:
         asked = {"nodeID": options.node_id, "run": options.run}
         topics = stored_topics(ros_cas, options)
@@ -55,49 +139,54 @@ def run(options: argparse.Namespace) -> int:
         runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
     if options.run:
         runs = [run for run in runs if options.run in (run.name, str(run.writer))]
-    if options.yaml or options.json:
-        answer = _answer(options, infos, losses, runs)
-        (_print_yaml if options.yaml else print_json)(answer)
-        return 0
-    total = sum(info.count for info in infos)
-    size = sum(info.bytes for info in infos)
-    names = {info.topic for info in infos}
-    hosts, port = store_place(options)
-    print(f"keyspace:  {options.keyspace} at {','.join(hosts)}:{port}")
-    print(f"messages:  {total} of {len(names)} topics, {format_bytes(size)}")
-    if infos:
-        print()
-        with_keys = any(info.key != "time" for info in infos)
-        header = (*_HEADER, "key") if with_keys else _HEADER
-        lines = [_topic_row(info)[: len(header)] for info in infos]
-        print(format_table(header, lines, right=_RIGHT))
-    if losses:
-        print()
-        columns = ("lost of topic", "node", "run", "messages", "from", "to", "why")
-        print(format_table(columns, list(_loss_rows(losses, runs)), right=("messages",)))
-    if runs and not options.topics:
-        print()
-        rows = [_run_row(run) for run in runs[-_RUNS_SHOWN:]]
-        columns = ("run", "kind", "node", "started", "state", "messages", "lost")
-        print(format_table(columns, rows, right=("messages", "lost")))
-        if len(runs) > _RUNS_SHOWN:
-            print(f"… and {len(runs) - _RUNS_SHOWN} earlier ones")
-    return 0
+    return _Found(f"{','.join(hosts)}:{port}", options.keyspace, infos, losses, runs)
 
 
-def _topic_row(info: TopicInfo) -> tuple[str, ...]:
-    return (
-        shown(info.topic),
-        info.type,
-        info.format,
-        shown(info.node) or "-",
-        str(info.count),
-        format_bytes(info.bytes),
-        format_time(info.first_ns),
-        format_time(info.last_ns),
-        "-" if info.key in NAMED_FORMATS else format_length(info.bucket_ns),
-        info.key,
-    )
+def _print_summary(found: _Found) -> None:
+    names, ends = {info.topic for info in found.infos}, found.ends
+    print(f"keyspace:  {found.keyspace} at {found.place}")
+    if ends is not None:
+        print(f"duration:  {format_duration(ends[1] - ends[0])}")
+        for name, ns in zip(("start", "end"), ends):
+            print(f"{name + ':':<10} {iso_time(ns)} ({ns // SECOND_NS}.{ns % SECOND_NS:09d})")
+    print(f"size:      {format_bytes(found.bytes)}")
+    print(f"messages:  {found.messages} of {len(names)} topics")
+    width = max((len(name) for name, _ in found.types), default=0)
+    for number, (name, md5sum) in enumerate(found.types):
+        print(f"{'' if number else 'types:':<10} {name:<{width}} [{md5sum}]")
+
+
+def _print_topics(infos: list[TopicInfo], with_rates: bool) -> None:
+    header = list(_HEADER)
+    if with_rates:
+        header.insert(header.index("size"), "rate")
+    if any(info.key != "time" for info in infos):
+        header.append("key")
+    rows = [_topic_row(info) for info in infos]
+    print(format_table(header, [[row[name] for name in header] for row in rows], right=_RIGHT))
+
+
+def _rate(info: TopicInfo) -> float | None:
+    """Return the mean rate in Hz; None where there is only one message, or one time."""
+    span_ns = (info.last_ns or 0) - (info.first_ns or 0)
+    return (info.count - 1) * SECOND_NS / span_ns if span_ns else None
+
+
+def _topic_row(info: TopicInfo) -> dict[str, str]:
+    rate = _rate(info)
+    return {
+        "topic": shown(info.topic),
+        "type": info.type,
+        "format": info.format,
+        "node": shown(info.node) or "-",
+        "messages": str(info.count),
+        "rate": "-" if rate is None else f"{rate:.1f} Hz",
+        "size": format_bytes(info.bytes),
+        "first": "-" if info.first_ns is None else iso_time(info.first_ns),
+        "last": "-" if info.last_ns is None else iso_time(info.last_ns),
+        "bucket": "-" if info.key in NAMED_FORMATS else format_length(info.bucket_ns),
+        "key": info.key,
+    }
 
 
 def _run_row(run: Run) -> tuple[str, ...]:
@@ -132,21 +221,56 @@ def _loss_rows(losses: list[Loss], runs: list[Run]) -> Iterator[tuple[str, ...]]
         )
 
 
-def _answer(
-    options: argparse.Namespace, infos: list[TopicInfo], losses: list[Loss], runs: list[Run]
-) -> dict[str, object]:
+def _answer(found: _Found, with_rates: bool) -> dict[str, object]:
+    start_ns, end_ns = found.ends or (None, None)
+    times: dict[str, object] = {}
+    if start_ns is not None and end_ns is not None:
+        times = {
+            "duration": (end_ns - start_ns) / SECOND_NS,
+            "start": start_ns / SECOND_NS,
+            "end": end_ns / SECOND_NS,
+            "start_ns": start_ns,
+            "end_ns": end_ns,
+        }
     return {
-        "keyspace": options.keyspace,
-        "topics": [asdict(info) for info in infos],
-        "losses": [{**asdict(loss), "kind": loss.kind.value} for loss in losses],
+        "keyspace": found.keyspace,
+        **times,
+        "size": found.bytes,
+        "messages": found.messages,
+        "types": [{"type": name, "md5": md5sum} for name, md5sum in found.types],
+        "topics": [_topic_answer(info, with_rates) for info in found.infos],
+        "losses": [{**asdict(loss), "kind": loss.kind.value} for loss in found.losses],
         "runs": [
             {**vars(run), **{k: dict(getattr(run, k)) for k in ("labels", "stored", "lost")}}
-            for run in runs
+            for run in found.runs
         ],
     }
+
+
+def _topic_answer(info: TopicInfo, with_rates: bool) -> dict[str, object]:
+    values = asdict(info)
+    known = {
+        "topic": values.pop("topic"),
+        "type": values.pop("type"),
+        "messages": values.pop("count"),
+        "size": values.pop("bytes"),
+    }
+    rate = {"frequency": _rate(info)} if with_rates else {}
+    return {**known, **rate, **values}
+
+
+def _chosen(answer: dict[str, object], key: str | None) -> object:
+    if key is None:
+        return answer
+    if key not in answer:
+        raise InvalidOption(f"there is no key {key!r:.80}; there are {', '.join(answer)}")
+    return answer[key]
 
 
 def _print_yaml(answer: object) -> None:
     import yaml
 
-    print(yaml.safe_dump(answer, sort_keys=False, allow_unicode=True), end="")
+    if isinstance(answer, (str, int, float)):
+        print(answer)  # PyYAML would end a document of its own
+    else:
+        print(yaml.safe_dump(answer, sort_keys=False, allow_unicode=True), end="")
