@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "cassandra_ros"
 
 # Known to all; they know only each other.
-GROUND = {"errors", "keys", "metadata", "arguments", "shown"}
+GROUND = {"errors", "keys", "metadata", "arguments", "shown", "installation"}
 
 # Layer -> the layers below it that it may use.
 BELOW = {
@@ -21,6 +21,7 @@ BELOW = {
     "metadata": {"errors", "keys"},
     "arguments": {"errors", "keys", "metadata"},
     "shown": set(),
+    "installation": set(),
     "messages": set(),
     "formats": {"messages"},
     "store": set(),

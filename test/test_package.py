@@ -107,6 +107,36 @@ def test_python_of_the_workspace_imports_library_and_services(ros_env):
     assert done.stdout.strip() == str(ROOT / ".venv")
 
 
+def test_another_python_says_what_the_scripts_say(ros_env):
+    """The system's has ROS, and not the packages of requirements.txt."""
+    program = "import cassandra_ros.srv; print('services'); from cassandra_ros import RosCassandra"
+    wrong = Path("/usr/bin/python3")
+    done = subprocess.run([wrong, "-c", program], capture_output=True, text=True, env=ros_env)
+    assert (done.returncode, done.stdout) == (1, "services\n")
+    told = done.stderr.partition("cassandra_ros.errors.MissingDependency: ")[2]
+    told = told.replace(str(ROOT / "requirements.txt"), "FILE")
+    script = subprocess.run(
+        [wrong, ROOT / "scripts" / "cassandra_bag", "list"],
+        capture_output=True,
+        text=True,
+        env=ros_env,
+    )
+    assert script.returncode == 1
+    assert f"this Python ({wrong}) lacks what cassandra_ros needs.\n" in told
+    assert (
+        told.split("this Python")[1]
+        == script.stderr.replace(str(ROOT / "requirements.txt"), "FILE").split("this Python")[1]
+    )
+    assert "make setup, then its .venv/bin/python" in told
+
+
+def test_the_package_lists_its_public_names():
+    import cassandra_ros
+
+    assert dir(cassandra_ros) == sorted(cassandra_ros.__all__)
+    assert all(getattr(cassandra_ros, name).__name__ == name for name in dir(cassandra_ros))
+
+
 def test_a_launch_file_argument_for_every_parameter():
     text = (ROOT / "config" / "query_server.yaml").read_text()
     parameters = yaml.safe_load(text)

@@ -8,6 +8,7 @@ from pkgutil import extend_path
 __path__ = extend_path(__path__, __name__)
 
 _PUBLIC = {
+    "Bag": "cassandra_ros.bag.stored_bag",
     "Cassandra": "cassandra_ros.store.connection",
     "CassandraTopic": "cassandra_ros.topics.cassandra_topic",
     "HistorySubscriber": "cassandra_ros.nodes.history_subscriber",
@@ -36,6 +37,18 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module 'cassandra_ros' has no attribute '{name}'")
     from importlib import import_module
 
-    value = getattr(import_module(_PUBLIC[name]), name)
+    try:
+        value = getattr(import_module(_PUBLIC[name]), name)
+    except ModuleNotFoundError as exc:
+        from cassandra_ros.errors import MissingDependency
+        from cassandra_ros.installation import explain_missing, is_needed
+
+        if not is_needed(exc):
+            raise
+        raise MissingDependency(explain_missing(exc)) from None
     globals()[name] = value
     return value
+
+
+def __dir__() -> list:  # type: ignore[type-arg]
+    return sorted(__all__)

@@ -10,7 +10,7 @@ import re
 import sys
 from typing import Callable, Mapping, NoReturn
 
-from cassandra_ros.cli.script import shipped_file
+from cassandra_ros.installation import shipped_file
 
 _STATUSES = """\
 exit status:

@@ -1,0 +1,435 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is stored, read and written as by class Bag of the module rosbag."""
+
+from __future__ import annotations
+
+import os
+import statistics
+from itertools import count
+from typing import (
+    AbstractSet,
+    Any,
+    Callable,
+    Iterable,
+    Iterator,
+    Mapping,
+    NamedTuple,
+    Sequence,
+    Union,
+)
+
+from cassandra_ros.arguments import check_list, check_new_topic
+from cassandra_ros.bag.summary import Summary, TopicSummary
+from cassandra_ros.errors import BagError, InvalidOption, TypeMismatch
+from cassandra_ros.keys import SECOND_NS, new_writer_id
+from cassandra_ros.messages.classes import installed_definition, serialize
+from cassandra_ros.messages.connection import Connection, live_connection
+from cassandra_ros.messages.stamps import Stamp, Time, to_ns
+from cassandra_ros.store.address import from_environment
+from cassandra_ros.store.registry import Run
+from cassandra_ros.topics.adder import now_ns
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.message_writer import Handle, MessageWriter
+from cassandra_ros.topics.objects import with_messages
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.selection import spellings
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.totals import TopicInfo
+
+MOST_STAMPS = 100_000
+"""Messages of a topic whose times tell its frequency, and publishers in one run; the first ones."""
+
+ConnectionFilter = Callable[[str, str, str, str, Mapping[str, bytes]], object]
+"""Called with topic, type, md5sum, definition and header of a connection."""
+TopicNames = Union[None, str, Iterable[str]]
+
+
+class BagMessage(NamedTuple):
+    """A message as rosbag hands it out."""
+
+    topic: str
+    message: Any
+    """The message; with raw=True (type, bytes, md5sum, position, class)."""
+    timestamp: Stamp
+    """When it was received."""
+
+
+class BagMessageWithConnectionHeader(NamedTuple):
+    """A message as rosbag hands it out with return_connection_header=True."""
+
+    topic: str
+    message: Any
+    timestamp: Stamp
+    connection_header: Mapping[str, bytes]
+
+
+class TopicTuple(NamedTuple):
+    """What get_type_and_topic_info tells of a topic."""
+
+    msg_type: str
+    message_count: int
+    connections: int
+    frequency: float | None
+    """Hz, by the median of the periods; None of a single message."""
+
+
+class TypesAndTopicsTuple(NamedTuple):
+    """What get_type_and_topic_info returns."""
+
+    msg_types: Mapping[str, str]
+    """Type -> md5sum."""
+    topics: Mapping[str, TopicTuple]
+
+
+class Bag:
+    """A run of the store as if it were a bag: what a script does with rosbag.Bag it does with this.
+
+    The times that it hands out are those of reception, in whose order messages are read. Topics
+    that are not there are passed over, as by rosbag. Not safe to share between threads.
+
+    Args:
+        f: Name of a run: an imported bag is one of the file's name, and a path is taken for that.
+            Several of one name are read as one. None = all that the keyspace holds.
+        mode: 'r' reads, 'w' writes a new run, 'a' adds to those of the name; both read, too.
+        compression, chunk_threshold, allow_unindexed, options, skip_index: Taken so that a script
+            need not change; they are about files. A store has formats instead.
+        rosCas: A RosCassandra that is connected to a keyspace; it stays the caller's. None = one of
+            its own, opened as the environment says (CASSANDRA_ROS_HOST, _PORT, _KEYSPACE; 'ros').
+        nodeID: Reading: only messages of this robot, None = of all; writing: whose they are.
+        format: Storage format of new topics, as addTopic takes it.
+
+    Raises:
+        RunNotFound: There is none of this name; the text gives the nearest.
+        BagError: Mode 'w', and there is one already: nothing is overwritten.
+        InvalidOption: The mode is none, or there is no name to write under.
+        ConnectionFailed: No store answers.
+    """
+
+    version = 200
+    """As of the bags that rosbag writes."""
+
+    def __init__(
+        self,
+        f: str | os.PathLike[str] | None = None,
+        mode: str = "r",
+        compression: str = "none",
+        chunk_threshold: int = 768 * 1024,
+        allow_unindexed: bool = False,
+        options: Mapping[str, object] | None = None,
+        skip_index: bool = False,
+        *,
+        rosCas: RosCassandra | None = None,
+        nodeID: str | None = None,
+        format: str | None = None,
+    ) -> None:
+        if mode not in ("r", "w", "a"):
+            raise InvalidOption(f"mode={mode!r:.80} is none of 'r', 'w' and 'a'")
+        if f is None and mode != "r":
+            raise InvalidOption("a run that is written needs a name: Bag('patrol', 'w')")
+        self.mode = mode
+        self._own = rosCas is None
+        self._store = rosCas or RosCassandra(keyspace=from_environment("KEYSPACE") or "ros")
+        self._node = nodeID
+        self._closed = False
+        self._writer: MessageWriter | None = None
+        self._handles: dict[object, Handle] = {}
+        self._counter = count()
+        try:
+            self.filename = str(self._store.keyspace) if f is None else os.fspath(f)
+            self._run = None if f is None else self._open(f, format)
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self, f: str | os.PathLike[str], format: str | None) -> frozenset[int]:
+        """Return the writer ids that the bag is of; begin a run where it is to be written."""
+        name = os.fspath(f)
+        found = self._find(name)
+        if self.mode == "r":
+            # Raises with the nearest names.
+            return found or self._store.parts.runs.writers(name) or found
+        if found and self.mode == "w":
+            raise BagError(
+                f"run {name} is stored already in keyspace {self._store.keyspace}, and is not "
+                "overwritten: add to it with mode 'a', choose another name, or remove it first "
+                "with deleteMessages(run=…)"
+            )
+        writer = new_writer_id()
+        run = Run(self._node or "", writer, "api", os.path.basename(name), format=format or "")
+        self._writer = self._store.messageWriter(
+            writer_id=writer, nodeID=run.node, format=format, run=run
+        )
+        return found | {writer}
+
+    def _find(self, name: str) -> frozenset[int]:
+        runs, path = self._store.parts.registry.runs(), os.path.abspath(name)
+        same = {run.writer for run in runs if run.source and os.path.abspath(run.source) == path}
+        if same:
+            return frozenset(same)
+        for each in (name, os.path.basename(name)):
+            named = {run.writer for run in runs if each and each in (run.name, str(run.writer))}
+            if named:
+                return frozenset(named)
+        return frozenset()
+
+    def read_messages(
+        self,
+        topics: TopicNames = None,
+        start_time: Time | None = None,
+        end_time: Time | None = None,
+        connection_filter: ConnectionFilter | None = None,
+        raw: bool = False,
+        return_connection_header: bool = False,
+    ) -> Iterator[BagMessage | BagMessageWithConnectionHeader]:
+        """Walk lazily through messages in the order of their reception.
+
+        Args:
+            topics: Their names, or one; None or none = all.
+            start_time, end_time: Ends, both included, as a key is; None or 0 = open.
+            connection_filter: Called with (topic, type, md5sum, definition, header) of each
+                connection; only messages of those for which it returns true are read.
+            raw: The message is (type, bytes, md5sum, position, class).
+            return_connection_header: Yield (topic, message, t, header) instead of (topic, message,
+                t).
+
+        Raises:
+            BagError: The bag is closed.
+            InvalidKey: start_time or end_time is no time.
+        """
+        self.flush()
+        ends = [None if not time else time for time in (start_time, end_time)]
+        names, passing = self._topics(topics), None
+        if connection_filter is not None:
+            names, passing = self._filtered(names, connection_filter)
+        if not names:
+            return iter(())
+        rows = self._store.readMessages(
+            [topic.name for topic in names], *ends, nodeID=self._node, run=self._run, received=True
+        )
+        return self._given(rows, passing, raw, return_connection_header)
+
+    def _given(
+        self,
+        rows: Iterator[StoredRow],
+        passing: AbstractSet[tuple[str, int]] | None,
+        raw: bool,
+        with_header: bool,
+    ) -> Iterator[BagMessage | BagMessageWithConnectionHeader]:
+        if passing is not None:
+            rows = (row for row in rows if (row.table.name, row.conn) in passing)
+        if raw:
+            pairs: Iterator[tuple[StoredRow, Any]] = ((row, _raw(row)) for row in rows)
+        else:
+            pairs = with_messages(self._store.cassandra, rows)
+        for row, message in pairs:
+            one = BagMessage(row.topic, message, Stamp.from_ns(row.received))
+            if with_header:
+                yield BagMessageWithConnectionHeader(*one, dict(row.connection.fields))
+            else:
+                yield one
+
+    def _topics(self, names: TopicNames) -> list[CassandraTopic]:
+        """Return the topics of these names, None or none = all, that are stored."""
+        every = {topic.name: topic for topic in self._store.getAllTopics()}
+        if not names:
+            return list(every.values())
+        wanted = {s for name in check_list("topics", names, "['/tf']") for s in spellings(name)}
+        return [topic for name, topic in every.items() if name in wanted]
+
+    def _filtered(
+        self, topics: Sequence[CassandraTopic], test: ConnectionFilter
+    ) -> tuple[list[CassandraTopic], set[tuple[str, int]]]:
+        """Return the topics that have connections which pass, and those: (table, number)."""
+        passing = {
+            (table, conn)
+            for table, conn, each in self._connections(topics)
+            if test(each.topic, each.type, each.md5sum, each.definition_text, dict(each.fields))
+        }
+        tables = {table for table, _ in passing}
+        return [t for t in topics if any(table.name in tables for table in t.tables)], passing
+
+    def _connections(
+        self, topics: Sequence[CassandraTopic]
+    ) -> Iterator[tuple[str, int, Connection]]:
+        tables = {table.name for topic in topics for table in topic.tables}
+        return self._store.parts.connections.of_tables(tables)
+
+    def __iter__(self) -> Iterator[BagMessage | BagMessageWithConnectionHeader]:
+        return self.read_messages()
+
+    def write(
+        self,
+        topic: str,
+        msg: Any,
+        t: Time | None = None,
+        raw: bool = False,
+        connection_header: Mapping[str, str | bytes] | None = None,
+    ) -> None:
+        """Write a message; it is acknowledged when flush or close returns.
+
+        Args:
+            topic: Its name.
+            msg: A message object; with raw (type, bytes, md5sum, class), as read_messages gives it
+                or without the position.
+            t: When it was received, as a key is; None = now.
+            raw: msg is serialised.
+            connection_header: Of the publisher; None = one is made.
+
+        Raises:
+            BagError: The bag is closed, or open for reading.
+            TypeMismatch: msg is no message.
+            InvalidKey, InvalidName, WriteFailed.
+        """
+        self._require_open()
+        if self._writer is None:
+            raise BagError(f"{self.filename} is open for reading: open it with mode 'w' or 'a'")
+        ns = now_ns(None) if t is None else to_ns(t)
+        if raw:
+            if not isinstance(msg, (tuple, list)) or len(msg) not in (4, 5):
+                raise TypeMismatch("a raw message is (type, bytes, md5sum, class)")
+            kind, wire, md5sum, cls = msg[0], bytes(msg[1]), msg[2], msg[-1]
+        else:
+            if not hasattr(type(msg), "_md5sum"):
+                raise TypeMismatch(f"{msg!r:.80} is no message: give a message object")
+            cls, wire = type(msg), serialize(msg)
+            kind, md5sum = cls._type, cls._md5sum
+        key: object = (topic, kind, md5sum)
+        if connection_header is not None:
+            key = live_connection(check_new_topic(topic), connection_header)
+        handle = self._handles.get(key)
+        if handle is None:
+            made = key if isinstance(key, Connection) else _connection(topic, kind, md5sum, cls)
+            handle = self._handles[key] = self._writer.connect(made)
+        self._writer.write(handle, ns, next(self._counter), wire)
+
+    def get_message_count(self, topic_filters: TopicNames = None) -> int:
+        """Count the messages of some topics, None = of all; by the directory."""
+        return sum(info.count for info in self._infos(topic_filters))
+
+    def _infos(self, topics: TopicNames = None) -> list[TopicInfo]:
+        self.flush()
+        names = None if topics is None else [topic.name for topic in self._topics(topics)]
+        infos = self._store.info(names, nodeID=self._node, run=self._run)
+        return [info for info in infos if info.count]
+
+    def get_type_and_topic_info(self, topic_filters: TopicNames = None) -> TypesAndTopicsTuple:
+        """Return the types of all topics, and of some or all what there is of them.
+
+        Frequency and number of connections are found by the keys of the first MOST_STAMPS messages
+        of each topic.
+        """
+        self.flush()
+        counts: dict[str, int] = {}
+        for info in self._infos():
+            counts[info.topic] = counts.get(info.topic, 0) + info.count
+        wanted = None if topic_filters is None else {t.name for t in self._topics(topic_filters)}
+        types: dict[str, str] = {}
+        topics: dict[str, TopicTuple] = {}
+        for name in sorted(counts):
+            found, times = self._first_messages(name)
+            types.update((connection.type, connection.md5sum) for connection in found)
+            if wanted is None or name in wanted:
+                hz = _frequency(times)
+                topics[name] = TopicTuple(found[0].type, counts[name], len(found), hz)
+        return TypesAndTopicsTuple(dict(sorted(types.items())), topics)
+
+    def _first_messages(self, name: str) -> tuple[list[Connection], list[int]]:
+        """Return the connections and times, ns, of the first messages of a topic."""
+        rows = self._store.getTopic(name).rows(
+            nodeID=self._node, run=self._run, limit=MOST_STAMPS, columns=lambda table: ()
+        )
+        found: dict[tuple[str, int], Connection] = {}
+        times: list[int] = []
+        for row in rows:
+            times.append(row.received)
+            if (row.table.name, row.conn) not in found:
+                found[row.table.name, row.conn] = row.connection
+        return sorted(found.values(), key=lambda each: each.number), sorted(times)
+
+    def get_start_time(self) -> float:
+        """Return when the first message was received, s since 1970; BagError: there is none."""
+        return _seconds(self._ends()[0])
+
+    def get_end_time(self) -> float:
+        """Return when the last message was received, s since 1970; BagError: there is none."""
+        return _seconds(self._ends()[1])
+
+    def _ends(self) -> tuple[int, int]:
+        times: list[int] = []
+        for info in self._infos():
+            if info.first_ns is not None and info.last_ns is not None:
+                times += [info.first_ns, info.last_ns]
+        own = [t.name for t in self._topics(None) if any(e.metadata.own_time for e in t.tables)]
+        if own:  # its key is another time: each has to be looked at
+            timed = [t.name for t in self._topics(None) if t.name not in own]
+            times = [ns for i in self._infos(timed) for ns in (i.first_ns or 0, i.last_ns or 0)]
+            rows = (self._store.getTopic(n).rows(run=self._run, nodeID=self._node) for n in own)
+            times += [row.received for each in rows for row in each]
+        if not times:
+            raise BagError(f"{self.filename} contains no message")
+        return min(times), max(times)
+
+    @property
+    def size(self) -> int:
+        """Serialised bytes of the messages."""
+        return sum(info.bytes for info in self._infos())
+
+    def flush(self) -> None:
+        """Return when all that was written is acknowledged, and found by who reads."""
+        self._require_open()
+        if self._writer is not None:
+            self._writer.flush()
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise BagError(f"{self.filename} is closed: open another Bag")
+
+    def close(self) -> None:
+        """Flush, and close the connection to the store if it is our own. Twice is harmless."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            if self._writer is not None:
+                self._writer.close()
+        finally:
+            if self._own:
+                self._store.close()
+
+    def __enter__(self) -> Bag:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        state = "closed" if self._closed else f"mode {self.mode}"
+        return f"<Bag {self.filename!r} of keyspace {self._store.keyspace}, {state}>"
+
+    def __str__(self) -> str:
+        types, topics = self.get_type_and_topic_info()
+        lines = [TopicSummary(name, *topic) for name, topic in topics.items()]
+        ends = self._ends() if topics else None
+        return Summary(self.filename, self.size, ends, types, lines).text()
+
+
+def _raw(row: StoredRow) -> tuple[object, ...]:
+    return (row.type, row.wire, row.md5sum, row.position, row.message_class())
+
+
+def _connection(topic: str, kind: str, md5sum: str, cls: Any) -> Connection:
+    """Make the connection of messages whose publisher is not given."""
+    text = getattr(cls, "_full_text", None) or installed_definition(kind).text
+    header = {"topic": topic, "type": kind, "md5sum": md5sum, "message_definition": text}
+    return live_connection(check_new_topic(topic), header)
+
+
+def _frequency(times: Sequence[int]) -> float | None:
+    periods = [later - former for former, later in zip(times, times[1:])]
+    middle = statistics.median(periods) if periods else 0
+    return SECOND_NS / middle if middle else None
+
+
+def _seconds(ns: int) -> float:
+    return Stamp.from_ns(ns).to_sec()  # type: ignore[no-any-return]

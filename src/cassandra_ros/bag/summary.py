@@ -1,0 +1,99 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The text that ``rosbag info`` prints, line for line."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Mapping, Sequence
+
+from cassandra_ros.keys import SECOND_NS
+
+
+@dataclass(frozen=True)
+class TopicSummary:
+    """What is said of a topic."""
+
+    topic: str
+    type: str
+    messages: int
+    connections: int
+    frequency: float | None
+    """Hz."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What is said of a bag."""
+
+    path: str
+    size: int
+    """Bytes."""
+    ends: tuple[int, int] | None
+    """First and last time of reception, ns."""
+    types: Mapping[str, str]
+    """Type -> md5sum."""
+    topics: Sequence[TopicSummary]
+
+    def text(self) -> str:
+        """Return the text, in local time as rosbag's."""
+        rows = [("path:", self.path), ("version:", "2.0")]
+        if self.ends is not None:
+            start, end = (ns // SECOND_NS + ns % SECOND_NS / SECOND_NS for ns in self.ends)
+            rows.append(("duration:", _duration(end - start)))
+            rows += [("start:", _moment(start)), ("end:", _moment(end))]
+        rows.append(("size:", scaled(self.size / 1024, 1024, ("KB", "MB", "GB", "TB", "PB"))))
+        rows.append(("messages:", str(sum(topic.messages for topic in self.topics))))
+        rows += _headed("types:", self._types())
+        rows += _headed("topics:", self._topics())
+        width = max(len(head) for head, _ in rows)
+        return "\n".join(f"{head:<{width}} {value}" for head, value in rows).rstrip()
+
+    def _types(self) -> list[str]:
+        width = max(map(len, self.types), default=0)
+        return [f"{name:<{width}} [{md5sum}]" for name, md5sum in self.types.items()]
+
+    def _topics(self) -> list[str]:
+        rates = [
+            "" if topic.frequency is None else scaled(topic.frequency, 1000, ("Hz", "kHz", "MHz"))
+            for topic in self.topics
+        ]
+        name = max((len(topic.topic) for topic in self.topics), default=0)
+        kind = max((len(topic.type) for topic in self.topics), default=0)
+        number = max((len(str(topic.messages)) for topic in self.topics), default=0)
+        rate = max(map(len, rates), default=0)
+        return [
+            f"{t.topic:<{name}}   {t.messages:>{number}} {'msgs' if t.messages > 1 else 'msg '}"
+            f" {'@' if hz else ' '} {hz:>{rate}} : {t.type:<{kind}}"
+            + (f" ({t.connections} connections)" if t.connections > 1 else "")
+            for t, hz in zip(self.topics, rates)
+        ]
+
+
+def _headed(head: str, lines: Sequence[str]) -> list[tuple[str, str]]:
+    return [(head if n == 0 else "", line) for n, line in enumerate(lines)]
+
+
+def scaled(value: float, step: int, units: Sequence[str]) -> str:
+    """Write a number with the first unit in which it is below the step, or the last."""
+    for unit in units[:-1]:
+        if value < step:
+            return f"{value:.1f} {unit}"
+        value /= step
+    return f"{value:.1f} {units[-1]}"
+
+
+def _duration(seconds: float) -> str:
+    minutes = int(seconds / 60)
+    if not minutes:
+        return f"{seconds:.1f}s"
+    clock = f"{minutes}:{int(seconds % 60):02d}s"
+    if minutes >= 60:
+        clock = f"{minutes // 60}hr {minutes % 60}:{int(seconds % 60):02d}s"
+    return f"{clock} ({int(seconds)}s)"
+
+
+def _moment(seconds: float) -> str:
+    day = time.strftime("%b %d %Y %H:%M:%S", time.localtime(seconds))
+    return f"{day}{f'{seconds % 1:.2f}'[1:]} ({seconds:.2f})"

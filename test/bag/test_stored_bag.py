@@ -1,0 +1,290 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Class Bag beside rosbag's: the same assertions hold for both."""
+
+from __future__ import annotations
+
+from io import BytesIO
+
+import genpy
+import pytest
+import rosbag
+import rospy
+from bag.truth import STRING_MD5, string_connection, string_wire
+from geometry_msgs.msg import Twist
+from std_msgs.msg import Header, String
+
+import cassandra_ros
+from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.bag.summary import Summary, TopicSummary
+from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.errors import BagError, InvalidKey, InvalidOption, RunNotFound, TypeMismatch
+from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.stamps import Stamp
+
+SEC = 10**9
+T0 = 1_368_021_980 * SEC
+CALLERS = ("/alice", "/bob")
+WORDS = [(T0 + n * SEC // 10, CALLERS[n % 2], f"word {n}") for n in range(20)]
+TWISTS = [(T0 + 1 + n * SEC // 2, n / 4) for n in range(4)]
+
+
+def twist(x):
+    msg = Twist()
+    msg.linear.x = x
+    return msg
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    """A bag: words of two publishers, twists, and one header."""
+    path = tmp_path_factory.mktemp("bags") / "walk.bag"
+    header = {"topic": "/cmd_vel", "type": "geometry_msgs/Twist", "md5sum": Twist._md5sum}
+    header["message_definition"] = Twist._full_text
+    with BagWriter(path, "none") as writer:
+        numbers = {
+            caller: writer.connection(string_connection("/chatter", callerid=caller), n)
+            for n, caller in enumerate(CALLERS)
+        }
+        velocity = writer.connection(live_connection("/cmd_vel", header), 2)
+        messages = [(t, numbers[caller], string_wire(text)) for t, caller, text in WORDS]
+        for t, x in TWISTS:
+            messages.append((t, velocity, twist_wire(x)))
+        for t, number, wire in sorted(messages):
+            writer.write(number, t, wire)
+    return path
+
+
+def twist_wire(x):
+    buffer = BytesIO()
+    twist(x).serialize(buffer)
+    return buffer.getvalue()
+
+
+@pytest.fixture(scope="module")
+def store(fresh, path):
+    """The bag as a run, one topic packed, and beside it a message that is not of the run."""
+    with fresh() as store:
+        store.addTopic("/cmd_vel", "packed")
+        other = store.addTopic("/chatter", msg_type="std_msgs/String")
+        other.addData(String(data="of another run"), key=T0 + 5)
+        import_bag(store, path)
+        yield store
+
+
+@pytest.fixture(params=["rosbag", "store"])
+def bag(request, path, store):
+    opened = (
+        rosbag.Bag(str(path))
+        if request.param == "rosbag"
+        else cassandra_ros.Bag(str(path), rosCas=store)
+    )
+    with opened as bag:
+        yield bag
+
+
+def times(messages):
+    return [t.to_nsec() for _, _, t in messages]
+
+
+def test_all_messages_in_order(bag):
+    read = [(topic, t.to_nsec()) for topic, msg, t in bag]
+    expected = [("/chatter", t) for t, _, _ in WORDS] + [("/cmd_vel", t) for t, _ in TWISTS]
+    assert read == sorted(expected, key=lambda each: each[1])
+    first = next(bag.read_messages())
+    assert first.topic == "/chatter"
+    assert (first.message.data, first.message._type) == ("word 0", "std_msgs/String")
+    assert first.timestamp == rospy.Time(T0 // SEC)
+    assert first._fields == ("topic", "message", "timestamp")
+    assert (rospy.Time(T0 // SEC + 3) - first.timestamp).to_sec() == 3.0
+    assert first.timestamp.to_sec() == T0 / SEC
+
+
+def test_topics(bag):
+    assert len(list(bag.read_messages("/cmd_vel"))) == 4
+    assert len(list(bag.read_messages(["/cmd_vel"]))) == 4
+    assert len(list(bag.read_messages(topics=["/cmd_vel", "/chatter"]))) == 24
+    assert len(list(bag.read_messages(topics=[]))) == 24
+    assert list(bag.read_messages(topics=["/none"])) == []
+    assert [m.linear.x for _, m, _ in bag.read_messages("/cmd_vel")] == [x for _, x in TWISTS]
+
+
+def test_a_stretch_of_time(bag):
+    start, end = rospy.Time(T0 // SEC, SEC // 10), genpy.Time(T0 // SEC, SEC // 2)
+    found = times(bag.read_messages("/chatter", start, end))
+    assert found == [t for t, _, _ in WORDS[1:6]]
+    assert times(bag.read_messages("/chatter", start_time=end)) == [t for t, _, _ in WORDS[5:]]
+    assert times(bag.read_messages("/cmd_vel", end_time=start)) == [TWISTS[0][0]]
+    assert list(bag.read_messages(end_time=genpy.Time(5))) == []
+
+
+def test_connections(bag):
+    asked = []
+
+    def of_bob(topic, datatype, md5sum, msg_def, header):
+        asked.append((topic, datatype, md5sum))
+        assert header["topic"] == topic.encode()
+        assert "data" in msg_def or datatype != "std_msgs/String"
+        return header.get("callerid") == b"/bob"
+
+    words = [m.data for _, m, _ in bag.read_messages(connection_filter=of_bob)]
+    assert words == [text for _, caller, text in WORDS if caller == "/bob"]
+    assert ("/chatter", "std_msgs/String", STRING_MD5) in asked
+    assert list(bag.read_messages(connection_filter=lambda *facts: False)) == []
+    for *_, header in bag.read_messages("/chatter", return_connection_header=True):
+        assert header["callerid"] in (b"/alice", b"/bob")
+    one = next(bag.read_messages(return_connection_header=True))
+    assert (one.topic, one.connection_header["callerid"]) == ("/chatter", b"/alice")
+
+
+def test_raw(bag):
+    topic, raw, t = next(bag.read_messages("/cmd_vel", raw=True))
+    datatype, data, md5sum, _, pytype = raw
+    assert (topic, datatype, md5sum) == ("/cmd_vel", "geometry_msgs/Twist", Twist._md5sum)
+    assert (data, t.to_nsec()) == (twist_wire(0), TWISTS[0][0])
+    assert pytype().deserialize(data).linear.x == 0
+
+
+def test_counts(bag):
+    assert bag.get_message_count() == 24
+    assert bag.get_message_count("/chatter") == bag.get_message_count(["/chatter"]) == 20
+    assert bag.get_message_count(topic_filters=["/chatter", "/cmd_vel"]) == 24
+    assert bag.get_message_count("/none") == 0
+
+
+def test_types_and_topics(bag):
+    types, topics = bag.get_type_and_topic_info()
+    assert types == {"std_msgs/String": STRING_MD5, "geometry_msgs/Twist": Twist._md5sum}
+    assert list(topics) == ["/chatter", "/cmd_vel"]
+    chatter = topics["/chatter"]
+    assert (chatter.msg_type, chatter.message_count) == ("std_msgs/String", 20)
+    assert (chatter.connections, round(chatter.frequency, 3)) == (2, 10.0)
+    info = bag.get_type_and_topic_info(topic_filters="/cmd_vel")
+    assert list(info.topics) == ["/cmd_vel"]
+    assert tuple(info.topics["/cmd_vel"])[:3] == ("geometry_msgs/Twist", 4, 1)
+    assert info.msg_types == types
+
+
+def test_times_names_and_text(bag, path):
+    assert bag.get_start_time() == T0 / SEC
+    assert bag.get_end_time() == pytest.approx((WORDS[-1][0]) / SEC, abs=1e-6)
+    assert (bag.filename, bag.mode, bag.version) == (str(path), "r", 200)
+    assert bag.size > 0
+    lines = [line.split() for line in str(bag).splitlines()]
+    alike = [line for line in lines if line[0] not in ("size:", "compression:")]
+    with rosbag.Bag(str(path)) as truth:
+        others = [line.split() for line in str(truth).splitlines()]
+    assert alike == [line for line in others if line[0] not in ("size:", "compression:")]
+
+
+def test_closed(bag):
+    bag.close()
+    bag.close()
+    with pytest.raises(ValueError, match="closed"):
+        bag.read_messages()
+    with pytest.raises(ValueError, match="closed"):
+        bag.write("/a", String())
+
+
+@pytest.mark.parametrize("kind", ["rosbag", "store"])
+def test_writing(kind, store, tmp_path):
+    name = str(tmp_path / f"written_{kind}.bag")
+
+    def opened(mode):
+        if kind == "rosbag":
+            return rosbag.Bag(name, mode)
+        return cassandra_ros.Bag(name, mode, rosCas=store)
+
+    with opened("w") as bag:
+        bag.write("/out", String(data="one"), rospy.Time(5, 6))
+        bag.write("/out", String(data="two"), t=genpy.Time(7, 8))
+        (_, raw, t) = next(bag.read_messages(raw=True))
+        bag.write("/copy", raw, t, raw=True)
+        header = {"topic": "/known", "type": raw[0], "md5sum": raw[2], "callerid": "/me"}
+        header["message_definition"] = String._full_text
+        bag.write("/known", String(data="x"), t, connection_header=header)
+        bag.write("/now", Header())
+        bag.flush()
+        assert bag.get_message_count() == 5
+        # rosbag gives messages twice that were read while it was writing.
+        if kind == "store":
+            assert [m.data for _, m, _ in bag.read_messages("/out")] == ["one", "two"]
+    with opened("a") as bag:
+        bag.write("/out", String(data="three"), genpy.Time(6))
+    with opened("r") as bag:
+        assert [m.data for _, m, _ in bag.read_messages("/out")] == ["one", "three", "two"]
+        ((_, copied, t),) = bag.read_messages("/copy")
+        assert (copied.data, t.to_nsec()) == ("one", 5 * SEC + 6)
+        ((_, _, _, known),) = bag.read_messages("/known", return_connection_header=True)
+        assert known["callerid"] in (b"/me", "/me")
+        assert bag.get_start_time() == 5.000000006
+        assert (bag.get_message_count(), bag.mode) == (6, "r")
+        with pytest.raises((ValueError, OSError)):
+            bag.write("/out", String())
+
+
+def test_a_run_is_found_by_name_and_path_and_without_one_all_is_read(store, path):
+    for name in ("walk.bag", path, f"/elsewhere/{path.name}"):
+        with cassandra_ros.Bag(name, rosCas=store) as bag:
+            assert bag.get_message_count() == 24, name
+            assert repr(bag) == f"<Bag {str(name)!r} of keyspace {store.keyspace}, mode r>"
+    with cassandra_ros.Bag(rosCas=store) as bag:
+        assert "of another run" in [m.data for _, m, _ in bag.read_messages("/chatter")]
+        assert bag.filename == store.keyspace
+    with pytest.raises(RunNotFound, match=r"no run 'wolk.bag' .* did you mean walk.bag"):
+        cassandra_ros.Bag("wolk.bag", rosCas=store)
+    with pytest.raises(BagError, match="is not overwritten: add to it with mode 'a'"):
+        cassandra_ros.Bag("walk.bag", "w", rosCas=store)
+    assert store.getTopic("/chatter").countTopicData(run="walk.bag") == 20
+    for wrong in ({"mode": "rb"}, {"mode": "w"}):
+        with pytest.raises(InvalidOption):
+            cassandra_ros.Bag(rosCas=store, **wrong)
+
+
+def test_by_the_environment(store, path, cassandra, monkeypatch):
+    monkeypatch.setenv("CASSANDRA_ROS_HOST", cassandra.host)
+    monkeypatch.setenv("CASSANDRA_ROS_PORT", str(cassandra.port))
+    monkeypatch.setenv("CASSANDRA_ROS_KEYSPACE", store.keyspace)
+    with cassandra_ros.Bag(path) as bag:
+        times = [t for _, _, t in bag.read_messages("/cmd_vel")]
+    assert times == [Stamp.from_ns(t) for t, _ in TWISTS]
+    with pytest.raises(BagError, match="is closed"):
+        iter(bag)
+
+
+def test_what_cannot_be_written(store):
+    with cassandra_ros.Bag("refused", "w", rosCas=store) as bag:
+        for wrong in (5, None, String):
+            with pytest.raises(TypeMismatch):
+                bag.write("/a", wrong)
+        with pytest.raises(TypeMismatch, match="a raw message is"):
+            bag.write("/a", ("std_msgs/String", b""), raw=True)
+        with pytest.raises(InvalidKey):
+            bag.write("/a", String(), "soon")
+        with pytest.raises(BagError, match="contains no message"):
+            bag.get_start_time()
+        assert str(bag).splitlines()[-1].split() == ["messages:", "0"]
+
+
+def test_where_the_key_is_another_time_reception_counts(store):
+    store.addTopic("/stamped", msg_type="std_msgs/Header", key_format="msg_part", key_part="stamp")
+    with cassandra_ros.Bag("stamped", "w", rosCas=store) as bag:
+        for n, t in enumerate((90, 50, 70)):
+            bag.write("/stamped", Header(stamp=genpy.Time(t)), genpy.Time(100 + n))
+        bag.flush()
+        assert times(bag) == [(100 + n) * SEC for n in range(3)]
+        assert [m.stamp.secs for _, m, _ in bag] == [90, 50, 70]
+        assert (bag.get_start_time(), bag.get_end_time()) == (100, 102)
+        assert bag.get_type_and_topic_info().topics["/stamped"].frequency == 1.0
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0, "0.0s"), (59.94, "59.9s"), (61, "1:01s (61s)"), (3723, "1hr 2:03s (3723s)")],
+)
+def test_durations_read_as_those_of_rosbag(seconds, text):
+    lines = [TopicSummary("/a", "std_msgs/String", 1, 1, None)]
+    ends = (T0, T0 + int(seconds * SEC))
+    summary = Summary("x", 5 * 2**20, ends, {"std_msgs/String": STRING_MD5}, lines).text()
+    assert f"duration: {text}\n" in summary.replace("  ", " ").replace(":  ", ": ")
+    assert "5.0 MB" in summary
