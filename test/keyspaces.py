@@ -19,6 +19,7 @@ KEYS = {
     "cr_run": ("writer",),
     "cr_loss": ("topic",),
     "cr_context": ("writer",),
+    "cr_sent": ("writer", "node"),
     "cr_lock": ("name",),
 }
 """Partition keys of the side tables."""

@@ -13,6 +13,10 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_ros1.decoder import DecoderFactory
 
+from cassandra_ros.bag.identity import read_content
+from cassandra_ros.bag.opening import open_file
+from cassandra_ros.store.sent_times import SentTimes
+
 TOPICS = ("/fix", "/imu/data", "/husky/cmd_vel")
 
 
@@ -84,6 +88,55 @@ def test_what_is_none_of_ros_1_is_told(call, tmp_path):
     status, _, err = call("import", write(tmp_path / "j.mcap", {"/j": JSON}))
     assert (status, err.count("\n")) == (1, 1)
     assert "holds no messages of ROS 1: of topic /j" in err
+
+
+def read(path):
+    """Return all that the mcap package says of the messages of a file."""
+    with open(path, "rb") as file:
+        return [
+            (m.log_time, m.publish_time, m.sequence, c.topic, m.data)
+            for _, c, m in make_reader(file).iter_messages()
+        ]
+
+
+def test_when_messages_were_sent_comes_back(call, rosCas, tmp_path):
+    """publish_time and sequence, of more messages than lie in one row."""
+    path, out = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    with open(path, "wb") as file:
+        writer = Writer(file, chunk_size=40_000)
+        writer.start("ros1")
+        schema = writer.register_schema("std_msgs/String", "ros1msg", b"string data\n")
+        ids = [writer.register_channel(topic, "ros1", schema) for topic in ("/a", "/b")]
+        for n in range(4200):
+            sent = 10**9 * n if n < 100 else 10**9 * n - n % 7 * 1000 + 3 * (n == 4199)
+            data = string_wire(str(n))
+            writer.add_message(ids[n % 2], 10**9 * n, data, sent, n // 2 if n > 50 else 0)
+        writer.finish()
+    expected = read(path)
+    for _ in range(2):  # once more changes nothing
+        assert call("import", path, "-q", "--format", "packed") == (0, "", "")
+    assert call("verify", path)[0] == 0
+    assert call("export", out)[0] == 0
+    assert read(out) == expected
+    late = ("--topics", "/b", "--start", "4150", "--no-latched")
+    assert call("export", out, "-f", *late)[0] == 0
+    assert read(out) == [m for m in expected if m[0] >= 4150 * 10**9 and m[3] == "/b"]
+    # A bag of the same messages does not say when they were sent, and so is another one.
+    assert call("export", tmp_path / "a.bag")[0] == 0
+    assert [m.data for m in read_with_rosbag(tmp_path / "a.bag")[1]] == [m[-1] for m in expected]
+    with open_file(path) as mcap, open_file(tmp_path / "a.bag") as bag:
+        assert read_content(mcap).digest != read_content(bag).digest
+    (run,) = rosCas.runs()
+    sent = SentTimes(rosCas.parts.side_tables)
+    kept = sent.get(run.writer, "", 1)
+    kept.delays[3] += 1
+    kept.sequences[5] += 1
+    sent.put(run.writer, "", 1, kept)
+    status, text, _ = call("verify", path)
+    assert (status, "publish_time or sequence of 2 messages" in text) == (1, True)
+    assert call("import", path, "-q")[0] == call("verify", path)[0] == 0
+    assert call("delete", "--run", run.name, "--yes", "-q")[0] == 0
+    assert sent.get(run.writer, "", 1) is None
 
 
 @pytest.mark.parametrize("kind", ["folder", "db3", "mcap"])

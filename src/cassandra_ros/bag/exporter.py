@@ -12,6 +12,7 @@ from typing import Iterable, Sequence
 from cassandra_ros.bag.file_writer import FileWriter
 from cassandra_ros.bag.message_file import Progress
 from cassandra_ros.bag.opening import make_file
+from cassandra_ros.bag.sent import SentFinder
 from cassandra_ros.errors import BagError, MessageNotFound
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection import Connection
@@ -65,7 +66,8 @@ def export_bag(
 
     The messages are written in the order in which they were received. Connections keep topic,
     header and number, so rosbag gives back the messages of an imported bag in their order: by
-    time, connection, position. In an MCAP they are the channels.
+    time, connection, position. In an MCAP they are the channels; publish_time and sequence are
+    those of the MCAP from which a message came, else log_time and 0.
 
     Args:
         path: The file to make, an MCAP where it ends with .mcap, else a bag; it has the name
@@ -108,11 +110,13 @@ def export_bag(
     report = ExportReport(os.fspath(path))
     with make_file(path, compression) as writer:
         numbers = ConnectionNumbers(writer)
+        sent = SentFinder(ros_cas) if writer.keeps_sent else None
         early = ((numbers.latched(row), low, row) for row in before)
         for number, t_ns, row in chain(early, ((numbers.of(r), r.received, r) for r in rows)):
-            wire = row.wire
-            writer.write(number, t_ns, wire)
-            report.add(row.topic, len(wire), early=t_ns != row.received)
+            wire, before_start = row.wire, t_ns != row.received
+            told = sent.of(row) if sent is not None and not before_start else (0, 0)
+            writer.write(number, t_ns, wire, *told)
+            report.add(row.topic, len(wire), early=before_start)
             if progress is not None:
                 progress(1, len(wire))
         if not report.messages and not empty:

@@ -31,6 +31,9 @@ class FileWriter(ABC):
         BagError: The file cannot be made.
     """
 
+    keeps_sent = False
+    """Whether write keeps delay_ns and sequence."""
+
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = os.fspath(path)
         self._active = self.path + ".active"

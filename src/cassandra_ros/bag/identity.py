@@ -19,7 +19,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from cassandra_ros.bag.chunk import Places
-from cassandra_ros.bag.message_file import MessageFile, Progress
+from cassandra_ros.bag.message_file import MessageFile, Progress, SentTimes
 from cassandra_ros.errors import BagError
 from cassandra_ros.keys import MAX_WRITER
 from cassandra_ros.store.registry import Run
@@ -72,6 +72,7 @@ def read_content(reader: MessageFile, reading: Progress | None = None) -> BagCon
     digest, rank = _begin(b"cassandra_ros bag 2", reader)
     sizes, latest = dict.fromkeys(rank, 0), dict.fromkeys(rank, 0)
     unordered: set[int] = set()
+    sent = hashlib.sha256()
     with ThreadPoolExecutor(1) as hashing:  # one chunk is hashed while the next one is read
         hashed = hashing.submit(_update, digest, [])
         for chunk in range(reader.chunk_count):
@@ -80,13 +81,24 @@ def read_content(reader: MessageFile, reading: Progress | None = None) -> BagCon
                 content, places = reader.chunk_content(chunk)
                 parts = _parts(content, places, rank)
                 _add_times(places, reader.chunk_times(chunk), latest, unordered)
+                sent.update(_sent(reader.chunk_sent(chunk)))
             hashed.result()
             hashed = hashing.submit(_update, digest, parts)
             for number in np.unique(places.ids).tolist():
                 sizes[number] += int(places.sizes[places.ids == number].sum())
             if reading is not None:
                 reading(len(places.ids), int(places.sizes.sum()))
+    if reader.tells_sent:
+        digest.update(sent.digest())
     return BagContent(digest.hexdigest(), sizes, unordered)
+
+
+def _sent(told: SentTimes | None) -> bytes:
+    """Return what is hashed of when messages were sent: of those of which there is something."""
+    if told is None:
+        return b""
+    rows = np.stack([np.arange(len(told.delays)) + told.first, told.delays, told.sequences], 1)
+    return bytes(rows[(rows[:, 1:] != 0).any(axis=1)].astype("<i8"))
 
 
 def _update(digest: hashlib._Hash, parts: Iterable[_Part]) -> None:

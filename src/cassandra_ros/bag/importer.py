@@ -18,6 +18,7 @@ from cassandra_ros.bag.jobs import MAX_JOBS, run_parts, spans_of_jobs
 from cassandra_ros.bag.message_file import MessageFile, Progress, chosen_connections
 from cassandra_ros.bag.opening import open_file
 from cassandra_ros.bag.salvage import Salvaged
+from cassandra_ros.bag.sent import store_sent
 from cassandra_ros.bag.verify import holds_nothing_else
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
@@ -89,6 +90,7 @@ def import_bag(
     that is repeated, or was interrupted and is started again, ends in the same rows. What it had
     stored in a topic that was converted to packed since, or removed meanwhile, is removed before it
     is stored anew.
+    Of an MCAP publish_time and sequence of each message are stored, too, and come back in an MCAP.
     Memory does not depend on the size of the bag (see BagReader for its share).
 
     Args:
@@ -135,6 +137,7 @@ def import_bag(
             }
             _name_topics(handles, report)
             _remove_other_blocks(ros_cas, handles, run)
+            store_sent(ros_cas, reader, run)
             task = partial(Part, reader.path, salvage, formats, lengths, writer_id, nodeID, store)
             parts = list(map(task, spans_of_jobs(reader, handles, content, jobs)))
             if not _write_parts(reader, writer, handles, report, progress, parts):

@@ -20,7 +20,7 @@ from cassandra_ros.bag.chunk import Places
 from cassandra_ros.bag.index import ChunkInfo
 from cassandra_ros.bag.mcap_channel import to_connection, why_foreign
 from cassandra_ros.bag.mcap_format import ChunkHead, Messages, Record
-from cassandra_ros.bag.message_file import MessageFile, Sent
+from cassandra_ros.bag.message_file import MessageFile, SentTimes
 from cassandra_ros.bag.rosbag2 import refusal
 from cassandra_ros.errors import BagError
 from cassandra_ros.messages.connection import Connection
@@ -115,12 +115,13 @@ class McapReader(MessageFile):
         ids = np.array([self._numbers[c] for c in found.channels.tolist()], np.int64)
         return content, Places(ids, found.times, found.starts, found.stops)
 
-    def chunk_sent(self, chunk: int) -> Sent | None:
+    def chunk_sent(self, chunk: int) -> SentTimes | None:
         """Tell when the messages of a chunk were sent, see MessageFile."""
         _, found = self._messages(chunk)
         if not (found.sent.any() or found.sequences.any()):
             return None
-        return Sent(self._first[chunk], found.sent, found.sequences)
+        self.tells_sent = True
+        return SentTimes(self._first[chunk], found.sent, found.sequences)
 
     def _messages(self, chunk: int) -> tuple[bytes, Messages]:
         """Read the messages of ROS 1 of a chunk."""

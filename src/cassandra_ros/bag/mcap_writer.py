@@ -47,6 +47,8 @@ class McapWriter(FileWriter):
         BagError: The compression is unknown, or the file cannot be made.
     """
 
+    keeps_sent = True
+
     def __init__(
         self,
         path: str | os.PathLike[str],

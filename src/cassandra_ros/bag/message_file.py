@@ -52,8 +52,8 @@ class Stretch(NamedTuple):
     wires: list[bytes]
 
 
-class Sent(NamedTuple):
-    """What an MCAP says of consecutive messages beside what the store keeps of each."""
+class SentTimes(NamedTuple):
+    """What an MCAP says of consecutive messages beside what a row of the store holds of each."""
 
     first: int
     """Position of the first of them."""
@@ -75,9 +75,11 @@ class MessageFile(ABC):
         left_out: By topic the number of messages that are not of ROS 1, and what they are; they
             are in none of the above.
         extras: What else the file holds, in words, and how many of each.
+        tells_sent: Whether chunk_sent has told something of a chunk so far.
     """
 
     salvaged = Salvaged()
+    tells_sent = False
     """Of a file that was opened to salvage it: what was damaged, and what can be read."""
     path: str
     connections: dict[int, Connection]
@@ -117,7 +119,7 @@ class MessageFile(ABC):
         are no part of one.
         """
 
-    def chunk_sent(self, chunk: int) -> Sent | None:
+    def chunk_sent(self, chunk: int) -> SentTimes | None:
         """Tell when the messages of a chunk were sent, and as which of their publisher's.
 
         None: the file does not say, or nothing but that each was sent when it was received.

@@ -14,6 +14,7 @@ from typing import AbstractSet, Iterable, Iterator, Mapping, NamedTuple
 from cassandra_ros.bag.identity import earlier_writer_id, is_earlier, read_content
 from cassandra_ros.bag.message_file import MessageFile, Progress, chosen_connections, read_in_order
 from cassandra_ros.bag.opening import open_file
+from cassandra_ros.bag.sent import count_differing
 from cassandra_ros.errors import CorruptMessage, InvalidKey
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection import Connection
@@ -84,7 +85,8 @@ def verify_bag(
     (header byte for byte), in the same order. Where the store holds rows of an import of this
     very bag only those are compared, so that a keyspace may hold other bags and recordings on
     the same topics; else all rows of the bag's topics are. Then messages that an export marked as
-    latched before its window are left out: the store holds them at another time.
+    latched before its window are left out: the store holds them at another time. Of the import of
+    an MCAP also publish_time and sequence are compared.
 
     Args:
         topics: Only these; None = all of the bag.
@@ -122,6 +124,9 @@ def verify_bag(
             numbers -= gone
         comparison = _by_place(ros_cas, reader, stored, found, nodeID, report, writers)
         _compare(reader, numbers, dict.fromkeys(stored, comparison), progress)
+        late = count_differing(ros_cas, reader, found) if found is not None else 0
+        if late:
+            report.add(f"publish_time or sequence of {late} messages are stored otherwise", late)
     return report
 
 

@@ -228,7 +228,7 @@ class Registry:
         if self._tables.has("cr_loss"):
             losses = [(topic, node, writer) for topic in topics]
             self._tables.delete("cr_loss", ("topic", "node", "writer"), losses, what)
-        for table in ("cr_context", "cr_run"):
+        for table in ("cr_context", "cr_sent", "cr_run"):
             if self._tables.has(table):
                 self._tables.delete(table, ("writer", "node"), place, what)
 

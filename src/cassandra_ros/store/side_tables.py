@@ -73,6 +73,10 @@ LATER_TABLES = {
         "writer bigint, node text, heartbeat timestamp, interrupted timestamp, context blob, "
         "PRIMARY KEY ((writer), node)"
     ),
+    # When messages of an MCAP were sent, and their sequence numbers; see store/sent_times.py.
+    "cr_sent": (
+        "writer bigint, node text, stripe bigint, sent blob, PRIMARY KEY ((writer, node), stripe)"
+    ),
 }
 _COMMENT = "cassandra_ros side table, schema version 1"
 
