@@ -59,6 +59,43 @@ def test_list_and_info(call, three_topics):
         assert [t["topic"] for t in found["topics"]] == ["/cam/left", "/cam/right"]
 
 
+def test_indexes_and_which_is_not_finished(call, rosCas, three_topics):
+    assert json.loads(call("index", "--list", "--json")[1]) == []
+    assert call("index", "--list")[1] == "there is no index\n"
+    # What somebody leaves who is killed before he has filled it.
+    rosCas.parts.indexes.add("/tf", "data", lambda metadata: "text")
+    status, out, _ = call("index", "--list", "/tf")
+    lines = out.splitlines()
+    assert (status, lines[1].split()) == (0, ["/tf", "data", "2", "2", "not", "finished"])
+    assert "cassandra_bag index TOPIC FIELD" in lines[2]
+    (answer,) = json.loads(call("index", "tf", "data", "--json")[1])
+    assert answer == {"topic": "/tf", "field": "data", "removed": False, "messages": 2}
+    (state,) = json.loads(call("index", "--list", "--json")[1])
+    assert (state["missing"], state["finished"]) == (0, True)
+    assert "not finished" not in call("index", "--list")[1]
+    text = "index on data of topic {}: 2 stored messages were taken in\n"
+    expected = text.format("/cam/left") + text.format("/cam/right")
+    assert call("index", "-e", "/cam/.*", "data") == (0, expected, "")
+    assert call("index", "/cam/left", "data", "--remove")[1].endswith("/cam/left removed\n")
+    assert call("index", "--list")[1].count("\n") == 3
+    status, out, _ = call("query", "SELECT data FROM /tf WHERE data = '2'", "--json")
+    assert json.loads(out) == [{"data": "2"}]
+    asked = "SELECT data FROM /tf WHERE data = '2'"
+    found = json.loads(call("query", asked, "--json", "--explain")[1])
+    assert (found["topic"], found["rows_returned"]) == ("/tf", 1)
+
+
+def test_convert_and_roles(call, three_topics):
+    status, out, _ = call("convert", "-e", "/cam/.*", "--format", "packed", "--json")
+    assert status == 0
+    assert [(r["topic"], r["messages"]) for r in json.loads(out)] == [
+        ("/cam/left", 2),
+        ("/cam/right", 2),
+    ]
+    found = json.loads(call("roles", "--json")[1])
+    assert all(text.startswith(("CREATE", "GRANT")) for text in found["statements"])
+
+
 def test_what_no_topic_matches(call, three_topics):
     status, out, err = call("info", "--json", "-e", "/cam")
     assert (status, out, err.count("\n")) == (1, "", 1)

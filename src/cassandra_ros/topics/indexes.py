@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 from contextlib import suppress
-from typing import Callable, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import (
     CorruptMessage,
@@ -51,6 +51,37 @@ def has_index(tables: Sequence[TopicTable], field: str) -> bool:
     """Say whether every table whose type has the field has an index on it."""
     able = [table.metadata for table in tables if _type_of(table.metadata, field)]
     return bool(able) and all(field in metadata.indexes for metadata in able)
+
+
+class IndexState(NamedTuple):
+    """How far an index of a topic is."""
+
+    topic: str
+    field: str
+    messages: int
+    """Of the topic, in tables whose type has the field."""
+    missing: int
+    """Those of them that the index does not have: conditions look at them one by one."""
+
+
+def list_indexes(
+    directory: Directory, topic: str, tables: Sequence[TopicTable]
+) -> List[IndexState]:
+    """Tell of each index of a topic how much it covers; of what is being recorded, about."""
+    found: List[IndexState] = []
+    for field in sorted({field for table in tables for field in table.metadata.indexes}):
+        messages = missing = 0
+        for table in tables:
+            if _type_of(table.metadata, field) is None:
+                continue
+            index = table.index_fields.get(field)
+            rows = directory.buckets(table.name, -(2**63), 2**63 - 1, ttl=table.metadata.ttl)
+            messages += sum(row.rows for row in rows)
+            missing += sum(
+                row.rows for row in rows if index is None or index.shadow not in row.filled
+            )
+        found.append(IndexState(topic, field, messages, missing))
+    return found
 
 
 def remove_index(space: Keyspace, topic: str, field: str) -> None:

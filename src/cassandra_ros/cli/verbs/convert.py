@@ -18,8 +18,10 @@ from __future__ import annotations
 import argparse
 import time
 
+from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
 from cassandra_ros.cli.text import MessageBar, shown
+from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.formats.table import FORMATS
 
@@ -27,17 +29,18 @@ from cassandra_ros.formats.table import FORMATS
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add topics, format and the store."""
     add = parser.add_argument
-    add("topics", nargs="+", metavar="TOPIC", help="stored topics")
+    add_topics(parser, "stored topics", "+")
     add("--format", required=True, choices=list(FORMATS), help="the format to keep them in")
     add("-q", "--quiet", action="store_true", help="print errors and warnings only")
+    add_json_option(parser)
     add_store_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Convert one topic after the other; the first that fails ends it."""
     with open_store(options) as ros_cas:
-        topics = [ros_cas.getTopic(name).name for name in options.topics]
-        for topic in dict.fromkeys(topics):
+        reports = []
+        for topic in stored_topics(ros_cas, options) or ():
             begun = time.monotonic()
             with MessageBar(f"converting {shown(topic)}") as bar, SafeInterrupt() as stop:
 
@@ -46,11 +49,14 @@ def run(options: argparse.Namespace) -> int:
                     stop.check()  # noqa: B023 - it is called within this turn only
 
                 report = ros_cas.convertTopic(topic, options.format, progress)
-            if options.quiet:
+            reports.append(report)
+            if options.quiet or options.json:
                 continue
             if report.tables:
                 what = f"{report.messages} messages converted to format {report.format}"
                 print(f"topic {shown(topic)}: {what} ({time.monotonic() - begun:.1f} s)")
             else:
                 print(f"topic {shown(topic)}: is kept in format {report.format} already")
+    if options.json:
+        print_json(reports)
     return 0

@@ -15,22 +15,33 @@ an array, it finds the messages that contain a value.
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
+from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
 from cassandra_ros.cli.text import MessageBar, format_table, shown
+from cassandra_ros.cli.topic_options import stored_topics
+
+if TYPE_CHECKING:
+    from cassandra_ros.topics.indexes import IndexState
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add topic, field, what is to be done, and the store."""
     add = parser.add_argument
-    add("topic", metavar="TOPIC", nargs="?", help="a stored topic")
+    add("topics", metavar="TOPIC", nargs="?", type=lambda text: [text], help="a stored topic")
+    text = "TOPIC is a regular expression, which must match whole names: do it for each topic"
+    add("-e", "--regex", action="store_true", help=text)
     add("field", metavar="FIELD", nargs="?", help="dotted name of a field of its messages")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--remove", action="store_true", help="remove the index on FIELD")
     what.add_argument(
-        "--list", action="store_true", help="list the indexes of TOPIC (default: of all topics)"
+        "--list",
+        action="store_true",
+        help="list the indexes of TOPIC (default: of all topics), and which is not finished",
     )
     add("-q", "--quiet", action="store_true", help="print errors only")
+    add_json_option(parser)
     add_store_options(parser)
 
 
@@ -42,36 +53,60 @@ def run(options: argparse.Namespace) -> int:
         return _list(options)
     if options.field is None:
         options.parser.error("TOPIC and FIELD are needed, or --list")
+    done = []
     with open_store(options) as ros_cas:
-        topic = ros_cas.getTopic(options.topic)
-        where = f"index on {shown(options.field)} of topic {shown(topic.name)}"
-        if options.remove:
-            topic.removeIndex(options.field)
-            text = f"{where} removed"
-        else:
-            with MessageBar(f"indexing {options.field}") as bar:
-                count = topic.createIndex(options.field, progress=bar.reach)
-            text = f"{where}: {count} stored messages were taken in"
-    if not options.quiet:
-        print(text)
+        for name in stored_topics(ros_cas, options) or ():
+            topic = ros_cas.getTopic(name)
+            if options.remove:
+                topic.removeIndex(options.field)
+                text, found = "removed", {}
+            else:
+                with MessageBar(f"indexing {options.field}") as bar:
+                    count = topic.createIndex(options.field, progress=bar.reach)
+                text, found = f": {count} stored messages were taken in", {"messages": count}
+            done.append({"topic": name, "field": options.field, "removed": options.remove, **found})
+            if not (options.quiet or options.json):
+                sign = " " * options.remove
+                print(f"index on {shown(options.field)} of topic {shown(name)}{sign}{text}")
+    if options.json:
+        print_json(done)
     return 0
 
 
 def _list(options: argparse.Namespace) -> int:
+    from cassandra_ros.topics.indexes import list_indexes
+
     with open_store(options) as ros_cas:
-        topics = (
-            ros_cas.getAllTopics() if options.topic is None else [ros_cas.getTopic(options.topic)]
-        )
-        rows = sorted(
-            {
-                (shown(topic.name), shown(field))
-                for topic in topics
-                for table in topic.tables
-                for field in table.metadata.indexes
-            }
-        )
-    if rows:
-        print(format_table(("topic", "field"), rows))
+        names = stored_topics(ros_cas, options)
+        every = ros_cas.getAllTopics() if names is None else map(ros_cas.getTopic, names)
+        directory = ros_cas.parts.directory
+        states = [
+            state for topic in every for state in list_indexes(directory, topic.name, topic.tables)
+        ]
+    if options.json:
+        print_json([{**state._asdict(), "finished": not state.missing} for state in states])
+    elif states:
+        _print_states(states)
     else:
         print("there is no index")
     return 0
+
+
+def _print_states(states: list[IndexState]) -> None:
+    rows = [
+        (
+            shown(state.topic),
+            shown(state.field),
+            str(state.messages),
+            str(state.missing),
+            "not finished" if state.missing else "finished",
+        )
+        for state in states
+    ]
+    header = ("topic", "field", "messages", "not in it", "state")
+    print(format_table(header, rows, right=("messages", "not in it")))
+    if any(state.missing for state in states):
+        print(
+            "what is not in an index is found all the same, only slower; to take it in: "
+            "cassandra_bag index TOPIC FIELD"
+        )

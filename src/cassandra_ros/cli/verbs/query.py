@@ -26,6 +26,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Sequence
 
+from cassandra_ros.cli.answers import print_json
 from cassandra_ros.cli.options import add_origin_options, add_store_options, open_store
 from cassandra_ros.errors import InvalidExpression, InvalidOption
 
@@ -42,6 +43,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("params", metavar="VALUE", nargs="*", help="a value for each ? of the statement")
     add(
         "--output", choices=_OUTPUTS, default="table", help="how to write it (default: %(default)s)"
+    )
+    add(
+        "--json",
+        dest="output",
+        action="store_const",
+        const="json",
+        help="the same as --output json, as the other verbs have it",
     )
     add("-O", "--output-file", metavar="FILE", help="write to FILE (default: standard output)")
     add("-f", "--force", action="store_true", help="replace FILE if it exists")
@@ -76,7 +84,11 @@ def run(options: argparse.Namespace) -> int:
     with open_store(options) as ros_cas:
         if options.explain:
             asked = {"nodeID": options.node_id, "run": options.run}
-            print(ros_cas.explainCQL(options.statement, params, **asked))
+            found = ros_cas.explainCQL(options.statement, params, **asked)
+            if options.output == "json":
+                print_json(found)
+            else:
+                print(found)
         else:
             _answer(ros_cas, options, params)
     return 0

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 
+from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
 from cassandra_ros.store.roles import ROLES, apply_roles, role_name, role_statements
 
@@ -24,6 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="make them, and the keyspace where it is missing; who is logged in must be allowed to "
         "make roles (default: only print the statements, which asks no store)",
     )
+    add_json_option(parser)
     add_store_options(parser)
 
 
@@ -33,8 +35,14 @@ def run(options: argparse.Namespace) -> int:
     if options.apply:
         with open_store(options, make=True) as ros_cas:
             apply_roles(ros_cas.parts.side_tables)
-        names = ", ".join(role_name(keyspace, role) for role in ROLES)
-        print(f"keyspace {keyspace} has the roles {names}")
+        names = [role_name(keyspace, role) for role in ROLES]
+        if options.json:
+            print_json({"keyspace": keyspace, "roles": names})
+        else:
+            print(f"keyspace {keyspace} has the roles {', '.join(names)}")
+        return 0
+    if options.json:
+        print_json({"keyspace": keyspace, "statements": role_statements(keyspace)})
         return 0
     for statement in role_statements(keyspace):
         print(f"{statement};")
