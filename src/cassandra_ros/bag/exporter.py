@@ -110,13 +110,12 @@ def export_bag(
     report = ExportReport(os.fspath(path))
     with make_file(path, compression) as writer:
         numbers = ConnectionNumbers(writer)
-        sent = SentFinder(ros_cas) if writer.keeps_sent else None
+        sent = SentFinder(ros_cas, writer.keeps_sent)
         early = ((numbers.latched(row), low, row) for row in before)
         for number, t_ns, row in chain(early, ((numbers.of(r), r.received, r) for r in rows)):
-            wire, before_start = row.wire, t_ns != row.received
-            told = sent.of(row) if sent is not None and not before_start else (0, 0)
-            writer.write(number, t_ns, wire, *told)
-            report.add(row.topic, len(wire), early=before_start)
+            wire = row.wire
+            writer.write(number, t_ns, wire, *sent.of(row, t_ns))
+            report.add(row.topic, len(wire), early=t_ns != row.received)
             if progress is not None:
                 progress(1, len(wire))
         if not report.messages and not empty:

@@ -38,16 +38,20 @@ def count_differing(ros_cas: RosCassandra, reader: MessageFile, run: Run) -> int
 
 
 class SentFinder:
-    """Finds delay and sequence of stored rows; 0 and 0 where nothing is known."""
+    """Finds delay and sequence of stored rows; 0 and 0 where nothing is known, or wanted."""
 
-    def __init__(self, ros_cas: RosCassandra) -> None:
+    def __init__(self, ros_cas: RosCassandra, wanted: bool) -> None:
         table = SentTimes(ros_cas.parts.side_tables)
-        self._any = table.any()
+        self._any = wanted and table.any()
         self._get = lru_cache(maxsize=_STRIPES_HELD)(table.get)
 
-    def of(self, row: StoredRow) -> tuple[int, int]:
-        """Return publish_time minus log_time of a message, ns, and its sequence number."""
-        if not self._any:
+    def of(self, row: StoredRow, t_ns: int) -> tuple[int, int]:
+        """Return publish_time minus log_time of a message, ns, and its sequence number.
+
+        Args:
+            t_ns: Where it is to stand: what is known is of the time when it was received.
+        """
+        if not self._any or t_ns != row.received:
             return 0, 0
         writer, position = split_seq(row.seq)
         stripe, place = divmod(position, STRIPE)
