@@ -202,13 +202,14 @@ def add_time_options(parser: argparse.ArgumentParser, what: str = "") -> None:
 
 def read_times(options: argparse.Namespace) -> tuple[Stamp | None, Stamp | None]:
     """Return --start and --end; None = open."""
-    start, end = (_read_time(name, getattr(options, name)) for name in ("start", "end"))
+    start, end = (read_time(name, getattr(options, name)) for name in ("start", "end"))
     if start is not None and end is not None and start > end:
         raise InvalidOption(f"--start {options.start} lies behind --end {options.end}")
     return start, end
 
 
-def _read_time(option: str, text: str | None) -> Stamp | None:
+def read_time(option: str, text: str | None) -> Stamp | None:
+    """Return the time that an option gives; None = it is not given."""
     from cassandra_ros.messages.stamps import Stamp, to_ns
 
     if text is None:
@@ -263,10 +264,16 @@ def read_pair(text: str, sign: str, form: str) -> tuple[str, str]:
 
 def read_where(options: argparse.Namespace) -> dict[str, str]:
     """Return the conditions that --where gives, by topic."""
+    return read_conditions(options, "where")
+
+
+def read_conditions(options: argparse.Namespace, name: str) -> dict[str, str]:
+    """Return the conditions that an option gives several times, as pairs, by topic."""
     found: dict[str, str] = {}
-    for topic, condition in options.where:
+    for topic, condition in getattr(options, name):
         if topic in found:
-            options.parser.error(f"--where: two conditions for {topic}; join them with AND or OR")
+            text = f"--{name}: two conditions for {topic}; join them with AND or OR"
+            options.parser.error(text)
         found[topic] = condition
     return found
 
@@ -280,7 +287,7 @@ def strip_remappings(argv: Sequence[str] | None) -> list[str]:
     """Drop what rosrun and roslaunch add: ``__name:=x``, ``_param:=y``, ``from:=to``.
 
     Like rospy.myargv without rospy, but a word that is more than names, as a statement with a text
-    in it, stays. So does what follows --map, topics of a bag, and --where and --around,
+    in it, stays. So does what follows --map, topics of a bag, and --where, --around and --keep,
     conditions.
 
     Args:
@@ -290,5 +297,5 @@ def strip_remappings(argv: Sequence[str] | None) -> list[str]:
     return [
         word
         for previous, word in zip(["", *words], words)
-        if not _REMAPPING.match(word) or previous in ("--map", "--where", "--around")
+        if not _REMAPPING.match(word) or previous in ("--map", "--where", "--around", "--keep")
     ]

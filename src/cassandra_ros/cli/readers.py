@@ -11,6 +11,7 @@ from typing import Callable, TypeVar
 from cassandra_ros.errors import CassandraRosError
 
 _UNITS = {"": 1, "s": 1, "m": 60, "h": 3600}
+_LONG_UNITS = {"d": 86_400, "w": 7 * 86_400}
 _SIZES = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
 _Read = TypeVar("_Read")
 
@@ -42,6 +43,16 @@ def duration(text: str) -> float:
     if match is None or not float(match[1]):
         raise argparse.ArgumentTypeError(f"{text!r} is not a duration, like 30, 5m or 2h")
     return float(match[1]) * _UNITS[match[2]]
+
+
+def age(text: str) -> float:
+    """Read how old something may be, in seconds: as duration does, or in days and weeks."""
+    number, unit = text[:-1], text[-1:]
+    try:
+        return duration(number) * _LONG_UNITS[unit] if unit in _LONG_UNITS else duration(text)
+    except argparse.ArgumentTypeError:
+        known = f"{text!r} is no age, like 90m, 12h, 30d or 8w"
+        raise argparse.ArgumentTypeError(known) from None
 
 
 def whole_number(text: str) -> int:

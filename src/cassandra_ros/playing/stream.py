@@ -23,11 +23,12 @@ from cassandra_ros.playing.extent import Extent, extents
 from cassandra_ros.playing.part import Part, Sent, begun
 from cassandra_ros.playing.selection import Names, PlaySelection, chosen_topics
 from cassandra_ros.playing.times import check_length, read_when, resolve_times
-from cassandra_ros.playing.windows import PIECE_NS, Around, Piece, joined, merge_windows
+from cassandra_ros.playing.windows import PIECE_NS, Around
 from cassandra_ros.topics.latched import Source, is_latched, tables_of
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.selection import Stretch
 from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.windows import Piece, joined, merge_windows
 
 _Timed = Tuple[int, StoredRow]
 

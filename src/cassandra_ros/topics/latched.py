@@ -11,7 +11,18 @@ from __future__ import annotations
 
 import logging
 from functools import cached_property, partial
-from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, Optional, Sequence, Tuple
+from typing import (
+    TYPE_CHECKING,
+    Callable,
+    Dict,
+    FrozenSet,
+    Iterable,
+    Iterator,
+    List,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 from cassandra_ros.arguments import check_nodes, check_topics
 from cassandra_ros.errors import CorruptMessage, DefinitionError
@@ -23,11 +34,13 @@ from cassandra_ros.store.directory import STALE_SEC, BucketRow
 from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.finding import Filter
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.runs import RunName
 from cassandra_ros.topics.selection import LAST_NS, Nodes, Stretch, Whose
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
+
+if TYPE_CHECKING:
+    from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
 

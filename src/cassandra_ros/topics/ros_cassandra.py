@@ -368,7 +368,7 @@ class RosCassandra:
 
     @property
     def upkeep(self) -> Upkeep:
-        """Deletes messages of several topics, reads everything back and mends it."""
+        """Deletes messages, thins what is old, reads everything back and mends it."""
         return Upkeep(self._open)
 
     @property

@@ -4,19 +4,22 @@
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, Optional
+from typing import Dict, Iterable, List, Optional
 
-from cassandra_ros.arguments import check_topics
-from cassandra_ros.messages.stamps import Time
+from cassandra_ros.arguments import check_integer, check_topics
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.stamps import Length, Time, duration_ns, to_ns
 from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.checking import CheckReport, check_store
 from cassandra_ros.topics.copying import Progress
 from cassandra_ros.topics.deletion import delete_messages
+from cassandra_ros.topics.retention import Retained, Rules, retain
 from cassandra_ros.topics.runs import RunName
 
 
 class Upkeep:
-    """Deletes messages of several topics, reads everything back and mends it.
+    """Deletes messages, thins what is old, reads everything back and mends it.
 
     Got as ``rosCas.upkeep``; it works in the keyspace that was connected then.
     """
@@ -71,3 +74,60 @@ class Upkeep:
         names = check_topics(topics)
         stretch = self._catalog.stretch(names, key, to_key)
         return check_store(self._catalog, names, stretch, repair, progress)
+
+    def retain(
+        self,
+        topics: Optional[Iterable[str]] = None,
+        *,
+        max_age: Optional[Length] = None,
+        max_bytes: Optional[int] = None,
+        keep: Conditions = None,
+        before: Length = 30.0,
+        after: Length = 30.0,
+        thin: Optional[float] = None,
+        thin_after: Length = 0.0,
+        now: Optional[Time] = None,
+        dry_run: bool = False,
+        progress: Progress = None,
+    ) -> List[Retained]:
+        """Drop messages by age and size, thin others, and keep what lies around what happened.
+
+        Latched messages are not thinned, and one that a publisher had latched before what is kept
+        stays as well, so that this can be played. Messages under names are left alone. Repeated
+        with the same arguments it drops nothing more but what became older.
+
+        Args:
+            topics: Their names; None = all whose messages lie by time.
+            max_age: Older messages are dropped; seconds or a Duration.
+            max_bytes: Serialised bytes (as info counts them) that these topics may take together:
+                the oldest messages go first. What is kept around hits goes beyond it.
+            keep: Topic -> condition, a text or (text, parameters), also of other topics: what
+                lies from ``before`` before their messages to ``after`` behind them is not touched.
+            thin: Messages a second that are kept at the most, of each publisher.
+            thin_after: Only older messages are thinned, as max_age.
+            now: From when ages are counted back; None = now, by the server's clock.
+            dry_run: Only count them.
+            progress: Called with how many messages of how many were looked at.
+
+        Raises:
+            InvalidOption: Nothing says what is to be dropped, a number cannot be, or a topic that
+                is named has messages under names.
+            InvalidKey: A length of time or now is none.
+            TopicNotFound, InvalidName, InvalidQuery: As readMessages.
+        """
+        if thin is not None and not 0 < thin < float("inf"):
+            raise InvalidOption(f"thin={thin!r:.80} is no rate: give messages a second above 0")
+        server_ns = self._catalog.keyspace.cassandra.server_time_us() * 1000
+        rules = Rules(
+            now=server_ns if now is None else to_ns(now),
+            max_age=None if max_age is None else duration_ns(max_age),
+            max_bytes=None
+            if max_bytes is None
+            else check_integer("max_bytes", max_bytes, 0, 2**63),
+            keep=keep,
+            before=duration_ns(before),
+            after=duration_ns(after),
+            period=0 if thin is None else max(1, int(SECOND_NS / thin)),
+            thin_after=duration_ns(thin_after),
+        )
+        return retain(self._catalog, check_topics(topics), rules, dry_run, progress)

@@ -19,6 +19,7 @@ from cassandra_ros.cli.verbs import (
     params,
     query,
     rename,
+    retention,
     roles,
     runs,
     truncate,
@@ -42,6 +43,7 @@ VERBS = {
     "meta": meta,
     "delete": delete,
     "truncate": truncate,
+    "retention": retention,
     "keyspaces": keyspaces,
     "roles": roles,
 }
