@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from io import BytesIO
 
 import genpy
@@ -221,6 +223,33 @@ def test_writing(kind, store, tmp_path):
         assert (bag.get_message_count(), bag.mode) == (6, "r")
         with pytest.raises((ValueError, OSError)):
             bag.write("/out", String())
+
+
+SCRIPT = """
+import sys
+out = Bag(sys.argv[2], "w")
+for topic, msg, t in Bag(sys.argv[1]).read_messages(topics=["/chatter"]):
+    if msg.data.endswith("7"):
+        out.write(topic, msg, t)
+        print(topic, msg.data, t, round(t.to_sec(), 3))
+"""
+
+
+def test_a_script_works_by_changing_one_line(store, path, cassandra, ros_env, tmp_path):
+    """It forgets to close: what it wrote is stored all the same."""
+    env = dict(ros_env, CASSANDRA_ROS_HOST=cassandra.host, CASSANDRA_ROS_PORT=str(cassandra.port))
+    env["CASSANDRA_ROS_KEYSPACE"] = store.keyspace
+    told = []
+    for module in ("rosbag", "cassandra_ros"):
+        script = f"from {module} import Bag{SCRIPT}"
+        command = [sys.executable, "-c", script, str(path), str(tmp_path / "sevens.bag")]
+        done = subprocess.run(command, capture_output=True, text=True, env=env)
+        assert done.returncode == 0, done.stderr
+        told.append(done.stdout)
+    assert told[0] == told[1]
+    assert told[0].startswith(f"/chatter word 7 {WORDS[7][0]} ")
+    with cassandra_ros.Bag("sevens.bag", rosCas=store) as bag:
+        assert [m.data for _, m, _ in bag] == ["word 7", "word 17"]
 
 
 def test_a_run_is_found_by_name_and_path_and_without_one_all_is_read(store, path):

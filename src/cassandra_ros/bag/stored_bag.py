@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import statistics
 from itertools import count
@@ -160,6 +161,7 @@ class Bag:
         self._writer = self._store.messageWriter(
             writer_id=writer, nodeID=run.node, format=format, run=run
         )
+        atexit.register(self.close)  # a script that forgets to close loses nothing
         return found | {writer}
 
     def _find(self, name: str) -> frozenset[int]:
@@ -321,17 +323,16 @@ class Bag:
         """
         self.flush()
         counts: dict[str, int] = {}
+        types: dict[str, str] = {}
         for info in self._infos():
             counts[info.topic] = counts.get(info.topic, 0) + info.count
-        wanted = None if topic_filters is None else {t.name for t in self._topics(topic_filters)}
-        types: dict[str, str] = {}
+            types[info.type] = info.md5sum
+        wanted = {topic.name for topic in self._topics(topic_filters)}
         topics: dict[str, TopicTuple] = {}
-        for name in sorted(counts):
+        for name in sorted(wanted.intersection(counts)):
             found, times = self._first_messages(name)
             types.update((connection.type, connection.md5sum) for connection in found)
-            if wanted is None or name in wanted:
-                hz = _frequency(times)
-                topics[name] = TopicTuple(found[0].type, counts[name], len(found), hz)
+            topics[name] = TopicTuple(found[0].type, counts[name], len(found), _frequency(times))
         return TypesAndTopicsTuple(dict(sorted(types.items())), topics)
 
     def _first_messages(self, name: str) -> tuple[list[Connection], list[int]]:
@@ -390,6 +391,7 @@ class Bag:
         if self._closed:
             return
         self._closed = True
+        atexit.unregister(self.close)
         try:
             if self._writer is not None:
                 self._writer.close()
