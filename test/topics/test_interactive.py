@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import code
+import rlcompleter
 from datetime import datetime, timedelta, timezone
 
 import genpy
@@ -78,6 +80,29 @@ def test_objects_say_what_they_are(store, topic, cassandra):
     )
     result = store.iterCQL("select linear.x from /cmd_vel")
     assert repr(result) == "<QueryResult of 'select linear.x from /cmd_vel': rows of linear.x>"
+
+
+def test_at_a_prompt(store, capsys):
+    names = {"rosCas": store}
+    console = code.InteractiveConsole(names)
+    for line in (
+        "fix = rosCas.getTopic('cmd_vel')",
+        "fix",
+        "len(fix), fix.first()",
+        "for topic, msg, t in rosCas.readMessages('/cmd_vel', to_key=fix.first()):",
+        "    print(topic, msg.linear.x, t)",
+        "",
+        "rosCas.info('/cmd_vel')",
+    ):
+        console.push(line)
+    first = iso_time(KEYS[0])
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[0].startswith("<CassandraTopic /cmd_vel: geometry_msgs/Twist in format packed")
+    assert shown[1:3] == [f"(5, Stamp[{KEYS[0]}: {first} of husky])", f"/cmd_vel 0.0 {KEYS[0]}"]
+    assert shown[3].startswith("[<TopicInfo /cmd_vel of husky: geometry_msgs/Twist in format")
+    completer = rlcompleter.Completer(names)
+    offered = [completer.complete("rosCas.get", n) for n in range(9)]
+    assert {"rosCas.getTopic(", "rosCas.getAllTopics("} <= set(offered)
 
 
 def test_a_repr_never_raises(connect, store):
@@ -189,7 +214,7 @@ def test_seconds_given_as_nanoseconds_are_refused_where_they_would_find_everythi
         lambda: topic.removeData(seconds, seconds + 9),
         lambda: topic.getArrays("linear.x", key=seconds),
         lambda: store.readMessages("/cmd_vel", seconds),
-        lambda: store.deleteMessages("/cmd_vel", to_key=seconds),
+        lambda: store.upkeep.delete("/cmd_vel", to_key=seconds),
     ):
         with pytest.raises(InvalidKey, match=rf"seconds are written {seconds}\.0"):
             ask()

@@ -154,7 +154,7 @@ class Bag:
             raise BagError(
                 f"run {name} is stored already in keyspace {self._store.keyspace}, and is not "
                 "overwritten: add to it with mode 'a', choose another name, or remove it first "
-                "with deleteMessages(run=…)"
+                "with rosCas.upkeep.delete(run=…)"
             )
         writer = new_writer_id()
         run = Run(self._node or "", writer, "api", os.path.basename(name), format=format or "")
