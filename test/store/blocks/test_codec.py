@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import random
 
+import numpy as np
 import pytest
 import zstandard
 from hypothesis import given
@@ -55,12 +56,30 @@ def test_round_trip(block):
 @pytest.mark.parametrize(("bits", "level"), [(8, QUICK_LEVEL), (2, LEVEL)])
 def test_what_hardly_compresses_is_packed_quickly(bits, level):
     rng = random.Random(1)
-    wires = [bytes(rng.getrandbits(bits) for _ in range(1000)) for _ in range(100)]
-    data = pack_block(range(100), range(100), wires)
-    assert data == pack_block(range(100), range(100), wires)
+    wires = [bytes(rng.getrandbits(bits) for _ in range(400)) for _ in range(250)]
+    data = pack_block(range(250), range(250), wires)
+    assert data == pack_block(range(250), range(250), wires)
     body = zstandard.ZstdDecompressor().decompress(data[2:])
     assert data[2:] == zstandard.ZstdCompressor(level=level).compress(body)
-    assert unpack_block(data, 100, 100_000).wires() == wires
+    assert unpack_block(data, 250, 100_000).wires() == wires
+
+
+@pytest.mark.parametrize("sizes", [[5_000] * 40, range(5_000, 5_040), [100_000]])
+def test_long_ones_that_do_not_compress_are_stored_as_they_are(sizes):
+    rng = np.random.default_rng(1)
+    wires = [rng.random(size // 4 + 1, np.float32).tobytes()[:size] for size in sizes]
+    count, size = len(wires), sum(sizes)
+    data = pack_block(range(count), range(count), wires, range(5, count + 5))
+    assert data[1] & 8 and b"".join(wires) in data
+    found = unpack_block(data, count, size)
+    assert found.wires() == wires and [found.wire(n) for n in range(count)] == wires
+    assert (found.times.tolist(), found.received.tolist()) == (
+        list(range(count)),
+        list(range(5, count + 5)),
+    )
+    for spoilt in (data[:-1], data + b"x", data[:2]):
+        with pytest.raises(CorruptMessage):
+            unpack_block(spoilt, count, size)
 
 
 def test_the_bytes_stay_as_they_are():
@@ -90,7 +109,7 @@ def test_what_is_no_block_is_refused(spoil):
     elif spoil == "version":
         data = b"\x02" + data[1:]
     elif spoil == "flags":
-        data = data[:1] + b"\x08" + data[2:]
+        data = data[:1] + b"\x10" + data[2:]
     elif spoil == "frame":
         data = data[:2] + b"nonsense"
     elif spoil == "cut":

@@ -301,7 +301,7 @@ class Stacker:
         for _ in range(MAX_PARTS):
             if len(left) < max(1, least):
                 break
-            layout = self._layout(planes[:, left[0]].tobytes(), LENGTHS_EACH * len(left))
+            layout = self._layout(planes[:, left[0]], LENGTHS_EACH * len(left))
             part = planes if len(left) == count else planes[:, left]
             fits = np.arange(len(left)) == 0 if layout is None else layout.fits(part)
             if layout is not None and fits.all():
@@ -334,15 +334,14 @@ class Stacker:
         joined = np.frombuffer(b"".join([w[:size] for w in wires if len(w) >= size]), np.uint8)
         return Stack(self.head, members, joined.reshape(len(members), size).T)
 
-    def _layout(self, wire: bytes, most: int) -> Optional[Layout]:
+    def _layout(self, wire: Bytes, most: int) -> Optional[Layout]:
         """Return the layout of a message; None: it is none, or has more than so many lengths."""
         kept = self._kept.get(len(wire), ())
-        raw = np.frombuffer(wire, np.uint8)[:, None]
         for layout in kept:
-            if layout.fits(raw)[0]:
+            if layout.fits(wire[:, None])[0]:
                 return layout
         try:
-            layout = Layout(self._definition, wire, most)
+            layout = Layout(self._definition, wire.tobytes(), most)
         except struct.error:
             return None
         if layout.weight <= MAX_KEPT:

@@ -10,20 +10,21 @@ block; a group of at least 16 as planes too: what changes little from message to
 by side, and a field at a fixed offset is some whole rows of a matrix. Where flag 2 is set, those of
 at least 512 bytes, which are the last, are coded as words instead (words.py): scans take half.
 Where flag 4 is set, each group of at least 16 that is not says how it is laid out (layouts.py).
+Where flag 8 is set, there is no frame: all of it stands as it is, for zstd would save nothing.
 """
 
 from __future__ import annotations
 
 import threading
 from functools import cached_property
-from typing import FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
+from typing import FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.store.blocks.layouts import lay_out, read_layout
+from cassandra_ros.store.blocks.layouts import Part, lay_out, read_layout
 from cassandra_ros.store.blocks.words import code_words, decode_words, most_bytes
 
 Longs = NDArray[np.int64]
@@ -44,7 +45,8 @@ FEW_SHARE = 64
 """Where less than one in so many messages is wanted, each is cut out by itself."""
 LONG = 512
 """Bytes of a message that may be full of measured numbers."""
-_RECEIVED, _WORDS, _LAYOUTS = 1, 2, 4
+_RECEIVED, _WORDS, _LAYOUTS, _STORED = 1, 2, 4, 8
+_KNOWN = _RECEIVED | _WORDS | _LAYOUTS | _STORED
 _HEAD = 2
 
 
@@ -147,7 +149,8 @@ def pack_block(
     """
     t = np.array(times, np.int64)
     sizes = np.fromiter(map(len, wires), np.int64, len(wires))
-    parts = [_planes(_differences(t)), _planes(_differences(np.array(seqs, np.int64)))]
+    parts: List[Part] = []
+    parts += _planes(_differences(t)), _planes(_differences(np.array(seqs, np.int64)))
     parts.append(_planes(sizes.astype("<u4")))
     if received is not None:
         parts.append(_planes(np.array(received, np.int64) - t))
@@ -165,21 +168,25 @@ def pack_block(
     done = 0
     for begin, end in many:
         rows = np.frombuffer(b"".join(wires[begin:end]), np.uint8).reshape(end - begin, -1)
-        parts += b"".join(wires[done:begin]), lay_out(rows, _cost)
+        parts += [*wires[done:begin], *lay_out(rows, _cost)]
         done = end
-    parts.append(b"".join(wires[done:]))
-    parts.append(words or b"")
-    return bytes((VERSION, flags)) + _compress(b"".join(parts))
+    parts += [*wires[done:], words or b""]
+    return _finished(flags, b"".join(parts), len(t))
 
 
-def _compress(body: bytes) -> bytes:
+def _finished(flags: int, body: bytes, messages: int) -> bytes:
+    """Return a block, compressed as a sample of it says."""
     if len(body) >= 4 * SAMPLE:
         step = len(body) // STRETCHES
         starts = range(step // 2, len(body), step)
         sample = b"".join([body[at : at + SAMPLE // STRETCHES] for at in starts])
-        if len(_compressor().compress(sample)) > HARDLY * len(sample):
-            return _mine.quick.compress(body)
-    return _compressor().compress(body)
+        if _cost(sample) > HARDLY * len(sample):
+            # Of small messages the differences of times and the like are worth a frame.
+            long = len(body) > LONG * messages
+            if long and len(_mine.quick.compress(sample)) >= len(sample):
+                return bytes((VERSION, flags | _STORED)) + body
+            return bytes((VERSION, flags)) + _mine.quick.compress(body)
+    return bytes((VERSION, flags)) + _compressor().compress(body)
 
 
 def _many(sizes: Longs) -> List[Tuple[int, int]]:
@@ -203,17 +210,19 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
     Raises:
         CorruptMessage: The bytes are no such block.
     """
-    if len(data) < _HEAD or data[0] != VERSION or data[1] & ~(_RECEIVED | _WORDS | _LAYOUTS):
+    if len(data) < _HEAD or data[0] != VERSION or data[1] & ~_KNOWN:
         raise CorruptMessage(f"a block of {len(data)} bytes is of no version that is known here")
     received, coded = bool(data[1] & _RECEIVED), data[1] & (_WORDS | _LAYOUTS)
     begin = count * (20 + 8 * received)
     try:
         # Before anything is made room for: the frame itself says how long it is.
-        length = zstandard.frame_content_size(data[_HEAD:]) - begin
+        packed = memoryview(data)[_HEAD:]
+        stored = bool(data[1] & _STORED)
+        length = (len(packed) if stored else zstandard.frame_content_size(packed)) - begin
         fits = length <= most_bytes(size) if coded else length == size
         if min(count, size, length) < 0 or not fits:
             raise CorruptMessage(f"a block does not hold {count} messages of {size} bytes")
-        view = memoryview(_decompressor().decompress(data[_HEAD:]))
+        view = packed if stored else memoryview(_decompressor().decompress(packed))
     except zstandard.ZstdError as exc:
         raise CorruptMessage(f"a block cannot be unpacked: {exc}") from exc
     times, seqs = (np.cumsum(_numbers(view, n * 8 * count, count, "<i8")) for n in (0, 1))
@@ -232,7 +241,7 @@ def _decode(body: memoryview, sizes: Longs, coded: int) -> Tuple[memoryview, Fro
     short = int(np.searchsorted(ordered, LONG)) if coded & _WORDS else len(ordered)
     words = ordered[short:].tolist()
     as_rows: Set[int] = set(words)
-    parts: List[Union[bytes, memoryview]] = []
+    parts: List[Part] = []
     done = 0
     for begin, end in _many(ordered[:short]) if coded & _LAYOUTS else ():
         size, between = int(ordered[begin]), int(ordered[done:begin].sum())

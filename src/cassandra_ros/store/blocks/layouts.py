@@ -6,13 +6,15 @@
   counters and stamps do, the differences of its bytes.
 - As columns of 8 bytes, cut from the ends of the messages: a ``float64`` of a sensor that knows a
   few thousand values comes back whole, which in planes is eight coincidences.
+- As they stand, one behind the other: long ones that would hardly be smaller as planes, as random
+  ``float32`` are not. To turn them and back would take half of what it takes to store them.
 
 Before the bytes of a group stands a byte for which, and of planes a bit for each: differences.
 """
 
 from __future__ import annotations
 
-from typing import Callable, NamedTuple, Union
+from typing import Callable, NamedTuple, Sequence, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +22,9 @@ from numpy.typing import NDArray
 from cassandra_ros.errors import CorruptMessage
 
 Bytes = NDArray[np.uint8]
+Part = Union[bytes, memoryview]
 
-_PLANES, _COLUMNS = 0, 1
+_PLANES, _COLUMNS, _ROWS = 0, 1, 2
 _UNIT = 8
 _SAMPLE_BYTES = 16 * 1024
 _SAMPLE_SHARE = 2
@@ -32,20 +35,24 @@ _SMALL = 4 * 1024
 """Groups of fewer bytes are planes: to try would cost more than it saves."""
 _WORTH = 0.97
 """Columns are taken where they are smaller by that: a field is read faster from planes."""
+_LONG, _STRETCHES = 1024, 4
+"""Bytes of a message that may stand as it is, and at how many places it is looked at."""
+_HARDLY = 0.8
+"""What planes of such messages come to, compressed, as part of them: more is not worth it."""
 
 
 class Laid(NamedTuple):
     """A group that was read."""
 
-    data: Union[bytes, memoryview]
+    data: Part
     """Its planes, or its messages one behind the other."""
     as_planes: bool
     length: int
     """So many bytes of what was read are the group's."""
 
 
-def lay_out(rows: Bytes, cost: Callable[[bytes], int]) -> bytes:
-    """Lay out at least one message of at least one byte.
+def lay_out(rows: Bytes, cost: Callable[[bytes], int]) -> Sequence[Part]:
+    """Lay out at least one message of at least one byte; return what stands one behind the other.
 
     Args:
         rows: (messages, size).
@@ -53,8 +60,10 @@ def lay_out(rows: Bytes, cost: Callable[[bytes], int]) -> bytes:
     """
     count, size = rows.shape
     if rows.nbytes < _SMALL:
-        return bytes(1 + (size + 7) // 8) + np.ascontiguousarray(rows.T).tobytes()
+        return bytes(1 + (size + 7) // 8), np.ascontiguousarray(rows.T).tobytes()
     sample = rows[: max(_LEAST, min(count // _SAMPLE_SHARE, _SAMPLE_BYTES // size))]
+    if size >= _LONG and _saves_little(sample, cost):
+        return bytes((_ROWS,)), rows.reshape(-1).data
     steps = np.diff(sample, axis=0)
     still = _counts(steps == 0)
     rises = _counts(steps[1:] == steps[:-1]) > still
@@ -65,11 +74,11 @@ def lay_out(rows: Bytes, cost: Callable[[bytes], int]) -> bytes:
         planes, rising = np.array(ends.T, order="C"), rises[tried]
         planes[rising, 1:] = steps[:, tried].T[rising]
         if cost(_columns(ends)) < _WORTH * cost(planes.tobytes()):
-            return bytes((_COLUMNS,)) + _columns(rows)
+            return bytes((_COLUMNS,)), _columns(rows)
     planes = np.array(rows.T, order="C")  # always a copy: rows of one byte lie as planes already
     if rises.any():
         planes[rises, 1:] = np.diff(planes[rises], axis=1)
-    return bytes((_PLANES,)) + np.packbits(rises).tobytes() + planes.tobytes()
+    return bytes((_PLANES,)), np.packbits(rises).tobytes(), planes.reshape(-1).data
 
 
 def read_layout(data: memoryview, size: int, count: int) -> Laid:
@@ -81,8 +90,10 @@ def read_layout(data: memoryview, size: int, count: int) -> Laid:
     kind = data[0] if len(data) else -1
     begin = 1 + (size + 7) // 8 if kind == _PLANES else 1
     end = begin + size * count
-    if kind not in (_PLANES, _COLUMNS) or len(data) < end:
+    if kind not in (_PLANES, _COLUMNS, _ROWS) or len(data) < end:
         raise CorruptMessage(f"a block does not hold {count} messages of {size} bytes as it says")
+    if kind == _ROWS:
+        return Laid(data[begin:end], False, end)
     if kind == _COLUMNS:
         return Laid(_from_columns(data[begin:end], size, count), False, end)
     rises = np.unpackbits(np.frombuffer(data, np.uint8, begin - 1, 1))[:size].astype(np.bool_)
@@ -91,6 +102,15 @@ def read_layout(data: memoryview, size: int, count: int) -> Laid:
     planes = np.frombuffer(data, np.uint8, size * count, begin).reshape(size, count).copy()
     planes[rises] = np.add.accumulate(planes[rises], axis=1, dtype=np.uint8)
     return Laid(planes.tobytes(), True, end)
+
+
+def _saves_little(sample: Bytes, cost: Callable[[bytes], int]) -> bool:
+    """Say whether planes of some messages are hardly smaller than those are."""
+    count, size = sample.shape
+    width = min(size, _SAMPLE_BYTES // count) // _STRETCHES
+    begins = range(0, size - width + 1, (size - width) // (_STRETCHES - 1))
+    parts = np.concatenate([sample[:, begin : begin + width] for begin in begins], axis=1)
+    return bool(cost(np.ascontiguousarray(parts.T).tobytes()) > _HARDLY * parts.size)
 
 
 def _counts(found: NDArray[np.bool_]) -> NDArray[np.int32]:

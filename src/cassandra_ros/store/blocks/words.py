@@ -36,16 +36,16 @@ _WHOLE, _SCALED, _OTHER = 253, 254, 255
 _SCALES = (1000, 4000, 10_000)
 """Of what is measured in mm, quarters of it and tenths."""
 _SHIFTS = tuple(np.uint32(shift) for shift in (0, 8, 16, 24))
-_SAMPLE = 1024
-"""Words that are looked at before all are."""
+_SAMPLE, _WIRES = 1024, 16
+"""Words that are looked at before all are, and of how many messages."""
 
 
 def code_words(wires: Sequence[bytes]) -> Optional[bytes]:
     """Code serialised messages; None where most of their words are no such numbers."""
-    words = np.frombuffer(b"".join([wire[len(wire) & 3 :] for wire in wires]), _WORD)
-    scale = _find_scale(words)
+    scale = _find_scale(_words(wires[:: -(-len(wires) // _WIRES)]))
     if scale is None:
         return None
+    words = _words(wires)
     codes = words.astype(np.uint8)
     large = np.flatnonzero(words >= _WHOLE)
     rest = words[large]
@@ -93,6 +93,10 @@ def decode_words(data: memoryview, sizes: Sequence[int]) -> bytes:
         at += 4 * len(place)
         words[place] = found if by is None else _as_floats(found, by)
     return _joined(words.tobytes(), data[4 : 4 + loose], sizes)
+
+
+def _words(wires: Sequence[bytes]) -> Words:
+    return np.frombuffer(b"".join([wire[len(wire) & 3 :] for wire in wires]), _WORD)
 
 
 def _find_scale(words: Words) -> Optional[int]:
