@@ -76,7 +76,8 @@ class CheckReport:
     bytes: int = 0
     buckets: int = 0
     writing: int = 0
-    """Buckets that somebody was writing to: their counts were not compared."""
+    """Buckets of a writer that are open, or in which was deleted, for less than a minute: the
+    directory has no counts of them that could be compared."""
     damages: List[Damage] = field(default_factory=list)
     """The first MAX_DAMAGES."""
     found: int = 0

@@ -4,8 +4,8 @@
 
 Each message is read, with the checksums of blocks and of large messages, and the connection and
 definition that it names; counts, sizes and times are compared with the directory, from which info
-and every read take them. Where somebody is writing, counts are not compared. Of the whole keyspace
-also what is left of removed topics is looked for. --start and --end choose whole stretches of time
+and every read take them, but where somebody is writing. Of the whole keyspace also what is left of
+removed topics is looked for. --start and --end choose whole stretches of time
 (buckets), as info names them. What is listed:
 
   message     cannot be read: repair the cluster, or import or record it again
@@ -82,4 +82,7 @@ def _print(report: CheckReport, options: argparse.Namespace, seconds: float) -> 
             f"{report.found} damages, {report.mended} mended"
         )
     if report.writing and not options.quiet:
-        print(f"{report.writing} buckets are being written; their counts were not compared")
+        print(
+            f"of {report.writing} buckets no counts could be compared: somebody writes there, or "
+            "wrote or deleted within the last minute"
+        )

@@ -9,7 +9,9 @@
 The last keeps everything for a week, from then on a message a second of each publisher, nothing
 beyond 90 days, and all topics whole from 30 s before to 30 s behind each time when the battery was
 low. Each run looks at what is there then: for a lasting rule let cron run it, with --yes. Repeated
-it drops nothing more but what became older.
+it drops nothing more but what became older. Ages are those of the messages: what was recorded last
+year and imported today is a year old. /tf is not worth thinning: its messages hold other frames
+each.
 
 Latched messages (/tf_static, /map) are not thinned, and those that were in force where something is
 kept stay with it. Messages that are kept under names have no age and stay. Cassandra frees the disk
