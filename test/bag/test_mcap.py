@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import io
+from contextlib import suppress
+from random import Random
 
 import pytest
 from bag.truth import string_connection, string_wire
@@ -75,8 +77,9 @@ def test_the_packages_of_mcap_read_it(bags, tmp_path):
 def foreign(path, messages=40, **options):
     """Write what another program might: no header but the type, several channels."""
     compression = options.pop("compression", CompressionType.ZSTD)
+    size = options.pop("chunk_size", 200)
     with open(path, "wb") as file:
-        writer = Writer(file, chunk_size=200, compression=compression, **options)
+        writer = Writer(file, size, compression, **options)
         writer.start("ros1")
         schema = writer.register_schema("std_msgs/String", "ros1msg", b"string data\n")
         channels = [writer.register_channel(f"/c{n}", "ros1", schema) for n in range(3)]
@@ -133,14 +136,56 @@ def test_a_file_that_is_cut_says_so(tmp_path):
         assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("compression", CompressionType)
+@pytest.mark.parametrize("chunks", [True, False])
+def test_a_cut_file_is_salvaged_up_to_the_cut(tmp_path, compression, chunks):
+    options = {"compression": compression, "use_chunking": chunks, "chunk_size": 2000}
+    whole = foreign(tmp_path / "a.mcap", 200, **options).read_bytes()
+    expected, path, counts = [string_wire(str(n)) for n in range(200)], tmp_path / "b.mcap", [0]
+    for length in range(100, len(whole), 131):
+        path.write_bytes(whole[:length])
+        try:
+            with open_file(path, salvage=True) as reader:
+                assert [m.data for m in reader.messages()] == expected[: reader.message_count]
+                counts.append(reader.message_count)
+                assert {c.type for c in reader.connections.values()} == {"std_msgs/String"}
+                text = reader.salvaged.told(reader.path)
+                assert text.startswith(f"{path} is cut short or damaged at byte ")
+                assert f": {reader.message_count} messages up to there are read" in text
+        except BagError as exc:
+            assert "no message that can be salvaged" in str(exc)
+            assert counts[-1] == 0
+    assert counts == sorted(counts)
+    assert counts[-1] == 200
+    if compression == CompressionType.NONE or not chunks:
+        assert len(set(counts)) > 50  # also the messages of a part of a chunk
+    with open_file(tmp_path / "a.mcap", salvage=True) as reader:
+        assert (reader.salvaged.why, reader.message_count) == ("", 200)
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_of_a_cut_chunk_the_messages_before_the_cut_are_kept(tmp_path, compression):
+    path, random = tmp_path / "a.mcap", Random(1)
+    wires = [string_wire(random.randbytes(15_000)) for _ in range(60)]
+    with McapWriter(path, compression) as writer:
+        number = writer.connection(string_connection())
+        for n, wire in enumerate(wires):
+            writer.write(number, n, wire)
+    path.write_bytes(path.read_bytes()[:600_000])
+    with open_file(path, salvage=True) as reader:
+        assert 20 < reader.message_count < 40
+        assert [m.data for m in reader.messages()] == wires[: reader.message_count]
+        assert reader.salvaged.lost_bytes > 0
+
+
 def test_damage_is_found_or_changes_nothing(tmp_path):
     """Of each message its bytes come back, or BagError says where the damage is."""
     whole = foreign(tmp_path / "a.mcap").read_bytes()
     path = tmp_path / "b.mcap"
     with open_file(tmp_path / "a.mcap") as reader:
         expected = [m.data for m in reader.messages()]
-    refused = 0
-    for at in range(8, len(whole), 5):
+    refused = salvaged = 0
+    for at in range(8, len(whole), 11):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :])
         try:
             with open_file(path) as reader:
@@ -148,7 +193,12 @@ def test_damage_is_found_or_changes_nothing(tmp_path):
         except BagError as exc:
             assert str(path) in str(exc)
             refused += 1
+            with suppress(BagError), open_file(path, salvage=True) as reader:
+                count = reader.message_count
+                assert [m.data for m in reader.messages()] == expected[:count]
+                salvaged += 1
     assert refused > 100
+    assert salvaged > 50
 
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from contextlib import suppress
 from io import BytesIO
 from struct import Struct
 from typing import BinaryIO, Iterator, NamedTuple, Type, TypeVar
@@ -20,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Schema, Statistics
 
 from cassandra_ros.bag.chunk import MAX_CHUNK_BYTES, Longs
-from cassandra_ros.errors import BagError, BagUnindexed
+from cassandra_ros.errors import BagError
 from cassandra_ros.keys import MAX_NS
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -34,6 +35,10 @@ _ENTRY_BYTES = 16
 _CRC_BYTES = 4
 _READ_BYTES = 1 << 20
 Parsed = TypeVar("Parsed", Channel, Footer, Header, Schema, Statistics)
+
+
+CUT = 0
+"""In place of the kind of a record, which is never 0."""
 
 
 class Record(NamedTuple):
@@ -74,34 +79,24 @@ class Messages(NamedTuple):
 def walk(file: BinaryIO, path: str) -> Iterator[Record]:
     """List the records of a file, but not those inside of chunks; its position may be changed.
 
-    Raises:
-        BagUnindexed: The file is cut short, or still being written.
+    The last one is the footer, or is none where the file is cut short or still being written:
+    of kind CUT, from the byte on at which the next record would begin.
     """
     file_bytes = os.fstat(file.fileno()).st_size
-    position = len(MAGIC)
-    while True:
+    position, kind = len(MAGIC), 0
+    while kind != Opcode.FOOTER:
         file.seek(position)
         head = file.read(RECORD.size)
-        if len(head) < RECORD.size:
-            raise _cut(path, f"ends at byte {file_bytes}, without its footer")
-        kind, length = RECORD.unpack(head)
+        kind, length = RECORD.unpack(head) if len(head) == RECORD.size else (CUT, 0)
         start = position + RECORD.size
-        position = start + length
-        if position > file_bytes:
-            raise _cut(path, f"ends at byte {file_bytes}, within a record of {length} bytes")
-        yield Record(kind, start, position)
-        if kind == Opcode.FOOTER:
-            file.seek(position)
-            if file.read(len(MAGIC)) != MAGIC:
-                raise _cut(path, f"does not end with the magic bytes at byte {position}")
+        if kind == CUT or start + length > file_bytes:
+            yield Record(CUT, position, file_bytes)
             return
-
-
-def _cut(path: str, what: str) -> BagUnindexed:
-    return BagUnindexed(
-        f"{path} is cut short, or still being written: it {what}; keep what can be read with: "
-        f"mcap recover {path} -o RECOVERED.mcap"
-    )
+        position = start + length
+        yield Record(kind, start, position)
+    file.seek(position)
+    if file.read(len(MAGIC)) != MAGIC:
+        yield Record(CUT, position, file_bytes)
 
 
 def parse(kind: Type[Parsed], raw: bytes, where: str) -> Parsed:
@@ -131,8 +126,14 @@ def check_summary(file: BinaryIO, footer: Record, path: str) -> None:
         )
 
 
-def read_chunk_head(file: BinaryIO, record: Record, where: str) -> tuple[ChunkHead, Record]:
-    """Read what stands before a chunk's compressed records; return it and where those lie."""
+def read_chunk_head(
+    file: BinaryIO, record: Record, where: str, cut: bool = False
+) -> tuple[ChunkHead, Record]:
+    """Read what stands before a chunk's compressed records; return it and where those lie.
+
+    Args:
+        cut: The file ends within the chunk.
+    """
     file.seek(record.start)
     raw = file.read(_CHUNK.size)
     if len(raw) == _CHUNK.size:
@@ -140,8 +141,8 @@ def read_chunk_head(file: BinaryIO, record: Record, where: str) -> tuple[ChunkHe
         rest = file.read(min(name_bytes, 64) + 8)
         name, length = rest[:name_bytes], int.from_bytes(rest[name_bytes:], "little")
         start = record.start + _CHUNK.size + name_bytes + 8
-        whole = len(rest) == name_bytes + 8 and start + length == record.stop
-        if whole and start_ns <= end_ns <= MAX_NS:
+        fits = start + length >= record.stop if cut else start + length == record.stop
+        if len(rest) == name_bytes + 8 and fits and start_ns <= end_ns <= MAX_NS:
             compression = name.decode("ascii", "replace") or "none"
             head = ChunkHead(start_ns, end_ns, size, crc, compression)
             return head, record._replace(start=start)
@@ -179,6 +180,23 @@ def decompress(head: ChunkHead, data: bytes, where: str) -> bytes:
     if head.crc and zlib.crc32(content) != head.crc:
         raise BagError(f"{where} is damaged: its crc is wrong")
     return content
+
+
+def unpack_part(head: ChunkHead, data: bytes) -> bytes:
+    """Give back what can be unpacked of the beginning of a chunk, whole records alone."""
+    content, end = b"", 0
+    with suppress(BagError, zstandard.ZstdError, RuntimeError, EOFError, MemoryError):
+        if head.size > MAX_CHUNK_BYTES:
+            return b""
+        if head.compression == "zstd":
+            content = zstandard.ZstdDecompressor().stream_reader(data).read(head.size)
+        else:
+            content = _unpack(head, data)
+        if head.crc and len(content) == head.size and zlib.crc32(content) != head.crc:
+            return b""  # it is not cut but damaged, nobody knows where
+        for record in records_of(content, ""):
+            end = record.stop
+    return content[:end]
 
 
 def _unpack(head: ChunkHead, data: bytes) -> bytes:

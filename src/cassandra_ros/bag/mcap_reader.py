@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from typing import BinaryIO, NamedTuple
 
@@ -22,7 +22,8 @@ from cassandra_ros.bag.mcap_channel import to_connection, why_foreign
 from cassandra_ros.bag.mcap_format import ChunkHead, Messages, Record
 from cassandra_ros.bag.message_file import MessageFile, SentTimes
 from cassandra_ros.bag.rosbag2 import refusal
-from cassandra_ros.errors import BagError
+from cassandra_ros.bag.salvage import Salvaged
+from cassandra_ros.errors import BagError, BagUnindexed
 from cassandra_ros.messages.connection import Connection
 
 _LOOSE_BYTES = 1 << 20
@@ -39,6 +40,8 @@ class _Chunk:
     head: ChunkHead
     counts: Counter[int] = field(default_factory=Counter)
     """Messages by id of the channel; none as long as nobody has counted."""
+    part: bytes | None = None
+    """What could be unpacked of it, where the file ends within."""
 
     @property
     def loose(self) -> bool:
@@ -61,17 +64,23 @@ class McapReader(MessageFile):
     unpacked where no message index says what they hold, so that files without chunks, indexes or
     summary are read, too. Memory: about 500 bytes for each chunk, and while reading as BagReader.
 
+    Args:
+        salvage: Of a file that is cut short, damaged or was not closed, read the messages up to the
+            damage: all chunks are read to find them. Of a sound file nothing changes.
+
     Attributes:
+        salvaged: Where it was opened with salvage: what was damaged, if anything.
         left_out: Messages of channels of other encodings, see MessageFile.
         extras: Attachments and metadata.
 
     Raises:
         BagUnindexed: The file was not closed properly, or is cut short.
-        BagError: The file cannot be opened, is damaged, or holds nothing of ROS 1.
+        BagError: The file cannot be opened, is damaged, or holds nothing of ROS 1; with salvage:
+            no message can be read.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = os.fspath(path)
+    def __init__(self, path: str | os.PathLike[str], salvage: bool = False) -> None:
+        self.path, self.salvaged = os.fspath(path), Salvaged()
         self._profile = ""
         self._stated: int | None = None
         """Messages of the file, as it says at its end."""
@@ -82,10 +91,13 @@ class McapReader(MessageFile):
         try:
             with ExitStack() as opened:
                 self._file: BinaryIO = opened.enter_context(open(self.path, "rb"))
-                for record in mcapformat.walk(self._file, self.path):
-                    self._note(record)
-                self._count_the_rest()
+                self._read_index(salvage)
                 self._number()
+                if self.salvaged.why and not self.message_count:
+                    raise BagError(
+                        f"{self.path} {self.salvaged.why}: there is no message that can be salvaged"
+                    )
+                self.salvaged.messages = self.message_count
                 opened.pop_all()
         except OSError as exc:
             raise BagError(f"{self.path} cannot be read: {exc.strerror}") from exc
@@ -140,6 +152,8 @@ class McapReader(MessageFile):
 
     def _content(self, chunk: int) -> bytes:
         found, where = self._chunks[chunk], self._where(chunk)
+        if found.part is not None:
+            return found.part
         try:
             data = self._bytes(found.record)
         except OSError as exc:
@@ -153,9 +167,63 @@ class McapReader(MessageFile):
     def _where(self, chunk: int) -> str:
         return f"{self.path}: chunk {chunk + 1} of {len(self._chunks)}"
 
+    def _read_index(self, salvage: bool) -> None:
+        """Find out what the file holds, and where; with salvage up to the first damage."""
+        before = self._schemas, self._channels
+        try:
+            for record in mcapformat.walk(self._file, self.path):
+                if record.kind == Opcode.DATA_END:  # what follows repeats what was there
+                    before = dict(self._schemas), dict(self._channels)
+                self._note(record)
+        except BagError:
+            if not salvage:
+                raise
+            self._schemas, self._channels = before
+            self._stop(record)
+        if salvage:
+            self._check_chunks()
+        self._count_the_rest()
+
+    def _stop(self, damaged: Record) -> None:
+        """Note where the damage lies; of a chunk in which the file ends keep what is whole."""
+        position, file_bytes = damaged.start, os.fstat(self._file.fileno()).st_size
+        self._stated = None
+        if damaged.kind in (Opcode.STATISTICS, Opcode.FOOTER):
+            self.salvaged.why = "has a damaged summary"
+            return
+        self.salvaged.why = f"is cut short or damaged at byte {position} of {file_bytes}"
+        self.salvaged.lost_bytes = file_bytes - position
+        chunk = Record(damaged.kind, position + mcapformat.RECORD.size, file_bytes)
+        self._file.seek(position)
+        if damaged.kind == mcapformat.CUT and self._file.read(1) == bytes([Opcode.CHUNK]):
+            with suppress(BagError):
+                head, place = mcapformat.read_chunk_head(self._file, chunk, self.path, cut=True)
+                part = mcapformat.unpack_part(head, self._bytes(place))
+                self._chunks.append(_Chunk(place, head, part=part))
+
+    def _check_chunks(self) -> None:
+        """Count what the chunks hold; leave out the first that is damaged, and all behind it."""
+        for place, chunk in enumerate(self._chunks):
+            try:
+                content = self._content(place)
+                found = mcapformat.find_messages(content, self._where(place))
+            except BagError:
+                file_bytes, position = os.fstat(self._file.fileno()).st_size, chunk.record.start
+                self.salvaged.why = f"is damaged in the chunk at byte {position} of {file_bytes}"
+                self.salvaged.lost_bytes, self._stated = file_bytes - position, None
+                del self._chunks[place:]
+                return
+            chunk.counts = Counter(found.channels.tolist())
+
     def _note(self, record: Record) -> None:
         """Take what a record outside of chunks says."""
         kind = record.kind
+        if kind == mcapformat.CUT:
+            raise BagUnindexed(
+                f"{self.path} is cut short at byte {record.stop}, or still being written; import "
+                "--salvage stores what it holds, or keep that with: "
+                f"mcap recover {self.path} -o RECOVERED.mcap"
+            )
         if kind == Opcode.CHUNK:
             head, place = mcapformat.read_chunk_head(self._file, record, self.path)
             self._chunks.append(_Chunk(place, head))
@@ -205,15 +273,15 @@ class McapReader(MessageFile):
     def _count_the_rest(self) -> None:
         """Look into the chunks whose channels or messages nothing outside of them tells."""
         for place, chunk in enumerate(self._chunks):
-            if chunk.counts and all(map(self._is_known, chunk.counts)):
+            if chunk.counts and chunk.part is None and all(map(self._is_known, chunk.counts)):
                 continue
             content, where = self._content(place), self._where(place)
             for record in mcapformat.records_of(content, where):
                 if record.kind in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._note_text(record.kind, content[record.start : record.stop], where)
-            if not chunk.counts:
+            if chunk.part is not None or not chunk.counts:
                 found = mcapformat.find_messages(content, where)
-                chunk.counts.update(found.channels.tolist())
+                chunk.counts = Counter(found.channels.tolist())
                 if len(found.times):
                     ends = int(found.times.min()), int(found.times.max())
                     chunk.head = chunk.head._replace(start_ns=ends[0], end_ns=ends[1])

@@ -23,7 +23,7 @@ def open_file(path: str | os.PathLike[str], salvage: bool = False) -> MessageFil
     """Open a bag or an MCAP for reading, whatever its name.
 
     Args:
-        salvage: Read a damaged bag up to the damage; of an MCAP `mcap recover` makes a sound copy.
+        salvage: Read a damaged file up to the damage.
 
     Raises:
         BagError: It is none of both, as what rosbag2 records, or cannot be read; see BagReader
@@ -40,7 +40,7 @@ def open_file(path: str | os.PathLike[str], salvage: bool = False) -> MessageFil
     if magic == SQLITE_MAGIC:
         raise refusal(name)
     if magic.startswith(mcap_format.MAGIC):
-        return McapReader(name)
+        return McapReader(name, salvage)
     return BagReader(name, salvage)
 
 
