@@ -13,7 +13,7 @@ import numpy as np
 import pandas
 import pytest
 from geometry_msgs.msg import Twist
-from std_msgs.msg import Header, String
+from std_msgs.msg import Duration, Header, String
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.messages.stamps import iso_time
@@ -203,6 +203,17 @@ def test_each_call_takes_the_times_that_others_return(store, topic):
     written = store.addTopic("/written", "binary")
     key = written.addData(Header(), key=frame.index[3])
     assert key.ns == KEYS[3]
+
+
+def test_conditions_take_the_lengths_of_time_that_frames_hold(store):
+    topic = store.addTopic("/lengths", "ros", msg_type="std_msgs/Duration")
+    for n in (-2, 3):
+        topic.addData(Duration(data=genpy.Duration(n)), key=T0 + n)
+    for n, length in enumerate(topic.toDataFrame()["data"]):
+        forms = (length, length.to_pytimedelta(), length.to_numpy(), genpy.Duration((-2, 3)[n]))
+        for form in forms:
+            assert topic.countTopicData(where=("data = ?", [form])) == 1, form
+            assert topic.countTopicData(where=("data >= ?", [form])) == 2 - n, form
 
 
 def test_seconds_given_as_nanoseconds_are_refused_where_they_would_find_everything(store, topic):

@@ -199,17 +199,24 @@ def _numpy_ns(value: Any, unit: str) -> int:
     return int(ns.astype("i8"))
 
 
-def _offset_ns(value: Any) -> int | None:
-    """Return the nanoseconds of something that can be added to a stamp, or None."""
+def length_object_ns(value: Any) -> int | None:
+    """Return the nanoseconds of an object that is a length of time and nothing else, or None.
+
+    Raises InvalidKey where it is one that is missing (NaT), or finer than nanoseconds.
+    """
     if isinstance(value, genpy.Duration):
         return int(value.to_nsec())
     if isinstance(value, timedelta):
         if value != value:
             raise InvalidKey(f"{value!r} is no length of time: the value is missing")
         return _delta_ns(value)
-    if isinstance(value, np.timedelta64):
-        return _numpy_ns(value, "m8[ns]")
-    return seconds_to_ns(value) if _is_number(value) else None
+    return _numpy_ns(value, "m8[ns]") if isinstance(value, np.timedelta64) else None
+
+
+def _offset_ns(value: Any) -> int | None:
+    """Return the nanoseconds of something that can be added to a stamp, or None."""
+    ns = length_object_ns(value)
+    return seconds_to_ns(value) if ns is None and _is_number(value) else ns
 
 
 def duration_ns(value: object) -> int:

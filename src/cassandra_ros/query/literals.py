@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from datetime import timedelta
 from decimal import Decimal
 from numbers import Integral, Real
 from typing import Any, Callable, Iterator, Optional, Union
@@ -18,7 +17,7 @@ from typing import Any, Callable, Iterator, Optional, Union
 import numpy as np
 
 from cassandra_ros.errors import InvalidKey
-from cassandra_ros.messages.stamps import duration_ns, is_time, seconds_to_ns, to_ns
+from cassandra_ros.messages.stamps import length_object_ns, seconds_to_ns, to_ns
 from cassandra_ros.query.names import FieldRef
 from cassandra_ros.query.syntax import (
     DecimalText,
@@ -126,11 +125,8 @@ def length_ns(value: Any) -> Optional[int]:
     """Return the nanoseconds of an object that is a length of time (no number), or None."""
     if isinstance(value, DurationNs):
         return int(value)
-    if hasattr(value, "to_nsec") and not is_time(value):
-        return int(value.to_nsec())
-    if isinstance(value, (timedelta, np.timedelta64)):
-        with suppress(InvalidKey):
-            return duration_ns(value)
+    with suppress(InvalidKey):
+        return length_object_ns(value)
     return None
 
 
