@@ -26,9 +26,11 @@ import time
 
 from conftest import ROOT
 
+from cassandra_ros import RosCassandra
+
 LIMIT_SEC = 240
 _PIECES = re.compile(
-    r"^```(?P<language>\w*)\n(?P<block>.*?)^```$|^<!-- (?P<comment>[^\n]*) -->$", re.M | re.S
+    r"^```(?P<language>[^\n]*)\n(?P<block>.*?)^```$|^<!-- (?P<comment>[^\n]*) -->$", re.M | re.S
 )
 _FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 _SECONDS = re.compile(r"\b\d+(\.\d+)? s\b")
@@ -208,3 +210,6 @@ class Walk:
     def close(self):
         for terminal in self._terminals.values():
             terminal.close()
+        for value in self._names.values():
+            if isinstance(value, RosCassandra):
+                value.close()
