@@ -63,6 +63,11 @@ def test_check(store, call, cql, connect):
     assert damages(call) == set()
     assert space.getTopic("/n").countTopicData() == 5
     assert [msg.data for _, msg in space.getTopic("/n").items()] == [*range(5)]
+    cql.execute(f"DELETE FROM {store.keyspace}.cr_node WHERE tbl = %s", (tables["/n"].name,))
+    assert space.getTopic("/n").countTopicData() == 0
+    assert damages(call) == {("not listed", "/n", False)}
+    assert damages(call, "--repair") == {("not listed", "/n", True)}
+    assert [msg.data for _, msg in space.getTopic("/n").items()] == [*range(5)]
 
     # What cannot be read: a block, a large message, a row without a size; and under a name.
     row = space.getTopic("/p").getRow(T0)

@@ -10,6 +10,8 @@ from datetime import timedelta
 
 import pytest
 from cli.test_upkeep import Terminal
+from hypothesis import given
+from hypothesis import strategies as st
 from std_msgs.msg import Float64, Int64
 from topics.test_run_states import T0
 
@@ -19,6 +21,8 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.store.registry import Run
+from cassandra_ros.topics.retention import _gaps
+from cassandra_ros.topics.selection import Stretch
 
 COUNT = 200
 STEP = SECOND_NS // 2
@@ -63,6 +67,18 @@ def left(store, topic):
 
 def seconds(first, last, step=0.5):
     return [first + n * step for n in range(int((last - first) / step) + 1)]
+
+
+TIMES = st.integers(0, 40)
+
+
+@given(st.lists(st.tuples(TIMES, TIMES)), TIMES, TIMES)
+def test_gaps_are_all_that_is_not_pinned(pins, low, high):
+    stretches = sorted(Stretch(min(pin), max(pin)) for pin in pins)
+    gaps = list(_gaps(stretches, low, high))
+    covered = [t for gap in gaps for t in range(gap.low, gap.high + 1)]
+    pinned = {t for pin in stretches for t in range(pin.low, pin.high + 1)}
+    assert covered == [t for t in range(low, high + 1) if t not in pinned]
 
 
 def test_by_age_and_again(topics):

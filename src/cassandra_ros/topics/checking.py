@@ -14,12 +14,12 @@ from collections import Counter
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Counter as Counts
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Set, Tuple
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError, MessageNotFound
 from cassandra_ros.store.blocks.block_row import WHOLE, Block, BlockRow, read_block
 from cassandra_ros.store.counting import recount
-from cassandra_ros.store.directory import STALE_SEC, BucketRow, BucketTotals
+from cassandra_ros.store.directory import STALE_SEC, BucketRow, BucketTotals, slot_of
 from cassandra_ros.store.fetch import fetch_row, list_names
 from cassandra_ros.store.orphans import orphans, partitions, remove_orphans
 from cassandra_ros.store.row_table import ALL, TableRow, decode_long
@@ -163,6 +163,7 @@ class _Check:
             self.report.buckets += 1
             self._read(table, node, bucket, rows, total)
             self._compare(table, node, bucket)
+        self._slots(table, set(groups))
 
     def _read(
         self, table: TopicTable, node: str, bucket: int, rows: List[BucketRow], total: int
@@ -247,6 +248,30 @@ class _Check:
             elif not table.metadata.ttl and not _agrees(row, totals):
                 self._recount(table, row, totals)
 
+    def _slots(self, table: TopicTable, places: Set[Tuple[str, int]]) -> None:
+        """Tell of robots with buckets that are listed, where nobody looks for them."""
+        directory, length = self._space.directory, table.metadata.bucket_ns
+        wanted: Dict[Tuple[int, str], List[int]] = {}
+        for node, bucket in places:
+            wanted.setdefault((slot_of(bucket), node), []).append(bucket)
+        slots = [slot for slot, _ in wanted]
+        listed = directory.nodes(table.name, min(slots), max(slots)) if slots else []
+        for slot, node in sorted(set(wanted).difference(listed)):
+            buckets = wanted[slot, node]
+            if self._repair:
+                directory.add_node(table.name, slot, node)
+            self._note(
+                DamageKind.UNLISTED,
+                table.metadata.topic,
+                table.name,
+                node,
+                (min(buckets) * length, (max(buckets) + 1) * length - 1),
+                0,
+                f"{len(buckets)} buckets of node {node!r} are in no directory, so nobody finds "
+                "them; --repair lists them",
+                mended=self._repair,
+            )
+
     def _settle(self, table: TopicTable, row: BucketRow, totals: BucketTotals) -> None:
         """Look at a bucket that is not closed: its counts are estimates, which is no damage."""
         if row.age_sec <= STALE_SEC:
@@ -259,7 +284,6 @@ class _Check:
     ) -> None:
         """Tell of messages that the directory does not know: nobody finds them."""
         if self._repair:
-            self._space.directory.note(table, place[1], place[2])
             self._space.directory.mark(place, table.metadata.ttl, (), totals, closed=True)
         self._note(
             DamageKind.UNLISTED,
@@ -354,7 +378,7 @@ class _Check:
             mended=self._repair,
         )
 
-    def definitions(self, md5sums: set[str], *, everything: bool) -> None:
+    def definitions(self, md5sums: Set[str], *, everything: bool) -> None:
         """Compare the texts of the definitions with their checksums."""
         for md5sum in self._space.registry.damaged_definitions():
             if everything or md5sum in md5sums:

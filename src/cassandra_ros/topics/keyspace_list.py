@@ -22,7 +22,7 @@ class KeyspaceInfo:
     name: str
     topics: int
     tables: int
-    """Tables of topics: one for each definition and format."""
+    """One for each definition and format of a topic."""
     copies: Mapping[str, int]
     """Data centre -> how many of its nodes keep each row; 'any' = whatever data centre."""
 
