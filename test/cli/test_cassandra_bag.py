@@ -29,7 +29,7 @@ def test_every_verb_explains_itself(verb, capsys):
     text = capsys.readouterr().out
     assert cassandra_bag.VERBS[verb].__doc__.strip().splitlines()[0] in text
     for option in ("--host", "--port", "--keyspace", "CASSANDRA_ROS_HOST"):
-        assert option in text
+        assert option in text or verb == "completion"
 
 
 def test_convert(call, tmp_path):

@@ -1,6 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Stored topics: list, describe, ask, index, convert; runs; bags: import, export, verify."""
+"""Stored topics: list, describe, ask, index, convert; runs; bags: import, export, verify.
+
+'cassandra_bag VERB --help' explains a verb. The Tab key completes verbs, options, topics and fields
+after this line, which may stand in ~/.bashrc (for zsh: completion zsh):
+  eval "$(rosrun cassandra_ros cassandra_bag completion bash)"
+"""
 
 from __future__ import annotations
 
@@ -9,6 +14,7 @@ import logging
 import sys
 from typing import Sequence
 
+from cassandra_ros.cli.completion import answer_shell
 from cassandra_ros.cli.options import strip_remappings
 from cassandra_ros.cli.parsers import error_line, verbs_parser
 from cassandra_ros.cli.verbs import VERBS
@@ -36,7 +42,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         Exit status: 0 when all went well, 1 when it failed or verify found a difference. Wrong
         usage ends the program with 2.
     """
-    options = make_parser().parse_args(strip_remappings(argv))
+    parser = make_parser()
+    answer_shell(parser)
+    options = parser.parse_args(strip_remappings(argv))
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter(error_line(PROGRAM, "%(message)s")))
     logger = logging.getLogger("cassandra_ros")

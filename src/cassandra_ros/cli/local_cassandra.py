@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 from typing import Sequence
 
+from cassandra_ros.cli.completion import answer_shell
 from cassandra_ros.cli.confirming import add_yes_option, confirm
 from cassandra_ros.cli.options import strip_remappings
 from cassandra_ros.cli.parsers import verbs_parser
@@ -247,7 +248,9 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the verb that the arguments name; return the exit status."""
-    options = make_parser().parse_args(strip_remappings(argv))
+    parser = make_parser()
+    answer_shell(parser)
+    options = parser.parse_args(strip_remappings(argv))
     try:
         return VERBS[options.verb](options)
     finally:

@@ -81,7 +81,7 @@ def add_store_options(parser: argparse.ArgumentParser) -> None:
         metavar="SECONDS",
         type=read_seconds,
         default=0.0,
-        help="wait so long for a store that does not answer yet (default: 0)",
+        help="wait so many seconds for a store that does not answer yet (default: 0)",
     )
 
 
@@ -197,7 +197,9 @@ def _own_login(directories: Sequence[Path]) -> str:
 def add_time_options(parser: argparse.ArgumentParser, what: str = "") -> None:
     """Add --start and --end, with ``what`` before their help texts; read_times reads them."""
     parser.add_argument("--start", metavar="T", help=f"{what}first time (default: that of all)")
-    parser.add_argument("--end", metavar="T", help=f"{what}last time, included")
+    parser.add_argument(
+        "--end", metavar="T", help=f"{what}last time, included (default: that of all)"
+    )
 
 
 def read_times(options: argparse.Namespace) -> tuple[Stamp | None, Stamp | None]:

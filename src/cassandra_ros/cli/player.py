@@ -20,6 +20,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
+from cassandra_ros.cli.completion import answer_shell
 from cassandra_ros.cli.keyboard import Keyboard
 from cassandra_ros.cli.options import (
     add_store_options,
@@ -83,15 +84,21 @@ def make_parser() -> argparse.ArgumentParser:
 def _add_selection(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
     add("topics", metavar="TOPIC", nargs="*", help="play these topics (default: all)")
-    text = "the same, for those who know rosbag play"
+    text = "the same, for those who know rosbag play (default: none more)"
     add("--topics", metavar="TOPIC", dest="more", nargs="+", default=[], help=text)
     add("-e", "--regex", action="store_true", help="match topics using regular expressions")
-    text = "leave out topics whose whole name matches this regular expression"
+    text = "leave out topics whose whole name matches this regular expression (default: none)"
     add("-x", "--exclude", metavar="EXCLUDE_REGEX", type=regular_expression, default="", help=text)
     add("-s", "--start", metavar="T", help="begin there (default: with the first message)")
-    add("-u", "--duration", metavar="SEC", type=duration, help="play only SEC seconds")
+    add(
+        "-u",
+        "--duration",
+        metavar="SEC",
+        type=duration,
+        help="play only SEC seconds (default: to the end)",
+    )
     add("--end", metavar="T", help="last time, included (default: the last message)")
-    text = "only messages of this recording or import: name or number"
+    text = "only messages of this recording or import: name or number (default: of all)"
     add("--run", metavar="RUN", action=_Once, help=text)
     add("--node-id", metavar="N", action=_Once, help="only messages of this node (default: of all)")
     add_where_option(group)
@@ -100,7 +107,7 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
         metavar="'TOPIC: CONDITION'",
         action=_Once,
         help="play only what lies around the messages of a topic that satisfy a condition, of all "
-        "topics",
+        "topics (default: play all)",
     )
     text = "how far before them, with --around (default: %(default)s)"
     add("--before", metavar="SEC", type=seconds, default=5.0, help=text)
@@ -117,14 +124,14 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
 
 def _add_pace(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
-    text = "multiply the publish rate by FACTOR"
+    text = "multiply the publish rate by FACTOR (default: %(default)s)"
     add("-r", "--rate", metavar="FACTOR", type=factor, default=1.0, help=text)
     text = "play back all messages without waiting, but for slow subscribers"
     add("-i", "--immediate", action="store_true", help=text)
     add("--pause", action="store_true", help="start in paused mode")
-    text = "pause before each message of these topics"
+    text = "pause before each message of these topics (default: of none)"
     add("--pause-topics", metavar="TOPIC", nargs="+", default=[], help=text)
-    text = "jump over stretches without a message of more than SEC seconds"
+    text = "jump over stretches without a message of more than SEC seconds (default: over none)"
     add("--skip-empty", metavar="SEC", type=seconds, help=text)
     add("-l", "--loop", action="store_true", help="loop playback")
     text = "stay at the end: for late subscribers of latched topics, and for ~seek"
@@ -133,7 +140,7 @@ def _add_pace(group: argparse._ArgumentGroup) -> None:
     add("-d", "--delay", metavar="SEC", type=seconds, default=0.2, help=text)
     text = "wait for at least one subscriber on each topic before publishing"
     add("--wait-for-subscribers", action="store_true", help=text)
-    text = "watch this topic, and wait while its last stamp is further behind than that"
+    text = "watch this topic, and wait while its last stamp is further behind (default: none)"
     add("--rate-control-topic", metavar="TOPIC", default="", help=text)
     text = "by how much it may lag behind (default: %(default)s)"
     add("--rate-control-max-delay", metavar="SEC", type=seconds, default=1.0, help=text)
@@ -143,7 +150,13 @@ def _add_pace(group: argparse._ArgumentGroup) -> None:
 
 def _add_names(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
-    add("-p", "--prefix", metavar="PREFIX", default="", help="prefix all output topics")
+    add(
+        "-p",
+        "--prefix",
+        metavar="PREFIX",
+        default="",
+        help="prefix all output topics (default: none)",
+    )
     text = "put the node, or the run, before the names: /<node>/topic"
     add("--node-prefix", action="store_true", help=text)
     text = "use an outgoing queue of size SIZE for each subscriber (default: 100, 0 = infinite)"
@@ -201,7 +214,9 @@ def read_options(options: argparse.Namespace) -> PlayerOptions:
 
 def main() -> int:
     """Play; return the exit status."""
-    options = make_parser().parse_args(without_empty(strip_remappings(None)))
+    parser = make_parser()
+    answer_shell(parser)
+    options = parser.parse_args(without_empty(strip_remappings(None)))
     try:
         selection, chosen = read_selection(options), read_options(options)
     except (InvalidName, InvalidOption, argparse.ArgumentTypeError) as exc:

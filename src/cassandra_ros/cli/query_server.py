@@ -15,6 +15,7 @@ import sys
 from functools import partial
 from typing import Callable, Sequence
 
+from cassandra_ros.cli.completion import answer_shell
 from cassandra_ros.cli.options import (
     add_store_options,
     open_store,
@@ -70,6 +71,7 @@ def read_options(
 def main() -> int:
     """Serve until the node is shut down; return the exit status."""
     parser = make_parser()
+    answer_shell(parser)
     words = strip_remappings(None)
     parser.parse_args(words)  # wrong usage and --help need no master
     from cassandra_ros.nodes.query_node import serve, start_node

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Callable, Mapping, Optional, Sequence
 
 from cassandra_ros.arguments import check_ros_name
+from cassandra_ros.cli.completion import answer_shell
 from cassandra_ros.cli.options import (
     add_format_option,
     add_store_options,
@@ -74,7 +75,7 @@ def _add_choice(add: Add) -> None:
     text = "record all topics, but for what the recorder itself says on /rosout and /diagnostics"
     add("-a", "--all", action="store_true", help=text)
     add("-e", "--regex", action="store_true", help="match topics using regular expressions")
-    text = "exclude topics matching the follow regular expression"
+    text = "exclude topics matching the follow regular expression (default: none)"
     add(
         "-x",
         "--exclude",
@@ -83,7 +84,12 @@ def _add_choice(add: Add) -> None:
         default="",
         help=text,
     )
-    add("--node", metavar="NODE", default="", help="record all topics subscribed to by a node")
+    add(
+        "--node",
+        metavar="NODE",
+        default="",
+        help="record all topics subscribed to by a node (default: none)",
+    )
     text = "say what would be recorded and how, and end"
     add("--dry-run", action="store_true", help=text)
     add("-q", "--quiet", action="store_true", help="suppress console output")
@@ -92,7 +98,9 @@ def _add_choice(add: Add) -> None:
 def _add_runs(add: Add) -> None:
     text = "prepend PREFIX to the name of the run, which is the date (default: only the date)"
     add("-o", "--output-prefix", metavar="PREFIX", default="", help=text)
-    text = "name of the run; another one may have it, too: both are then meant by it"
+    text = (
+        "name of the run; another one may have it, too: both are then meant by it (default: none)"
+    )
     add("-O", "--output-name", "--name", metavar="NAME", default="", help=text)
     text = "keep a label with the run; may be repeated"
     add(
@@ -105,13 +113,17 @@ def _add_runs(add: Add) -> None:
     )
     text = "go on in a new run when size or duration is reached: NAME_0, NAME_1, ..."
     add("--split", action="store_true", help=text)
-    text = "record this many MB of messages (with --split: into each run)"
+    text = "record this many MB of messages; with --split: into each run (default: any number)"
     add("--size", metavar="SIZE", type=megabytes, default=0, help=text)
     text = (
-        "record for this long, in seconds, unless 'm', or 'h' is appended (with --split: each run)"
+        "record for this long, in seconds, unless 'm', or 'h' is appended; with "
+        "--split: each run (default: until it is stopped)"
     )
     add("--duration", type=duration, default=0.0, help=text)
-    text = "keep at most MAX_SPLITS runs of this recording; the messages of older ones are deleted"
+    text = (
+        "keep at most MAX_SPLITS runs of this recording; the messages of older ones are "
+        "deleted (default: keep all)"
+    )
     add("--max-splits", metavar="MAX_SPLITS", type=whole_number, default=0, help=text)
     text = "begin each run of a split recording with the latched messages"
     add("--repeat-latched", action="store_true", help=text)
@@ -119,7 +131,7 @@ def _add_runs(add: Add) -> None:
     add("-p", "--publish", action="store_true", help=text)
     text = (
         "keep only the newest messages, so long or so many, in memory; the service ~snapshot "
-        "writes them as a run"
+        "writes them as a run (default: write all at once)"
     )
     add("-s", "--snapshot", metavar="30s|200MB", type=checked(read_bound), help=text)
 
@@ -142,7 +154,8 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     add("--rate-limit", metavar="[TOPIC:]HZ", type=checked(read_limit), action="append", help=text)
     text = (
         "YAML file with format, ttl, rate_limit, where, key_part and index by pattern; see "
-        "config/recorder.yaml. --where and --rate-limit go before it, it goes before --format"
+        "config/recorder.yaml. --where and --rate-limit go before it, it goes before "
+        "--format (default: none)"
     )
     add("--config", metavar="FILE", type=checked(read_config), default=(), help=text)
     text = (
@@ -155,9 +168,9 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_limits(add: Add) -> None:
-    text = "only record NUM messages on each topic"
+    text = "only record NUM messages on each topic (default: all)"
     add("-l", "--limit", metavar="NUM", type=whole_number, default=0, help=text)
-    text = "use an internal buffer of SIZE MB (Default: 256, 0 = infinite)"
+    text = "use an internal buffer of SIZE MB (default: 256, 0 = infinite)"
     add("-b", "--buffsize", metavar="SIZE", type=megabytes, default="256", help=text)
     text = (
         "store nothing while less is free where the local Cassandra keeps its data (default: 1G; "
@@ -174,7 +187,10 @@ def _add_rosbag(add: Add) -> None:
     text = "taken and without effect: Cassandra compresses its tables anyway, with LZ4"
     add("-j", "--bz2", action="store_true", help=text)
     add("--lz4", action="store_true", help=text)
-    text = "taken and without effect: messages over 512 KiB are stored in chunks of that size"
+    text = (
+        "taken and without effect: messages over 512 KiB are stored in chunks of that "
+        "size (default)"
+    )
     add("--chunksize", metavar="SIZE", type=whole_number, help=text)
     add("--udp", action="store_true", help="refused: rospy has no UDP transport")
 
@@ -279,6 +295,7 @@ def local_space(hosts: Sequence[str]) -> Optional[Callable[[], int]]:
 def main() -> int:
     """Record; return the exit status."""
     parser = make_parser()
+    answer_shell(parser)
     words = strip_remappings(None)
     given = parser.parse_args(words)  # wrong usage and --help need no master
     if given.topics or given.all or given.node or not master_answers():

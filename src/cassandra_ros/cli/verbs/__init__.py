@@ -7,6 +7,7 @@ from __future__ import annotations
 from cassandra_ros.cli.verbs import (
     cat,
     check,
+    completion,
     convert,
     delete,
     export,
@@ -46,4 +47,5 @@ VERBS = {
     "retention": retention,
     "keyspaces": keyspaces,
     "roles": roles,
+    "completion": completion,
 }

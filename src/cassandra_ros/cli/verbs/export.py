@@ -42,8 +42,13 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bag, selection, compression and the store."""
     add = parser.add_argument
-    add("bag", nargs="?", metavar="OUT.bag", help="the bag to make; OUT.mcap makes an MCAP")
-    add("-o", "--output", metavar="OUT.bag", help="the same, wherever it stands")
+    add(
+        "bag",
+        nargs="?",
+        metavar="OUT.bag",
+        help="the bag to make; OUT.mcap makes an MCAP (default: that of -o)",
+    )
+    add("-o", "--output", metavar="OUT.bag", help="the same, wherever it stands (default: OUT.bag)")
     add_topics_option(parser, "OUT.bag, or with -o anywhere")
     add_time_options(parser)
     add_origin_options(parser)

@@ -29,10 +29,21 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add topic, field, what is to be done, and the store."""
     add = parser.add_argument
-    add("topics", metavar="TOPIC", nargs="?", type=lambda text: [text], help="a stored topic")
+    add(
+        "topics",
+        metavar="TOPIC",
+        nargs="?",
+        type=lambda text: [text],
+        help="a stored topic (default, with --list: all)",
+    )
     text = "TOPIC is a regular expression, which must match whole names: do it for each topic"
     add("-e", "--regex", action="store_true", help=text)
-    add("field", metavar="FIELD", nargs="?", help="dotted name of a field of its messages")
+    add(
+        "field",
+        metavar="FIELD",
+        nargs="?",
+        help="dotted name of a field of its messages (default: none, with --list)",
+    )
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--remove", action="store_true", help="remove the index on FIELD")
     what.add_argument(

@@ -94,7 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     form = parser.add_mutually_exclusive_group()
     form.add_argument("-y", "--yaml", action="store_true", help="print information in YAML format")
     add_json_option(form)
-    text = "print only the information on this key, with -y or --json"
+    text = "print only the information on this key, with -y or --json (default: all)"
     parser.add_argument("-k", "--key", metavar="KEY", help=text)
     text = "print the mean rate of each topic, Hz"
     parser.add_argument("--freq", action="store_true", help=text)

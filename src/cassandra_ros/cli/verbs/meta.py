@@ -33,7 +33,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=lambda text: read_pair(text, "=", _FORM),
         help="set this key of your own, or the comment (default: only print)",
     )
-    add("--remove", metavar="KEY", action="append", default=[], help="remove a key of your own")
+    add(
+        "--remove",
+        metavar="KEY",
+        action="append",
+        default=[],
+        help="remove a key of your own; may be repeated",
+    )
     add(
         "--definition",
         action="store_true",

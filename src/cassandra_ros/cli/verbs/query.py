@@ -53,7 +53,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("-O", "--output-file", metavar="FILE", help="write to FILE (default: standard output)")
     add("-f", "--force", action="store_true", help="replace FILE if it exists")
-    add("-l", "--limit", metavar="NUM", type=_count, help="print at most so many rows")
+    add(
+        "-l",
+        "--limit",
+        metavar="NUM",
+        type=_count,
+        help="print at most so many rows (default: all)",
+    )
     add_origin_options(parser)
     add(
         "--explain",

@@ -1,0 +1,65 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Print what makes bash or zsh complete verbs, options, topics, fields, runs and nodes.
+
+  eval "$(rosrun cassandra_ros cassandra_bag completion bash)"     # a line for ~/.bashrc
+  eval "$(rosrun cassandra_ros cassandra_bag completion zsh)"      # ~/.zshrc, behind compinit
+
+The line stands behind the one that sources the workspace. From then on cassandra_bag can be typed
+without rosrun, and the Tab key offers what fits: of the store that the options typed so far, the
+environment and the cqlshrc name; of import and verify the topics of the files. In bash that holds
+for all programs of the package behind rosrun, too. It needs the Python package argcomplete, of
+requirements.txt.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+
+# argcomplete answers on file 8. Its answers are divided by vertical tabs, and end with a space
+# where a word is complete.
+_ASK = """\
+_cassandra_ros_ask() {
+    local IFS=$'\\013'
+    COMPREPLY=( $(COMP_LINE="$COMP_LINE" COMP_POINT="$COMP_POINT" COMP_TYPE="$COMP_TYPE" \\
+        _ARGCOMPLETE_COMP_WORDBREAKS="$COMP_WORDBREAKS" _ARGCOMPLETE_SHELL=bash \\
+        _ARGCOMPLETE="$1" "$2" 8>&1 >/dev/null 2>/dev/null 9>&2) )
+}
+_cassandra_ros_bag() {
+    _cassandra_ros_ask 1 PROGRAM
+}
+command -v cassandra_bag >/dev/null || cassandra_bag() {
+    PROGRAM "$@"
+}
+complete -o nospace -o default -F _cassandra_ros_bag cassandra_bag
+"""
+_ROSRUN = """\
+_cassandra_ros_rosrun() {
+    local name=${COMP_WORDS[2]}
+    if [[ ${COMP_WORDS[1]} == cassandra_ros && $COMP_CWORD -ge 3 && -x FOLDER/$name ]]; then
+        compopt -o nospace
+        _cassandra_ros_ask 3 FOLDER/"$name"
+    elif declare -F _roscomplete_exe >/dev/null; then
+        _roscomplete_exe "$@"
+    fi
+}
+declare -F _completion_loader >/dev/null && _completion_loader rosrun
+complete -o default -F _cassandra_ros_rosrun rosrun
+"""
+_SHELLS = {"bash": _ASK + _ROSRUN, "zsh": "autoload -U +X bashcompinit && bashcompinit\n" + _ASK}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the shell."""
+    parser.add_argument("shell", choices=sorted(_SHELLS), help="the shell that is to ask")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the lines; the program that they ask is the one that runs."""
+    program = Path(sys.argv[0]).absolute()
+    text = _SHELLS[options.shell].replace("PROGRAM", shlex.quote(str(program)))
+    print(text.replace("FOLDER", shlex.quote(str(program.parent))), end="")
+    return 0

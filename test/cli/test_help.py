@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the programs say of themselves: help texts with defaults and units, statuses, version."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+
+import pytest
+from conftest import ROOT
+
+from cassandra_ros.cli import cassandra_bag, local_cassandra, player, query_server, recorder
+
+PROGRAMS = (cassandra_bag, local_cassandra, player, query_server, recorder)
+UNITS = re.compile(
+    r"\b(seconds?|SECONDS|ns|SEC|MB|KB|Hz|bytes|percent|T|hours?|days?)\b|[0-9][smhdGM]\b"
+)
+
+
+def parsers(program):
+    parser = program.make_parser()
+    found = [parser]
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            found += action.choices.values()
+    return found
+
+
+def valued(parser):
+    """The actions of a parser that take a value."""
+    for action in parser._actions:
+        if action.nargs != 0 and not isinstance(action, argparse._SubParsersAction):
+            yield action
+
+
+@pytest.mark.parametrize("program", PROGRAMS, ids=lambda module: module.__name__.split(".")[-1])
+def test_every_option_says_what_it_is_without(program):
+    silent = []
+    for parser in parsers(program):
+        for action in valued(parser):
+            optional = action.option_strings or action.nargs in ("?", "*")
+            told = "default" in action.help or "may be repeated" in action.help
+            if optional and not action.required and not told:
+                silent.append((parser.prog, action.dest, action.help))
+    assert silent == []
+
+
+def test_numbers_have_units():
+    silent = []
+    for parser in parsers(cassandra_bag):
+        for action in valued(parser):
+            measured = isinstance(action.default, float) or "sec" in (action.metavar or "").lower()
+            if measured and not UNITS.search(f"{action.metavar} {action.help}"):
+                silent.append((parser.prog, action.dest, action.help))
+    assert silent == []
+
+
+@pytest.mark.parametrize("program", PROGRAMS, ids=lambda module: module.__name__.split(".")[-1])
+def test_exit_statuses_are_documented(program):
+    name = program.__name__.split(".")[-1]
+    for parser in parsers(program):
+        text = parser.format_help()
+        assert "exit status:\n  0    all was done\n  1    it failed" in text, parser.prog
+        assert f"each line '{name}: …' on standard error" in text
+
+
+def test_version_and_wrong_usage_have_one_form():
+    def typed(program, *words):
+        return subprocess.run(
+            [sys.executable, ROOT / "scripts" / program, *words],
+            env={"PYTHONPATH": f"{ROOT / 'src'}:/usr/lib/python3/dist-packages"},
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+
+    version = re.search("<version>(.*)</version>", (ROOT / "package.xml").read_text())[1]
+    assert typed("cassandra_bag", "--version").stdout == f"cassandra_bag {version}\n"
+    done = typed("cassandra_bag", "info", "--no-such")
+    assert done.returncode == 2
+    last = "cassandra_bag: unrecognized arguments: --no-such (see cassandra_bag --help)"
+    assert done.stderr.splitlines()[-1] == last
