@@ -17,6 +17,10 @@ def main() -> None:
     parser.add_argument(
         "--port", type=int, help="default: CASSANDRA_ROS_PORT, or as your cqlshrc says"
     )
+    parser.add_argument("--cqlshrc", help="file like cqlsh's; default: ~/.cassandra/cqlshrc")
+    parser.add_argument(
+        "--credentials", help="file like cqlsh's; default: ~/.cassandra/credentials"
+    )
     parser.add_argument(
         "--keyspace",
         default=os.environ.get("CASSANDRA_ROS_KEYSPACE") or "ros",
@@ -27,7 +31,8 @@ def main() -> None:
     )
     args = parser.parse_args()
 
-    rosCas = RosCassandra(args.host, args.port)
+    login = {"cqlshrc": args.cqlshrc, "credentials": args.credentials}
+    rosCas = RosCassandra(args.host, args.port, **login)
     rosCas.connectToKeyspace(args.keyspace, make=False)
 
     # Which topics come from a GPS receiver, and which robot recorded them?

@@ -113,9 +113,14 @@ def main() -> None:
     parser.add_argument(
         "--port", type=int, help="default: CASSANDRA_ROS_PORT, or as your cqlshrc says"
     )
+    parser.add_argument("--cqlshrc", help="file like cqlsh's; default: ~/.cassandra/cqlshrc")
+    parser.add_argument(
+        "--credentials", help="file like cqlsh's; default: ~/.cassandra/credentials"
+    )
     parser.add_argument("--keyspace", default="named_results", help="default: %(default)s")
     args = parser.parse_args()
-    with RosCassandra(args.host, args.port, keyspace=args.keyspace) as rosCas:
+    login = {"cqlshrc": args.cqlshrc, "credentials": args.credentials}
+    with RosCassandra(args.host, args.port, keyspace=args.keyspace, **login) as rosCas:
         maps(rosCas)
         models(rosCas)
         trajectories(rosCas)

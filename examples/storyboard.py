@@ -134,11 +134,16 @@ def main() -> None:
     parser.add_argument(
         "--port", type=int, help="default: CASSANDRA_ROS_PORT, or as your cqlshrc says"
     )
+    parser.add_argument("--cqlshrc", help="file like cqlsh's; default: ~/.cassandra/cqlshrc")
+    parser.add_argument(
+        "--credentials", help="file like cqlsh's; default: ~/.cassandra/credentials"
+    )
     parser.add_argument("--keyspace", default="storyboard", help="default: %(default)s")
     parser.add_argument("--replay", action="store_true", help="publish the messages again")
     args = parser.parse_args()
 
-    with RosCassandra(args.host, args.port, keyspace=args.keyspace) as rosCas:
+    login = {"cqlshrc": args.cqlshrc, "credentials": args.credentials}
+    with RosCassandra(args.host, args.port, keyspace=args.keyspace, **login) as rosCas:
         record(rosCas)
         nodeID, t1, t2 = longest_look(rosCas)
         x_min, x_max, y_min, y_max = bounds = area(rosCas, nodeID, t1, t2)

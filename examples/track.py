@@ -25,6 +25,10 @@ def main() -> None:
     parser.add_argument(
         "--port", type=int, help="default: CASSANDRA_ROS_PORT, or as your cqlshrc says"
     )
+    parser.add_argument("--cqlshrc", help="file like cqlsh's; default: ~/.cassandra/cqlshrc")
+    parser.add_argument(
+        "--credentials", help="file like cqlsh's; default: ~/.cassandra/credentials"
+    )
     parser.add_argument(
         "--keyspace",
         default=os.environ.get("CASSANDRA_ROS_KEYSPACE") or "ros",
@@ -33,7 +37,8 @@ def main() -> None:
     parser.add_argument("--out", default="track.png", help="the picture (%(default)s)")
     args = parser.parse_args()
 
-    with RosCassandra(args.host, args.port) as rosCas:
+    login = {"cqlshrc": args.cqlshrc, "credentials": args.credentials}
+    with RosCassandra(args.host, args.port, **login) as rosCas:
         rosCas.connectToKeyspace(args.keyspace, make=False)
         wheels = rosCas.executeCQL(
             "select KEY, pose.pose.position.x, pose.pose.position.y from /encoder"

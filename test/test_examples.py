@@ -53,9 +53,16 @@ def positions(messages, robot, low, high):
     }
 
 
-def test_results_under_names(cassandra, keyspace, ros_env):
+def test_results_under_names(cassandra, keyspace, ros_env, tmp_path):
+    """The place of the store comes out of a cqlshrc here, and the login out of its file."""
+    cqlshrc, credentials = tmp_path / "cqlshrc", tmp_path / "credentials"
+    cqlshrc.write_text(f"[connection]\nhostname = {cassandra.host}\nport = {cassandra.port}\n")
+    credentials.write_text("[PlainTextAuthProvider]\nusername = ann\npassword = secret\n")
+    credentials.chmod(0o600)
     command = [sys.executable, str(ROOT / "examples/named_results.py")]
-    options = ["--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", keyspace]
+    options = ["--cqlshrc", str(cqlshrc), "--credentials", str(credentials), "--keyspace", keyspace]
+    for name in ("CASSANDRA_ROS_HOST", "CASSANDRA_ROS_PORT"):
+        ros_env = {**ros_env, name: ""}
     for run in (1, 2):
         done = subprocess.run(
             [*command, *options], env=ros_env, capture_output=True, text=True, timeout=120
@@ -96,6 +103,14 @@ def test_the_listing_reads_what_the_environment_names(cassandra, keyspaces, conn
             assert after == before
             rosCas.connectToKeyspace(notes)
             assert [topic.name for topic in rosCas.getAllTopics()] == ["/operator/notes"]
+
+
+def test_every_example_takes_the_files_of_a_login():
+    for name in ("listing", "named_results", "storyboard", "track"):
+        text = (ROOT / f"examples/{name}.py").read_text(encoding="utf-8")
+        assert all(f'"--{file}"' in text for file in ("cqlshrc", "credentials")), name
+        assert '{"cqlshrc": args.cqlshrc, "credentials": args.credentials}' in text, name
+        assert "RosCassandra(args.host, args.port" in text and "**login)" in text, name
 
 
 @pytest.mark.parametrize("name", ["named_results", "storyboard"])
