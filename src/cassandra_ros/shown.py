@@ -46,20 +46,15 @@ def _html_row(tag: str, values: Iterable[object]) -> str:
 class Listing(List[_Item]):
     """A list that says what it holds: an item a line, in a notebook a table.
 
-    Args:
-        items: What it holds.
-        columns: Heading -> what stands under it of an item.
+    Attributes:
+        COLUMNS: Heading -> what stands under it of an item.
     """
 
-    def __init__(
-        self, items: Iterable[_Item], columns: Mapping[str, Callable[[_Item], object]]
-    ) -> None:
-        super().__init__(items)
-        self._columns = columns
+    COLUMNS: Mapping[str, Callable[[_Item], object]]
 
     def __repr__(self) -> str:
         return f"[{f',{chr(10)} '.join(map(repr, self))}]"
 
     def _repr_html_(self) -> str:
-        rows = [[value(item) for value in self._columns.values()] for item in self]
-        return html_table(tuple(self._columns), rows)
+        rows = [[value(item) for value in self.COLUMNS.values()] for item in self]
+        return html_table(tuple(self.COLUMNS), rows)

@@ -12,6 +12,7 @@ import genpy
 import pytest
 import rosbag
 import rospy
+import yaml
 from bag.truth import STRING_MD5, string_connection, string_wire
 from geometry_msgs.msg import Twist
 from std_msgs.msg import Header, String
@@ -177,6 +178,21 @@ def test_times_names_and_text(bag, path):
     with rosbag.Bag(str(path)) as truth:
         others = [line.split() for line in str(truth).splitlines()]
     assert alike == [line for line in others if line[0] not in ("size:", "compression:")]
+
+
+def test_the_facts_as_yaml(bag, path):
+    """As the wiki of rosbag shows it."""
+    facts = yaml.safe_load(bag._get_yaml_info())
+    with rosbag.Bag(str(path)) as truth:
+        expected = yaml.safe_load(truth._get_yaml_info())
+    for other in ("size", "compression"):  # of a file
+        facts.pop(other, None)
+        expected.pop(other)
+    assert facts.pop("duration") == pytest.approx(expected.pop("duration"), abs=1e-5)
+    for one in (*facts["topics"], *expected["topics"]):
+        one["frequency"] = round(one["frequency"], 3)
+    assert facts == expected
+    assert bag._get_yaml_info(key="messages").strip() == "24"
 
 
 def test_closed(bag):

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import code
+import pickle
 import rlcompleter
 from datetime import datetime, timedelta, timezone
 
@@ -135,6 +136,7 @@ def test_a_notebook_shows_tables(store, topic):
     assert "<tr><td>robots</td><td>husky</td></tr>" in topic._repr_html_()
     assert store.info()._repr_html_() == store._repr_html_()
     assert "<td>/cmd_vel</td><td>geometry_msgs/Twist</td><td>packed</td>" in store._repr_html_()
+    assert pickle.loads(pickle.dumps(store.info())) == store.info()  # noqa: S301 (our own)
     assert store.runs()._repr_html_().startswith("<table><thead><tr><th>run</th>")
     rows = store.executeCQL("select KEY from /cmd_vel")
     rows.extend(list(rows) * MOST_ROWS)

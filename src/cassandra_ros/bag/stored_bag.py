@@ -410,10 +410,17 @@ class Bag:
         return f"<Bag {self.filename!r} of keyspace {self._store.keyspace}, {state}>"
 
     def __str__(self) -> str:
+        return self._summary().text()
+
+    def _get_yaml_info(self, key: str | None = None) -> str:
+        """Return what str() says as YAML, or one of its facts: ROS's wiki shows scripts this."""
+        return self._summary().yaml(key)
+
+    def _summary(self) -> Summary:
         types, topics = self.get_type_and_topic_info()
         lines = [TopicSummary(name, *topic) for name, topic in topics.items()]
         ends = self._ends() if topics else None
-        return Summary(self.filename, self.size, ends, types, lines).text()
+        return Summary(self.filename, self.size, ends, types, lines)
 
 
 def _raw(row: StoredRow) -> tuple[object, ...]:

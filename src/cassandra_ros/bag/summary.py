@@ -8,6 +8,9 @@ import time
 from dataclasses import dataclass
 from typing import Mapping, Sequence
 
+import yaml
+
+from cassandra_ros.errors import InvalidName
 from cassandra_ros.keys import SECOND_NS
 
 
@@ -50,6 +53,29 @@ class Summary:
         width = max(len(head) for head, _ in rows)
         return "\n".join(f"{head:<{width}} {value}" for head, value in rows).rstrip()
 
+    def yaml(self, key: str | None = None) -> str:
+        """Return the facts as YAML, as ``rosbag info --yaml``, or the one that key names.
+
+        Raises:
+            InvalidName: There is no such fact.
+        """
+        facts: dict[str, object] = {"path": self.path, "version": 2.0}
+        if self.ends is not None:
+            start, end = (ns / SECOND_NS for ns in self.ends)
+            times = {"duration": end - start, "start": start, "end": end}
+            facts.update((name, round(seconds, 6)) for name, seconds in times.items())
+        facts["size"] = self.size
+        facts["messages"] = sum(topic.messages for topic in self.topics)
+        facts["indexed"] = True
+        facts["types"] = [{"type": name, "md5": md5sum} for name, md5sum in self.types.items()]
+        facts["topics"] = [_facts(topic) for topic in self.topics]
+        if key is None:
+            return str(yaml.safe_dump(facts, sort_keys=False))
+        if key not in facts:
+            raise InvalidName(f"there is no {key!r:.80} in it, but {', '.join(facts)}")
+        fact = facts[key]
+        return str(yaml.safe_dump(fact)) if isinstance(fact, list) else str(fact)
+
     def _types(self) -> list[str]:
         width = max(map(len, self.types), default=0)
         return [f"{name:<{width}} [{md5sum}]" for name, md5sum in self.types.items()]
@@ -69,6 +95,16 @@ class Summary:
             + (f" ({t.connections} connections)" if t.connections > 1 else "")
             for t, hz in zip(self.topics, rates)
         ]
+
+
+def _facts(topic: TopicSummary) -> dict[str, object]:
+    facts: dict[str, object] = {"topic": topic.topic, "type": topic.type}
+    facts["messages"] = topic.messages
+    if topic.connections > 1:
+        facts["connections"] = topic.connections
+    if topic.frequency is not None:
+        facts["frequency"] = round(topic.frequency, 4)
+    return facts
 
 
 def _headed(head: str, lines: Sequence[str]) -> list[tuple[str, str]]:

@@ -70,38 +70,34 @@ def _time(ns: int | None) -> str:
     return "" if ns is None else iso_time(ns)
 
 
-def infos_listed(infos: list[TopicInfo]) -> Listing[TopicInfo]:
-    """Return what is stored as a list that is shown as a table."""
-    return Listing(
-        infos,
-        {
-            "topic": lambda info: info.topic,
-            "type": lambda info: info.type,
-            "format": lambda info: info.format,
-            "robot": lambda info: info.node,
-            "messages": lambda info: info.count,
-            "bytes": lambda info: info.bytes,
-            "from": lambda info: _time(info.first_ns),
-            "to": lambda info: _time(info.last_ns),
-            "lost": lambda info: info.lost,
-        },
-    )
+class Infos(Listing[TopicInfo]):
+    """What is stored, by topic, table and node."""
+
+    COLUMNS = {
+        "topic": lambda info: info.topic,
+        "type": lambda info: info.type,
+        "format": lambda info: info.format,
+        "robot": lambda info: info.node,
+        "messages": lambda info: info.count,
+        "bytes": lambda info: info.bytes,
+        "from": lambda info: _time(info.first_ns),
+        "to": lambda info: _time(info.last_ns),
+        "lost": lambda info: info.lost,
+    }
 
 
-def runs_listed(runs: list[Run]) -> Listing[Run]:
-    """Return runs as a list that is shown as a table."""
-    return Listing(
-        runs,
-        {
-            "run": lambda run: run.name,
-            "id": lambda run: run.writer,
-            "robot": lambda run: run.node,
-            "kind": lambda run: run.kind,
-            "start": lambda run: run.started or "",
-            "end": lambda run: run.ended or "",
-            "state": lambda run: run.state,
-            "messages": lambda run: sum(run.stored.values()),
-            "lost": lambda run: sum(run.lost.values()),
-            "labels": lambda run: ", ".join(f"{k}={v}" for k, v in run.labels.items()),
-        },
-    )
+class RunList(Listing[Run]):
+    """Recordings and imports."""
+
+    COLUMNS = {
+        "run": lambda run: run.name,
+        "id": lambda run: run.writer,
+        "robot": lambda run: run.node,
+        "kind": lambda run: run.kind,
+        "start": lambda run: run.started or "",
+        "end": lambda run: run.ended or "",
+        "state": lambda run: run.state,
+        "messages": lambda run: sum(run.stored.values()),
+        "lost": lambda run: sum(run.lost.values()),
+        "labels": lambda run: ", ".join(f"{k}={v}" for k, v in run.labels.items()),
+    }

@@ -12,16 +12,16 @@ from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Time, duration_ns
 from cassandra_ros.query.explain import Explanation
 from cassandra_ros.query.run import QueryResult, Rows
-from cassandra_ros.shown import Listing, public_names
+from cassandra_ros.shown import public_names
 from cassandra_ros.store.address import from_environment
 from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.registry import Loss, Run
+from cassandra_ros.store.registry import Loss
 from cassandra_ros.store.run_context import RunContext
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
 from cassandra_ros.topics.convert import Converted
 from cassandra_ros.topics.copying import Progress
-from cassandra_ros.topics.descriptions import infos_listed, runs_listed
+from cassandra_ros.topics.descriptions import Infos, RunList
 from cassandra_ros.topics.keyspace import Keyspace, wished_topic, with_key
 from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
@@ -30,7 +30,7 @@ from cassandra_ros.topics.runs import RunName
 from cassandra_ros.topics.selection import Clock, Stretch
 from cassandra_ros.topics.statements import Statements
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.totals import TopicInfo, describe
+from cassandra_ros.topics.totals import describe
 from cassandra_ros.topics.upkeep import Upkeep
 from cassandra_ros.transforms.lookup import lookup_transform
 
@@ -253,18 +253,18 @@ class RosCassandra:
         *,
         nodeID: Optional[str] = None,
         run: RunName = None,
-    ) -> Listing[TopicInfo]:
+    ) -> Infos:
         """Describe what is stored: counts, sizes and times by topic, table and node.
 
         Of a node or run there are only the tables in which they have messages.
         """
         tables, whose = self._open.tables(check_topics(topics)), self._open.whose(nodeID, run)
         losses = self.parts.runs.losses(None, Stretch(), whose)
-        return infos_listed(describe(self.parts.directory, tables, whose, losses))
+        return Infos(describe(self.parts.directory, tables, whose, losses))
 
-    def runs(self) -> Listing[Run]:
+    def runs(self) -> RunList:
         """List the recordings and imports, with state, counts and losses as they are now."""
-        return runs_listed(list_runs(self.parts, self._open.tables(None)))
+        return RunList(list_runs(self.parts, self._open.tables(None)))
 
     def runContext(self, run: RunName) -> Optional[RunContext]:
         """Return parameters and node graph at the start of a run; None where none were kept.
