@@ -19,8 +19,9 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Schema, Statistics
+from numpy.lib.stride_tricks import sliding_window_view
 
-from cassandra_ros.bag.chunk import MAX_CHUNK_BYTES, Longs
+from cassandra_ros.bag.chunk import MAX_CHUNK_BYTES, MIN_AT_ONCE, Longs
 from cassandra_ros.errors import BagError
 from cassandra_ros.keys import MAX_NS
 
@@ -30,6 +31,14 @@ RECORD = Struct("<BQ")
 """Kind of a record, and the bytes that follow."""
 _CHUNK = Struct("<QQQII")
 _MESSAGE = Struct("<BQHIQQ")
+_HEAD = np.dtype(
+    [
+        ("kind", "u1"),
+        *(("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")),
+        *(("time", "<u8"), ("sent", "<u8")),
+    ]
+)
+"""The same, for many messages at once."""
 _INDEX = Struct("<HI")
 _ENTRY_BYTES = 16
 _CRC_BYTES = 4
@@ -224,8 +233,60 @@ def records_of(content: bytes, where: str) -> Iterator[Record]:
         yield Record(kind, start, position)
 
 
-def find_messages(content: bytes, where: str) -> Messages:
-    """List the messages among the records that fill some bytes."""
+def offsets_of_indexes(raw: bytes) -> Longs | None:
+    """Return where message indexes say that records of messages begin, ascending.
+
+    None: they are damaged; which messages there are is seen without them.
+    """
+    found = [np.zeros(0, np.int64)]
+    with suppress(BagError, ValueError):
+        for record in records_of(raw, ""):
+            entries = np.frombuffer(raw[record.start + _INDEX.size : record.stop], "<u8")
+            found.append(entries[1::2].astype(np.int64))
+        return np.sort(np.concatenate(found))
+    return None
+
+
+def _messages_at(content: bytes, where: str, offsets: Longs) -> Messages | None:
+    """Read the messages whose records begin at some bytes; None: that is not all there is."""
+    if offsets[0] < 0 or offsets[-1] > len(content) - _MESSAGE.size:
+        return None
+    rows = sliding_window_view(np.frombuffer(content, np.uint8), _MESSAGE.size)[offsets]
+    heads = rows.view(_HEAD)[:, 0]
+    most = max(heads["time"].max(), heads["sent"].max())
+    if (heads["kind"] != Opcode.MESSAGE).any() or most > MAX_NS or heads["length"].max() > 2**32:
+        return None
+    stops = offsets + RECORD.size + heads["length"].astype(np.int64)
+    starts = offsets + _MESSAGE.size
+    begins, ends = np.append(offsets, len(content)), np.insert(stops, 0, 0)
+    if (stops < starts).any() or (begins < ends).any():
+        return None
+    gaps = np.flatnonzero(begins != ends).tolist()
+    if not all(_without_message(content[ends[gap] : begins[gap]], where) for gap in gaps):
+        return None
+    channels, sequences = heads["channel"].astype(np.int64), heads["sequence"].astype(np.int64)
+    times, sent = heads["time"].astype(np.int64), heads["sent"].astype(np.int64)
+    return Messages(channels, sequences, times, sent - times, starts, stops)
+
+
+def _without_message(content: bytes, where: str) -> bool:
+    """Say whether other records than messages fill some bytes."""
+    with suppress(BagError):
+        return all(record.kind != Opcode.MESSAGE for record in records_of(content, where))
+    return False
+
+
+def find_messages(content: bytes, where: str, offsets: Longs | None = None) -> Messages:
+    """List the messages among the records that fill some bytes.
+
+    Args:
+        offsets: Where the index says that records of messages begin, ascending. It is believed
+            where the records there fill the content; then they are read all at once.
+    """
+    if offsets is not None and len(offsets) >= MIN_AT_ONCE:
+        told = _messages_at(content, where, offsets)
+        if told is not None:
+            return told
     found: list[tuple[int, int, int, int, int, int]] = []
     position, end, last = 0, len(content), len(content) - _MESSAGE.size
     read, size = _MESSAGE.unpack_from, _MESSAGE.size

@@ -40,6 +40,8 @@ class _Chunk:
     head: ChunkHead
     counts: Counter[int] = field(default_factory=Counter)
     """Messages by id of the channel; none as long as nobody has counted."""
+    index: Record | None = None
+    """Where its message indexes lie."""
     part: bytes | None = None
     """What could be unpacked of it, where the file ends within."""
 
@@ -138,8 +140,10 @@ class McapReader(MessageFile):
     def _messages(self, chunk: int) -> tuple[bytes, Messages]:
         """Read the messages of ROS 1 of a chunk."""
         if self._last is None or self._last.chunk != chunk:
-            content = self._content(chunk)
-            found = mcapformat.find_messages(content, self._where(chunk))
+            content, index, offsets = self._content(chunk), self._chunks[chunk].index, None
+            if index is not None:
+                offsets = mcapformat.offsets_of_indexes(self._bytes(index))
+            found = mcapformat.find_messages(content, self._where(chunk), offsets)
             if Counter(found.channels.tolist()) != self._chunks[chunk].counts:
                 raise BagError(
                     f"{self._where(chunk)} is damaged: its {len(found.times)} messages are not "
@@ -229,8 +233,12 @@ class McapReader(MessageFile):
             self._chunks.append(_Chunk(place, head))
         elif kind == Opcode.MESSAGE_INDEX and self._chunks:
             channel, count = mcapformat.count_of_index(self._file, record, self.path)
+            chunk, start = self._chunks[-1], record.start - mcapformat.RECORD.size
             if count:
-                self._chunks[-1].counts[channel] += count
+                chunk.counts[channel] += count
+            if chunk.index is not None and chunk.index.stop == start:
+                start = chunk.index.start
+            chunk.index = record._replace(start=start)
         elif kind == Opcode.MESSAGE:
             self._note_loose(record)
         elif kind == Opcode.STATISTICS:
