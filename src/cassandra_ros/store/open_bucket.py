@@ -11,8 +11,9 @@ import time
 import zlib
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import accumulate, takewhile
-from typing import Callable, Sequence
+from itertools import accumulate, chain, repeat, takewhile
+from operator import attrgetter
+from typing import Callable, Iterable, Sequence
 
 from cassandra.query import BatchStatement, BatchType, BoundStatement
 
@@ -41,6 +42,8 @@ HELD_BYTES = 8 * 1024 * 1024
 _ROW_OVERHEAD = 60
 _OWN = struct.Struct(">iqiqiqii")
 """_t, _seq, _conn and _size, each behind its size."""
+
+_time_of, _wire_of = attrgetter("t"), attrgetter("wire")
 
 Again = Callable[[], object]
 """Writes a message anew, into the table that its topic has then."""
@@ -161,7 +164,7 @@ class OpenBucket:
         if not batch.rows:
             batch.since = time.monotonic()
         rows = rows[: BATCH_ROWS - len(batch.rows)]
-        sizes = [len(row.wire) for row in rows]
+        sizes = list(map(len, map(_wire_of, rows)))
         room = BATCH_BYTES - batch.nbytes
         if sum(sizes) + _ROW_OVERHEAD * len(rows) > room:
             ends = accumulate(size + _ROW_OVERHEAD for size in sizes)
@@ -171,7 +174,7 @@ class OpenBucket:
         batch.nbytes += sum(sizes) + _ROW_OVERHEAD * len(rows)
         batch.sizes += sizes
         batch.largest = max(batch.largest, *sizes)
-        batch.times += [row.t for row in rows]
+        batch.times += map(_time_of, rows)
         batch.runs.append((rows, again))
         return len(rows)
 
@@ -252,18 +255,22 @@ class OpenBucket:
 
     def _encoded(self) -> EncodedRows:
         """Encode the rows of the batch that are not yet; most of them at once."""
-        later = [row for row in self.batch.rows if isinstance(row, NewRow)]
-        others = [row for row in self.batch.rows if not isinstance(row, NewRow)]
-        parts: list[bytes] = []
-        for row, columns in zip(later, self.table.encode_together([row.wire for row in later])):
-            if columns is None:
-                self.batch.nbytes -= len(row.wire) + _ROW_OVERHEAD  # it is counted anew
-                others.append(self._statement(row))
-            else:
-                own = _OWN.pack(8, row.t, 8, row.seq, 8, row.conn, 4, len(row.wire))
-                parts += (self._prefix, own, columns)
+        rows = self.batch.rows
+        later = [row for row in rows if isinstance(row, NewRow)]
+        others = (
+            [row for row in rows if not isinstance(row, NewRow)] if len(later) < len(rows) else []
+        )
+        every = self.table.encode_together([row.wire for row in later])
+        columns = [each for each in every if each is not None]
+        if len(columns) < len(later):
+            for row, each in zip(later, every):
+                if each is None:
+                    self.batch.nbytes -= len(row.wire) + _ROW_OVERHEAD  # it is counted anew
+                    others.append(self._statement(row))
+            later = [row for row, each in zip(later, every) if each is not None]
         self.batch.rows = []  # what is sent needs them no more
-        return EncodedRows(b"".join(parts), len(parts) // 3, others)
+        parts = chain.from_iterable(zip(repeat(self._prefix), _own_columns(later), columns))
+        return EncodedRows(b"".join(parts), len(later), others)
 
     def stored(self, batch: Batch) -> None:
         """Count a batch that was acknowledged."""
@@ -284,6 +291,15 @@ class OpenBucket:
             self.in_air -= 1
             self.must_recount = True
             self.changed = True
+
+
+def _own_columns(rows: Sequence[NewRow]) -> Iterable[bytes]:
+    """Encode the columns that all formats have, each behind its size."""
+    if not rows:
+        return ()
+    times, seqs, conns, wires, *_ = zip(*rows)
+    eight = repeat(8)
+    return map(_OWN.pack, eight, times, eight, seqs, eight, conns, repeat(4), map(len, wires))
 
 
 def _statement_head(query_id: bytes, values: int, first: Sequence[bytes]) -> bytes:

@@ -39,6 +39,9 @@ _Value = Callable[[bytes], Tuple[Optional[bytes], bool]]
 """From a serialised message to its value in an index, None = unset, and whether it is odd."""
 
 
+_new_row = partial(tuple.__new__, NewRow)  # _make is a function of Python
+
+
 class TopicTable(RowTable):
     """Rows of one topic, one md5 and one format."""
 
@@ -192,7 +195,7 @@ class TopicTable(RowTable):
             return []
         none = repeat(None)
         every = zip(times, seqs, repeat(conn), wires, none, repeat(False), none, repeat(""))
-        return list(map(NewRow._make, every))
+        return list(map(_new_row, every))
 
     def key_time(self, received: int, wire: bytes) -> int:
         """Return the key time of a message, ns, where a field of it tells."""
