@@ -20,6 +20,10 @@ def cost(data):
     return len(zstandard.ZstdCompressor(level=1).compress(data))
 
 
+def laid_out(rows):
+    return b"".join(lay_out([row.tobytes() for row in rows], cost))
+
+
 def columns_of(*columns):
     """Messages of some columns, each (COUNT,), one behind the other."""
     parts = [np.ascontiguousarray(c).view(np.uint8).reshape(COUNT, -1) for c in columns]
@@ -46,7 +50,7 @@ GROUPS = {
 def test_a_group_comes_back(name):
     rows = GROUPS[name]
     count, size = rows.shape
-    data = b"".join(lay_out(rows, cost))
+    data = laid_out(rows)
     laid = read_layout(memoryview(data + b"next"), size, count)
     assert laid.length == len(data)
     expected = np.ascontiguousarray(rows.T) if laid.as_planes else rows
@@ -61,7 +65,7 @@ def test_a_group_comes_back(name):
 
 
 def test_what_compresses_best_is_taken():
-    counters, few = (b"".join(lay_out(GROUPS[n], cost)) for n in ("counters", "few values"))
+    counters, few = (laid_out(GROUPS[n]) for n in ("counters", "few values"))
     assert counters[0] == 0 and counters[1] != 0 and few[0] == 1
     for name, data in (("counters", counters), ("few values", few)):
         assert cost(data) < 0.9 * cost(np.ascontiguousarray(GROUPS[name].T).tobytes())
@@ -69,19 +73,19 @@ def test_what_compresses_best_is_taken():
 
 def test_long_ones_that_planes_hardly_save_stand_as_they_are():
     random = GROUPS["long and random"]
-    assert b"".join(lay_out(random, cost)) == b"\x02" + random.tobytes()
+    assert laid_out(random) == b"\x02" + random.tobytes()
     # It is looked at in several places: noise at one end is not all.
     for part in (slice(300), slice(-300, None)):
         half = random.copy()
         half[:, part] = 0
         half[:, 600:900] = 0
-        assert lay_out(half, cost)[0] == b"\x00"
+        assert laid_out(half)[0] == 0
 
 
 @pytest.mark.parametrize("spoil", ["kind", "cut", "empty"])
 def test_what_is_no_group_is_refused(spoil):
     rows = GROUPS["few values"]
-    data = b"".join(lay_out(rows, cost))
+    data = laid_out(rows)
     data = {"kind": b"\x03" + data[1:], "cut": data[:-1], "empty": b""}[spoil]
     with pytest.raises(CorruptMessage):
         read_layout(memoryview(data), rows.shape[1], rows.shape[0])

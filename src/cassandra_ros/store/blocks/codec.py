@@ -123,6 +123,9 @@ class Unpacked:
 
     def wires(self, positions: Optional[Longs] = None) -> List[bytes]:
         """Return messages, serialised: those at some positions, None = all."""
+        size = len(self._body) // max(1, len(self))
+        if positions is None and size >= LONG and size in self._as_rows and len(self.groups) == 1:
+            return [bytes(self._body[at : at + size]) for at in range(0, len(self._body), size)]
         turned = "_turned" in self.__dict__
         if positions is not None and not turned and FEW_SHARE * len(positions) < len(self):
             return [self.wire(position) for position in positions.tolist()]
@@ -167,15 +170,17 @@ def pack_block(
         flags |= _LAYOUTS
     done = 0
     for begin, end in many:
-        rows = np.frombuffer(b"".join(wires[begin:end]), np.uint8).reshape(end - begin, -1)
-        parts += [*wires[done:begin], *lay_out(rows, _cost)]
+        parts += [*wires[done:begin], *lay_out(wires[begin:end], _cost)]
         done = end
     parts += [*wires[done:], words or b""]
-    return _finished(flags, b"".join(parts), len(t))
+    return _finished(flags, parts, len(t))
 
 
-def _finished(flags: int, body: bytes, messages: int) -> bytes:
+def _finished(flags: int, parts: Sequence[Part], messages: int) -> bytes:
     """Return a block, compressed as a sample of it says."""
+    # What is stored as it is, is copied no more.
+    stored = b"".join([bytes((VERSION, flags | _STORED)), *parts])
+    body = memoryview(stored)[_HEAD:]
     if len(body) >= 4 * SAMPLE:
         step = len(body) // STRETCHES
         starts = range(step // 2, len(body), step)
@@ -184,7 +189,7 @@ def _finished(flags: int, body: bytes, messages: int) -> bytes:
             # Of small messages the differences of times and the like are worth a frame.
             long = len(body) > LONG * messages
             if long and len(_mine.quick.compress(sample)) >= len(sample):
-                return bytes((VERSION, flags | _STORED)) + body
+                return stored
             return bytes((VERSION, flags)) + _mine.quick.compress(body)
     return bytes((VERSION, flags)) + _compressor().compress(body)
 

@@ -51,19 +51,21 @@ class Laid(NamedTuple):
     """So many bytes of what was read are the group's."""
 
 
-def lay_out(rows: Bytes, cost: Callable[[bytes], int]) -> Sequence[Part]:
+def lay_out(wires: Sequence[bytes], cost: Callable[[bytes], int]) -> Sequence[Part]:
     """Lay out at least one message of at least one byte; return what stands one behind the other.
 
     Args:
-        rows: (messages, size).
+        wires: Of equal size.
         cost: What bytes take compressed.
     """
-    count, size = rows.shape
+    count, size = len(wires), len(wires[0])
+    few = max(_LEAST, min(count // _SAMPLE_SHARE, _SAMPLE_BYTES // size))
+    if size >= _LONG and _saves_little(_rows(wires[:few]), cost):
+        return bytes((_ROWS,)), *wires
+    rows = _rows(wires)
     if rows.nbytes < _SMALL:
         return bytes(1 + (size + 7) // 8), np.ascontiguousarray(rows.T).tobytes()
-    sample = rows[: max(_LEAST, min(count // _SAMPLE_SHARE, _SAMPLE_BYTES // size))]
-    if size >= _LONG and _saves_little(sample, cost):
-        return bytes((_ROWS,)), rows.reshape(-1).data
+    sample = rows[:few]
     steps = np.diff(sample, axis=0)
     still = _counts(steps == 0)
     rises = _counts(steps[1:] == steps[:-1]) > still
@@ -79,6 +81,10 @@ def lay_out(rows: Bytes, cost: Callable[[bytes], int]) -> Sequence[Part]:
     if rises.any():
         planes[rises, 1:] = np.diff(planes[rises], axis=1)
     return bytes((_PLANES,)), np.packbits(rises).tobytes(), planes.reshape(-1).data
+
+
+def _rows(wires: Sequence[bytes]) -> Bytes:
+    return np.frombuffer(b"".join(wires), np.uint8).reshape(len(wires), -1)
 
 
 def read_layout(data: memoryview, size: int, count: int) -> Laid:
