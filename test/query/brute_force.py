@@ -9,6 +9,7 @@ is written as CQL and evaluated.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 import random
@@ -19,6 +20,7 @@ from typing import Any, Optional
 
 import genpy
 import genpy.dynamic
+import numpy
 
 MISSING = type("Missing", (), {"__repr__": lambda self: "MISSING"})()
 KEY, NODE, RUN = "KEY", "NODE", "RUN"
@@ -107,6 +109,36 @@ class Value:
 
 
 @dataclass(frozen=True)
+class Op:
+    """What is computed: ``+ - * /``, neg, abs, sqrt, time; of an array len, min, max, sum, avg."""
+
+    function: str
+    arguments: tuple[Any, ...]
+    kind: str
+    """number, text, time or duration."""
+
+
+@dataclass(frozen=True)
+class Related:
+    """Two operands beside one another."""
+
+    left: Any
+    sign: str
+    right: Any
+
+
+@dataclass(frozen=True)
+class AnyAll:
+    """ANY or ALL of an array; sign may be BETWEEN, IN and LIKE, values are operands or Values."""
+
+    array: Path
+    every: bool
+    sign: str
+    values: tuple[Any, ...]
+    negated: bool = False
+
+
+@dataclass(frozen=True)
 class Leaf:
     """A comparison; sign is an operator in upper case, NULL for IS NULL."""
 
@@ -131,10 +163,26 @@ class Joined:
 
 
 def leaves(tree):
-    if isinstance(tree, Leaf):
+    if isinstance(tree, LEAVES):
         return [tree]
     items = [] if tree is None else [tree.item] if isinstance(tree, Not) else tree.items
     return [leaf for item in items for leaf in leaves(item)]
+
+
+LEAVES = (Leaf, Related, AnyAll)
+
+
+def operands_of(tree):
+    """List what is named in a condition, an operand or a Value."""
+    if isinstance(tree, Op):
+        return [o for argument in tree.arguments for o in operands_of(argument)]
+    if isinstance(tree, Related):
+        return operands_of(tree.left) + operands_of(tree.right)
+    if isinstance(tree, AnyAll):
+        return [tree.array, *(o for value in tree.values for o in operands_of(value))]
+    if isinstance(tree, Leaf):
+        return operands_of(tree.operand)
+    return [] if tree is None or isinstance(tree, Value) else [tree]
 
 
 # -------------------------------------------------------------------- the meaning
@@ -212,6 +260,12 @@ class Row:
 
     def value(self, operand):
         """Return the value of an operand, times as ns; MISSING where there is none."""
+        if isinstance(operand, Value):
+            return operand.wanted
+        if isinstance(operand, Op):
+            values = [self.value(argument) for argument in operand.arguments]
+            kinds = [self.kind(argument) for argument in operand.arguments]
+            return MISSING if MISSING in values else computed(operand.function, values, kinds)
         if operand == KEY:
             return self.message.t
         if operand == NODE:
@@ -228,6 +282,8 @@ class Row:
         return plain(found)
 
     def kind(self, operand):
+        if isinstance(operand, (Op, Value)):
+            return operand.kind
         if operand in (KEY, NODE, RUN):
             return "time" if operand == KEY else "text"
         return (operand.kind(self.message.types) or (None,))[0]
@@ -240,8 +296,28 @@ class Row:
             return inverted(self.holds(tree.item))
         if isinstance(tree, Joined):
             return {"AND": both, "OR": either}[tree.word](map(self.holds, tree.items))
+        if isinstance(tree, Related):
+            left, right = self.value(tree.left), self.value(tree.right)
+            return None if MISSING in (left, right) else compare(tree.sign, left, right)
+        if isinstance(tree, AnyAll):
+            return self.quantified(tree)
         found = self.tested(tree)
         return inverted(found) if tree.negated else found
+
+    def quantified(self, tree):
+        array, wanted = self.value(tree.array), [self.value(value) for value in tree.values]
+        if array is MISSING or MISSING in wanted:
+            return None
+        found = [self.passes(tree.sign, element, wanted) != tree.negated for element in array]
+        return all(found) if tree.every else any(found)
+
+    @staticmethod
+    def passes(sign, element, wanted):
+        if sign == "BETWEEN":
+            return compare(">=", element, wanted[0]) and compare("<=", element, wanted[1])
+        if sign == "IN":
+            return any(compare("=", element, value) for value in wanted)
+        return like(element, *wanted) if sign == "LIKE" else compare(sign, element, *wanted)
 
     def tested(self, leaf):
         value, sign = self.value(leaf.operand), leaf.sign
@@ -267,6 +343,46 @@ class Row:
         if sign == "LIKE":
             return like(value, wanted.wanted)
         return compare(sign, value, wanted.wanted)
+
+
+def computed(function, values, kinds):
+    """What a function makes of values that are all there."""
+    if function in ("len", "min", "max", "sum", "avg"):
+        found = TOTALS[{"len": "count"}.get(function, function)](list(values[0]))
+        return MISSING if found is None else found
+    if function == "time":
+        return values[0] // values[1] * values[1]
+    if "time" in kinds or (kinds.count("duration") == len(kinds) and function != "/"):
+        signs = {"neg": int.__neg__, "abs": abs, "+": int.__add__, "-": int.__sub__}
+        return signs[function](*values)
+    if "duration" in kinds and kinds != ["duration", "duration"]:
+        if kinds[0] != "duration":
+            values = values[::-1]
+        ns, factor = values
+        if factor != factor or (function == "/" and factor == 0):
+            return MISSING
+        if abs(factor) == math.inf:
+            return 0 if function == "/" else MISSING
+        exact = Fraction(factor)
+        return round(ns * exact if function == "*" else ns / exact)
+    return of_numbers(function, *values)
+
+
+def of_numbers(function, x, y=0):
+    whole = not isinstance(x, float) and not isinstance(y, float)
+    if function == "sqrt":
+        with numpy.errstate(all="ignore"):
+            return float(numpy.sqrt(numpy.float64(rounded(x))))
+    if function == "/" and whole and y:
+        return rounded(Fraction(int(x), int(y))) if x else math.copysign(0.0, y)
+    if function in ("neg", "abs"):
+        return -x if function == "neg" or x < 0 or (x == 0 and str(x)[0] == "-") else +x
+    if whole and function != "/":
+        x, y = int(x), int(y)
+        return {"+": x + y, "-": x - y, "*": x * y}[function]
+    a, b = (numpy.float64(v if isinstance(v, float) else rounded(Fraction(v))) for v in (x, y))
+    with numpy.errstate(all="ignore"):
+        return float({"+": a + b, "-": a - b, "*": a * b, "/": a / b}[function])
 
 
 def contains(values, wanted):
@@ -302,7 +418,8 @@ def rows_of(message, operands):
     if message.value is None:
         yield Row(message, {})
         return
-    found = [a for o in operands if isinstance(o, Path) for a in o.unnested(message.types)]
+    named = [o for operand in operands for o in operands_of(operand)]
+    found = [a for o in named if isinstance(o, Path) for a in o.unnested(message.types)]
     arrays = sorted(set(found), key=len)
     yield from (Row(message, chosen) for chosen in _chosen(message, arrays, {}))
 
@@ -324,17 +441,21 @@ class Statement:
     condition: Any = None
     descending: bool = False
     limit: Optional[int] = None
+    distinct: bool = False
+    group: tuple[Any, ...] = ()
+    """Each of them is one of the columns."""
+    order: tuple[tuple[Any, bool], ...] = ()
+    """Column or operand, and whether the greatest comes first; with a group columns alone."""
 
     @property
     def aggregated(self):
-        return isinstance(self.columns[0], tuple)
+        return not self.group and isinstance(self.columns[0], tuple)
 
     @property
     def operands(self):
         named = [c[1] if isinstance(c, tuple) else c for c in self.columns]
-        return [o for o in named if o is not None] + [
-            leaf.operand for leaf in leaves(self.condition)
-        ]
+        named += [o for o, _ in self.order if not isinstance(o, tuple)]
+        return [o for o in named if o is not None] + leaves(self.condition)
 
     def answer(self, messages):
         """Return the rows that the statement means, over messages in any order."""
@@ -346,16 +467,63 @@ class Statement:
             if row.holds(self.condition) is True
         ]
         if self.aggregated:
-            return [tuple(self._total(rows, *column) for column in self.columns)]
-        shown = (tuple(canonical(row.value(c)) for c in self.columns) for row in rows)
+            return [tuple(canonical(self._total(rows, *column)) for column in self.columns)]
+        found = self._grouped(rows) if self.group else [self._single(row) for row in rows]
+        if self.distinct:
+            shown = len(self.columns)
+            found = list({tuple(map(alike, row[:shown])): row for row in found[::-1]}.values())
+            found.sort(key=lambda row: row[-1])
+        for place, (_, down) in reversed(list(enumerate(self.order))):
+            at = place + len(self.columns)
+            found.sort(key=functools.cmp_to_key(functools.partial(beside, at, down)))
+        shown = (tuple(map(canonical, row[: len(self.columns)])) for row in found)
         return list(itertools.islice(shown, self.limit))
+
+    def _single(self, row):
+        """The columns, what they are ordered by, and a number that rises."""
+        number = next(_NUMBERS)
+        return (*map(row.value, (*self.columns, *(o for o, _ in self.order))), number)
+
+    def _grouped(self, rows):
+        groups = {}
+        for row in rows:
+            groups.setdefault(tuple(alike(row.value(o)) for o in self.group), []).append(row)
+        found = []
+        for members in groups.values():
+            columns = (*self.columns, *(column for column, _ in self.order))
+            values = [
+                self._total(members, *c) if isinstance(c, tuple) else members[0].value(c)
+                for c in columns
+            ]
+            found.append((*values, next(_NUMBERS)))
+        return found
 
     @staticmethod
     def _total(rows, function, operand):
         if operand is None:
             return len(rows)
         values = [v for v in (row.value(operand) for row in rows) if v is not MISSING]
-        return canonical(TOTALS[function](values))
+        return TOTALS[function](values)
+
+
+_NUMBERS = itertools.count()
+
+
+def alike(value):
+    """What is equal for values that make one group."""
+    if isinstance(value, (list, tuple, bytes)):
+        return tuple(map(alike, value))
+    return "NaN" if value is not MISSING and value != value else value
+
+
+def beside(at, down, one, other):
+    """Say which of two rows comes first; NaN comes behind all numbers, what is missing last."""
+    a, b = one[at], other[at]
+    ranks = [2 if v is MISSING or v is None else 1 if v != v else 0 for v in (a, b)]
+    if ranks != [0, 0]:
+        return ranks[0] - ranks[1]
+    order = compare(">", a, b) - compare("<", a, b)
+    return -order if down else order
 
 
 def _numbers(values):
@@ -427,10 +595,21 @@ class Writer:
     def statement(self, statement, topic):
         """Return the statement as text; its parameters are in ``params``."""
         columns = ",".join(self._gap(self._column(column)) for column in statement.columns)
-        text = f"{self._word('select')} {columns} {self._word('from')} {topic}"
+        select = f"{self._word('select')} {self._word('distinct') if statement.distinct else ''}"
+        text = f"{select} {columns} {self._word('from')} {topic}"
         if statement.condition is not None:
             text += f" {self._word('where')} {self.condition(statement.condition)}"
-        if statement.descending:
+        if statement.group:
+            text += f" {self._words('group by')} {', '.join(map(self._operand, statement.group))}"
+        if statement.order:
+            parts = [
+                self._column(o) + (f" {self._word('desc')}" if down else "")
+                for o, down in statement.order
+            ]
+            text += f" {self._words('order by')} {', '.join(parts)}"
+        elif statement.group:
+            pass
+        elif statement.descending:
             text += f"{self._space()}{self._words('order by')} KEY {self._word('desc')}"
         elif self._chance(0.1):
             text += f" {self._words('order by')} KEY" + self._random.choice(["", " asc", " ASC"])
@@ -442,13 +621,13 @@ class Writer:
 
     def condition(self, tree):
         """Return a condition as text."""
-        if isinstance(tree, Leaf):
+        if isinstance(tree, LEAVES):
             text = self._leaf(tree)
             return f"({text})" if self._chance(0.1) else text
         if isinstance(tree, Not):
-            return f"{self._word('not')} {self._inner(tree.item, (Leaf, Not))}"
+            return f"{self._word('not')} {self._inner(tree.item, (*LEAVES, Not))}"
         # AND binds closer than OR: only OR inside of AND needs its parentheses.
-        closer = (Leaf, Not) if tree.word == "AND" else (Leaf, Not, Joined)
+        closer = (*LEAVES, Not) if tree.word == "AND" else (*LEAVES, Not, Joined)
         joint = tree.word
         text = self._inner(tree.items[0], closer)
         for item in tree.items[1:]:
@@ -461,7 +640,51 @@ class Writer:
             return self.condition(tree)
         return f"({self._gap(self.condition(tree))})"
 
+    def _related(self, leaf):
+        left, sign, right = self._term(leaf.left, 1), leaf.sign, self._term(leaf.right, 1)
+        return f"{left}{self._gap(sign)}{right}"
+
+    def _quantified(self, leaf):
+        word = self._word("all" if leaf.every else "any")
+        array, sign = f"{word}({self._operand(leaf.array)})", leaf.sign
+        negation = f"{self._word('not')} " if leaf.negated else ""
+        values = [self._term(value, 1) for value in leaf.values]
+        if sign == "BETWEEN":
+            return (
+                f"{array} {negation}{self._word(sign)} {values[0]} {self._word('and')} {values[1]}"
+            )
+        if sign == "IN":
+            return f"{array} {negation}{self._word(sign)} ({', '.join(values)})"
+        if sign == "LIKE":
+            return f"{array} {negation}{self._word(sign)} {values[0]}"
+        if self._chance(0.2):
+            flipped = {"<": ">", ">": "<", "<=": ">=", ">=": "<="}.get(sign, sign)
+            return f"{values[0]} {flipped} {array}"
+        return f"{array} {sign} {values[0]}"
+
+    def _term(self, term, closeness=0):
+        """Write an operand, in parentheses where it binds less."""
+        if isinstance(term, Value):
+            return self._value(term)
+        if not isinstance(term, Op):
+            return self._operand(term)
+        function, arguments = term.function, term.arguments
+        if function in ("neg", "+", "-", "*", "/"):
+            own = {"+": 2, "-": 2, "*": 3, "/": 3, "neg": 4}[function]
+            if function == "neg":
+                text = f"- {self._term(arguments[0], 5)}"
+            else:
+                left, right = self._term(arguments[0], own), self._term(arguments[1], own + 1)
+                text = f"{left} {function} {right}"
+            return f"({text})" if own < closeness or self._chance(0.1) else text
+        inner = self._term(arguments[-1] if function == "time" else arguments[0])
+        return f"{self._word(function)}({self._gap(inner)})"
+
     def _leaf(self, leaf):
+        if isinstance(leaf, Related):
+            return self._related(leaf)
+        if isinstance(leaf, AnyAll):
+            return self._quantified(leaf)
         operand, sign = self._operand(leaf.operand), leaf.sign
         negation = f"{self._word('not')} " if leaf.negated else ""
         if sign == "NULL":
@@ -508,6 +731,8 @@ class Writer:
         return f"{self._word(function)}({self._gap(inner)})"
 
     def _operand(self, operand):
+        if isinstance(operand, Op):
+            return self._term(operand)
         if operand in (KEY, NODE, RUN):
             return operand
         shown = [(name, "" if index is None else f"[{index}]") for name, index in operand.steps]

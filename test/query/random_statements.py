@@ -17,10 +17,13 @@ from query.brute_force import (
     MISSING,
     NODE,
     RUN,
+    AnyAll,
     Joined,
     Leaf,
     Not,
+    Op,
     Path,
+    Related,
     Statement,
     Value,
     canonical,
@@ -163,6 +166,37 @@ VALUES = {
 """By the kind of a field: makes a Value, what lies beside one, what lies at the edges."""
 
 
+def _distinct(found):
+    # Hypothesis writes down what it looks for among others, which here is very long.
+    return tuple(dict.fromkeys(found))
+
+
+def _op(function, arguments, kind="number"):
+    return Op(function, arguments, kind)
+
+
+def _of(function, path):
+    return Op(function, (path,), "number")
+
+
+def _length(ns, *texts):
+    return Value(ns, "duration", texts)
+
+
+# Written in one way: 1 and 1.0 are not the same in GROUP BY.
+SMALL = [
+    Value(value, "number", (repr(value),), (value,))
+    for value in (0, 1, 2, -3, 0.5, -0.0, 1e300, math.nan, math.inf)
+]
+SECONDS = [
+    _length(SECOND, "1s", "1000ms"),
+    _length(90 * SECOND, "1m30s", "1.5m"),
+    _length(7, "7ns"),
+]
+STRETCHES = st.sampled_from([Op("time", (KEY, length), "time") for length in SECONDS[:2]])
+NUMBERS = {("number", False), ("bool", False)}
+
+
 # -------------------------------------------------------------------- fields
 
 
@@ -220,7 +254,10 @@ class Asker:
             *[st.sampled_from(indexed)] * 3 if indexed else (),
             st.sampled_from([KEY, KEY, NODE, RUN]),
         )
-        tree = self._trees(operands)
+        terms = self._terms(paths)
+        tree = self._trees(
+            st.one_of(operands, operands, operands, terms), self._ofArrays(paths, terms)
+        )
         plain = st.builds(
             Statement,
             st.lists(st.sampled_from(paths), max_size=2).map(
@@ -235,10 +272,105 @@ class Asker:
             st.lists(self._totals(paths), min_size=1, max_size=3).map(tuple),
             tree,
         )
-        return st.one_of(plain, plain, plain, totals)
+        return st.one_of(plain, plain, plain, totals, self._gathered(paths, terms, tree))
 
-    def _trees(self, operands):
-        leaf = operands.flatmap(self._leaves)
+    def _gathered(self, paths, terms, tree):
+        """Statements whose rows are made of several, or come in another order."""
+        single = [p for p in paths if len(self._kinds(p)) == 1 and not self._isArray(p)]
+        by = st.one_of(st.sampled_from([*single, NODE, RUN]), terms, STRETCHES)
+        limit = st.none() | st.sampled_from([1, 3, 1000])
+        shown = st.lists(by, min_size=1, max_size=2).map(_distinct)
+
+        def grouped(columns, totals, down, least, condition):
+            made = (*columns, *totals)
+            order = ((made[-1], down),) if least is not None else ()
+            return Statement(made, condition, False, least, False, columns, order)
+
+        def ordered(columns, order, distinct, descending, least, condition):
+            if distinct:
+                order = [(columns[n % len(columns)], down) for n, (_, down) in enumerate(order)]
+            order = () if distinct and descending else tuple(order)
+            # Without anything else ORDER BY KEY is what it is.
+            return Statement(
+                columns, condition, descending and not order, least, distinct, (), order
+            )
+
+        totals = st.lists(self._totals(paths), min_size=1, max_size=2).map(_distinct)
+        orders = st.lists(st.tuples(by, st.booleans()), min_size=1, max_size=2)
+        two = (st.booleans(), st.booleans())
+        return st.one_of(
+            st.builds(grouped, shown, totals, st.booleans(), limit, tree),
+            st.builds(ordered, shown, orders, *two, limit, tree),
+        )
+
+    def _terms(self, paths, of_numbers=False):
+        """Strategy of what is computed of some fields, and of KEY; of times, too, or not."""
+        numbers = [p for p in paths if self._kinds(p) <= NUMBERS and self._kinds(p)]
+        arrays = [p for p in paths if self._isNumbers(p)]
+        times = [KEY, *(p for p in paths if self._kinds(p) == {("time", False)})]
+        lengths = [p for p in paths if self._kinds(p) == {("duration", False)}]
+        texts = [p for p in paths if self._kinds(p) == {("text", False)}]
+        between = [_op("-", (a, b), "duration") for a in times for b in times]
+        number = [st.sampled_from(between).map(lambda length: _op("/", (length, SECONDS[0])))]
+        number += [st.sampled_from(numbers)] * 3 if numbers else []
+        if arrays:
+            functions = st.sampled_from(("len", "min", "max", "sum", "avg"))
+            number += [st.builds(_of, functions, st.sampled_from(arrays))] * 2
+        number += [st.sampled_from(texts).map(lambda path: _of("len", path))] if texts else []
+        base = st.one_of(number)
+        some = st.one_of(base, st.sampled_from(SMALL))
+        made = st.one_of(
+            st.builds(lambda f, x, y: _op(f, (x, y)), st.sampled_from("+-*/"), base, some),
+            st.builds(lambda f, x: _op(f, (x,)), st.sampled_from(("neg", "abs", "sqrt")), base),
+        )
+        deeper = st.builds(lambda f, x, y: _op(f, (x, y)), st.sampled_from("+-*/"), some, made)
+        scaled = st.builds(
+            lambda f, x, y: _op(f, (x, y), "duration"),
+            *(st.sampled_from("*/"), st.sampled_from(lengths + between), st.sampled_from(SMALL)),
+        )
+        shifted = st.builds(
+            lambda f, x, y: _op(f, (x, y), "time"),
+            *(st.sampled_from("+-"), st.sampled_from(times), st.sampled_from(SECONDS + lengths)),
+        )
+        return st.one_of(made, made, deeper, *(() if of_numbers else (scaled, shifted)))
+
+    def _isNumbers(self, path):
+        return bool(self._kinds(path)) and self._kinds(path) <= {("number", True)}
+
+    def _ofArrays(self, paths, terms):
+        """Strategy of conditions with ANY and ALL, and on operands beside one another."""
+        beside = [KEY, *(p for p in paths if len(self._kinds(p)) == 1 and not self._isArray(p))]
+        of = lambda operand: next(iter(self._kinds(operand)))[0]  # noqa: E731
+        like = {}
+        for operand in beside:
+            like.setdefault({"bool": "number"}.get(of(operand), of(operand)), []).append(operand)
+        pairs = [
+            st.builds(Related, some, st.sampled_from(ORDERED), some)
+            for some in map(st.sampled_from, like.values())
+        ]
+        if "number" in like:
+            number = self._terms(paths, of_numbers=True)
+            field = st.sampled_from(like["number"])
+            pairs += [st.builds(Related, number, st.sampled_from(ORDERED), field)] * 2
+        arrays = [p for p in paths if self._isNumbers(p)]
+        for path in arrays[:3]:
+            value = self._valuesOf(path)
+            wanted = st.one_of(value, value, st.sampled_from(like.get("number", [path])))
+            wanted = value if "number" not in like else wanted
+            fixed = (st.just(path), st.booleans())
+            pairs += [
+                st.builds(AnyAll, *fixed, st.sampled_from(ORDERED), st.tuples(wanted)),
+                st.builds(AnyAll, *fixed, st.sampled_from(ORDERED), st.tuples(wanted)),
+                st.builds(
+                    *(AnyAll, *fixed, st.just("BETWEEN"), st.tuples(wanted, wanted), st.booleans())
+                ),
+                st.builds(*(AnyAll, *fixed, st.just("IN"), st.tuples(value, value), st.booleans())),
+            ]
+        return st.one_of(pairs)
+
+    def _trees(self, operands, others):
+        single = operands.flatmap(self._leaves)
+        leaf = st.one_of(single, single, single, others)
         joined = lambda inner: st.one_of(  # noqa: E731
             st.builds(Not, inner),
             st.builds(Joined, st.just("AND"), st.tuples(leaf, inner)),
@@ -305,6 +437,8 @@ class Asker:
         return st.one_of(made)
 
     def _kinds(self, operand):
+        if isinstance(operand, Op):
+            return {(operand.kind, False)}
         if operand in (KEY, NODE, RUN):
             return {("time" if operand == KEY else "text", False)}
         return {kind for kind in map(operand.kind, self._types) if kind}

@@ -4,16 +4,24 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import random
 import time
+from collections import Counter
 from fractions import Fraction
+from types import SimpleNamespace
 
 import pytest
-from campaign import campaign
+from campaign import campaign, examples
 from geometry_msgs.msg import TransformStamped, Twist
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from query.brute_force import Message, Writer, canonical
+from query.kinds import KINDS, EdgeMaker
+from query.random_statements import Asker
 from query.rows import row_of
+from query.test_sift import tableOf
 from sensor_msgs.msg import JointState, LaserScan, NavSatFix
 from std_msgs.msg import Bool, Duration, Float64, Float64MultiArray, Header, UInt8MultiArray, UInt64
 from std_msgs.msg import Time as TimeMsg
@@ -255,3 +263,52 @@ def test_what_is_computed_is_bounded(count):
         return
     with pytest.raises(ValueError, match="nested deeper"):
         shown(UInt64(2), text)
+
+
+# -------------------------------------------------------------------- at random
+
+
+@pytest.mark.campaign
+@pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
+@pytest.mark.parametrize("name", ["every", "mixed", "scan", "tf"])
+def test_random_statements_without_a_database(name, caplog):
+    """What brute_force finds; of how the rows come from the store test_every_plan knows."""
+    caplog.set_level("ERROR", "cassandra_ros")
+    kind, numbers = KINDS[name], random.Random(name)
+    rows, messages = [], []
+    for n in range(30):
+        types = kind.types[n % len(kind.types)]
+        table = tableOf(types)
+        wire = EdgeMaker(table.definition, numbers.random(), odd=False).make()
+        place = {"node": "ab"[n % 2], "name": "", "run": str(n % 3), "columns": (), "topic": "/t"}
+        rows.append(SimpleNamespace(t=T0 + n * SECOND // 3, key=T0 + n * SECOND // 3, **place))
+        vars(rows[-1]).update(wire=wire, table=table)
+        value = types.root().deserialize(wire)
+        messages.append(Message(rows[-1].t, place["node"], (n % 3 + 10, n), types, value))
+        rows[-1].run = str(n % 3 + 10)
+    tables = list({row.table.name: row.table for row in rows}.values())
+    seen = Counter()
+
+    @settings(
+        max_examples=examples(150),
+        derandomize=True,
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(Asker(kind.types, messages, kind.indexes).statements(), st.integers(0, 2**32))
+    def check(statement, seed):
+        writer = Writer(seed)
+        text = writer.statement(statement, "/topic")
+        select = settle(parse_select(text, writer.params), tables)
+        projections = Projections(select, tables)
+        ordered = rows[::-1] if select.descending else rows
+        found = (one for row in ordered for one in projections.of(row.table).rows(row))
+        given_ = gather(select, projections.names, found, select.limit)
+        shown = [tuple(map(canonical, row)) for row in itertools.islice(given_, select.limit)]
+        assert shown == statement.answer(messages), (text, writer.params)
+        seen["gathered"] += select.gathers
+        seen["some"] += bool(shown)
+
+    check()
+    assert min(seen["some"], seen["gathered"]) > 3, seen

@@ -15,7 +15,7 @@ from types import SimpleNamespace
 
 import numpy
 import pytest
-from campaign import examples
+from campaign import LENGTH, examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from messages.random_wire import WireMaker
@@ -31,6 +31,7 @@ from cassandra_ros.messages.wire.zones import zone_map
 from cassandra_ros.query.parse import parse_select
 from cassandra_ros.query.projection import Projections
 from cassandra_ros.query.pushdown import Pushdown
+from cassandra_ros.query.settle import settle
 from cassandra_ros.query.sift import compile_sift
 from cassandra_ros.store.blocks.codec import pack_block, unpack_block
 
@@ -134,7 +135,7 @@ def test_nothing_that_matches_is_left_out(name, caplog):
     seen = {"sifted": 0, "skipped": 0, "matching": 0}
 
     @settings(
-        max_examples=examples(80),
+        max_examples=examples(120),
         derandomize=True,
         deadline=None,
         database=None,
@@ -144,6 +145,7 @@ def test_nothing_that_matches_is_left_out(name, caplog):
     def check(statement, seed):
         writer = Writer(seed)
         select = parse_select(writer.statement(statement, "/topic"), writer.params)
+        select = settle(select, tables)
         projections = Projections(select, tables)
         table, wires, block, rows = blocks[seed % len(blocks)]
         expected = [any(projections.of(table).hits(row)) for row in rows]
@@ -166,7 +168,8 @@ def test_nothing_that_matches_is_left_out(name, caplog):
                 seen["skipped"] += 1
 
     check()
-    assert min(seen.values()) > 0, seen
+    # Of few statements none may let zones leave out a block.
+    assert min(seen["sifted"], seen["matching"], seen["skipped"] if LENGTH else 1) > 0, seen
 
 
 ZERO_TO_TWO = [0, 1, 2, 0.5, -0.0, True, False, math.nan, math.inf]
@@ -215,6 +218,8 @@ KINDS_OF_FIELD = Types(
             "words contains 'bb'",
             "words contains ''",
         ),
+        *("ANY(ints) < 5", "ANY(ints) != 4", "ALL(ints) >= 4", "0 < ALL(ints)", "ALL(ints) = 5"),
+        *("ANY(both) > 5.5", "ALL(both) < 5.5", "min(ints) = 0"),
         *("flag = true and at.secs = 5", "flag = false or ints[0] = 5", "words[1] in ('a', 'b')"),
     ],
 )
@@ -235,7 +240,16 @@ def test_of_other_plain_fields_too(condition, monkeypatch):
 
 def test_what_is_not_understood_leaves_out_nothing():
     definition = parse_definition(TYPES.name, TYPES.text)
-    for text in ("not f = 1", "f is null", "KEY > 5", "f = 1 or not d = 1", "NODE = 'x' or f = 1"):
+    for text in (
+        "f + 1 > 2",
+        "f < d",
+        "abs(f) = 1",
+        "not f = 1",
+        "f is null",
+        "KEY > 5",
+        "f = 1 or not d = 1",
+        "NODE = 'x' or f = 1",
+    ):
         condition = parse_select(f"select KEY from topic where {text}", ()).condition
         assert compile_sift(condition, definition) is None
     both = parse_select("select KEY from topic where f = 1 and not d = 1", ()).condition

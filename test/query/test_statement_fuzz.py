@@ -111,9 +111,34 @@ def comparisons(draw, fields):
     return written(pattern, operand, draw(values), draw(values))
 
 
+@st.composite
+def computed(draw, fields):
+    """Something that is computed, of whatever there is."""
+    every = " ".join(fields[kind] for kind in fields).split()
+    atom = st.sampled_from([*every, "now()", "1h", "-5", "0.5", "''", "true", "KEY"])
+    pattern = draw(
+        st.sampled_from(
+            ["{0} + {1}", "{0} - {1}", "{0} * {1}", "{0} / {1}", "-{0}", "abs({0})", "sqrt({0})"]
+            + ["len({0})", "min({0})", "sum({0})", "time({1})", "({0} - {1}) * {0}", "{0}"] * 2
+        )
+    )
+    return pattern.format(draw(atom), draw(atom))
+
+
+@st.composite
+def other_comparisons(draw, fields):
+    """Sides that are computed, ANY and ALL, fields beside one another."""
+    left, right = draw(computed(fields)), draw(computed(fields))
+    quantified = draw(st.sampled_from(["{}", "{}", "ANY({})", "ALL({})"]))
+    sign = draw(st.sampled_from("= != < >= like contains between in is".split()))
+    tail = {"between": f"between {right} and 5", "in": f"in ({right}, 2)", "is": "is null"}
+    text = quantified.format(left) + " " + tail.get(sign, f"{sign} {right}")
+    return text, []
+
+
 def conditions(fields):
     return st.recursive(
-        comparisons(fields),
+        st.one_of(comparisons(fields), comparisons(fields), other_comparisons(fields)),
         lambda inner: st.one_of(
             inner.map(lambda one: written("not ({})", one)),
             st.tuples(inner, inner).map(lambda two: written("{} and {}", *two)),
@@ -138,7 +163,15 @@ def statements(draw):
     columns = [function.format(field) for field in some]
     if rarely(draw, 5):
         columns = draw(st.sampled_from([["*"], ["count(*)"], ["KEY", "*"], ["KEY as k", "KEY"]]))
+    columns += [draw(computed(FIELDS.get(topic, FIELDS["fix"])))] * rarely(draw, 4)
     tail = draw(st.sampled_from(["", ";", " order by KEY desc limit 2", " limit 1", " -- x;"]))
+    if rarely(draw, 3):
+        by = draw(st.sampled_from([*some, "time(10s)", "NODE", "RUN", "len(data)", "count(*)"]))
+        tail = draw(
+            st.sampled_from([" group by {0}", " order by {0}", " group by {0} order by {0}"])
+        )
+        tail = tail.format(by)
+        columns = draw(st.sampled_from([columns, [by, "count(*)"], [f"distinct {by}"]]))
     return written(
         f"select {', '.join(columns)} from {topic}{{}}{tail}",
         where if draw(st.booleans()) else ("", []),

@@ -85,7 +85,9 @@ def column_types(select: Select, tables: Sequence[Table]) -> list[Typed]:
     """Return name and type of each column of the result of a statement on a topic's tables."""
     select = replace(settle(select, tables), hidden=())
     projections = Projections(select, tables)
-    return unite_columns([group_types(projections.of(table), table) for table in tables])
+    known = dict(unite_columns([group_types(projections.of(table), table) for table in tables]))
+    every = chain.from_iterable(projections.names)
+    return [(name, known.get(name, ArrayType(MIXED))) for name in every]
 
 
 def unite_columns(tables: Sequence[Sequence[Sequence[Typed]]]) -> list[Typed]:

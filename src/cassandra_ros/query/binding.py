@@ -62,7 +62,7 @@ class Binding:
         params: Sequence[object],
         terms: Iterable[Term],
     ) -> None:
-        found = sorted(_placeholders(terms))
+        found = sorted(set(_placeholders(terms)))  # of BETWEEN one operand stands twice
         _check_params(text, found, params)
         if len(found) != len(params):
             at = found[len(params)] if len(params) < len(found) else len(text)

@@ -184,7 +184,12 @@ class Projections:
         self.names = [[selected.text] for selected in select.asked if selected is not None]
         if made:
             same = zip(*(projection.groups for projection in made.values()))
-            self.names = [list(dict.fromkeys(o.name for o in chain(*groups))) for groups in same]
+            found = [list(dict.fromkeys(o.name for o in chain(*groups))) for groups in same]
+            # What is computed of fields of several definitions may be missing in all tables.
+            self.names = [
+                names or ([] if selected is None or selected.is_path else [selected.text])
+                for names, selected in zip(found, select.asked)
+            ]
         self._made = {name: each.showing(self.names) for name, each in made.items()}
 
     def __iter__(self) -> Iterator[Projection]:
@@ -236,13 +241,16 @@ def _time(ns: int) -> Union[Stamp, int]:
     try:
         return Stamp.from_ns(ns)
     except InvalidKey:
-        return ns  # nsecs beyond a second at the very end of time
+        return ns  # nsecs beyond a second at the very end of time, or computed beyond it
 
 
 def _duration(ns: int) -> object:
-    origin = Stamp.from_ns(0)
-    # genpy's Duration, without importing genpy here.
-    return Stamp.from_ns(ns) - origin if ns >= 0 else origin - Stamp.from_ns(-ns)
+    try:
+        origin = Stamp.from_ns(0)
+        # genpy's Duration, without importing genpy here.
+        return Stamp.from_ns(ns) - origin if ns >= 0 else origin - Stamp.from_ns(-ns)
+    except InvalidKey:
+        return ns  # what was computed is longer than any
 
 
 _SHOWS = {"time": _shown_as(_time), "duration": _shown_as(_duration)}

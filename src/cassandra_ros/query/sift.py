@@ -3,9 +3,9 @@
 """Conditions on whole blocks of messages, with numpy: which of them may match.
 
 Every message that is left is checked again by ``evaluate``, so a mask may be true for too many and
-never for too few. It is exact for numbers, bools and times outside of arrays of messages; where an
-array is unnested a message passes if any element may. What is not understood here (NOT, LIKE, NULL,
-KEY) leaves out nothing.
+never for too few. It is exact for numbers, bools and times outside of arrays of messages, and for
+ANY and ALL of an array of numbers; where an array of messages is unnested a message passes if any
+element may. What is not understood here (NOT, LIKE, NULL, KEY, arithmetic) leaves out nothing.
 """
 
 from __future__ import annotations
@@ -24,13 +24,16 @@ from cassandra_ros.query.names import FieldRef, field_of
 from cassandra_ros.query.protocols import Block
 from cassandra_ros.query.syntax import (
     All,
+    Call,
     Compare,
     Either,
     Expression,
     Leaf,
+    Literal,
     Negation,
     OneOf,
     Path,
+    Quantified,
     StatementError,
     wants_array,
 )
@@ -102,6 +105,15 @@ def _joined(tests: Sequence[_Test], join: Any) -> _Test:
 
 
 def _leaf(leaf: Leaf, definition: Definition, refs: List[FieldRef]) -> Optional[_Test]:
+    if isinstance(leaf, Quantified):
+        return _quantified(leaf, definition, refs)
+    if isinstance(leaf, Compare) and isinstance(leaf.operand, Call):
+        # The least or greatest element compares so: then any does.
+        call = leaf.operand
+        of_array = call.function in ("min", "max") and leaf.operator != "LIKE"
+        array = call.arguments[0] if of_array else None
+        if isinstance(array, Path):
+            return _elements(array, leaf.operator, leaf.value, np.any, definition, refs)
     if not isinstance(leaf, (Compare, OneOf)) or not isinstance(leaf.operand, Path):
         return None
     operator = leaf.operator if isinstance(leaf, Compare) else "="
@@ -125,6 +137,45 @@ def _leaf(leaf: Leaf, definition: Definition, refs: List[FieldRef]) -> Optional[
     else:
         compare = _comparison(dtype, operator, numbers[0])
     return lambda stack: compare(get(stack)).any(axis=0)
+
+
+def _quantified(leaf: Quantified, definition: Definition, refs: List[FieldRef]) -> Optional[_Test]:
+    if len(leaf.tests) != 1 or leaf.negated:
+        return None
+    ((operator, value),) = leaf.tests
+    if not isinstance(value, Literal) or operator == "LIKE":
+        return None
+    join = np.all if leaf.every else np.any
+    return _elements(leaf.operand, operator, value, join, definition, refs)
+
+
+def _elements(
+    array: Path,
+    operator: str,
+    value: Literal,
+    join: Any,
+    definition: Definition,
+    refs: List[FieldRef],
+) -> Optional[_Test]:
+    """Make the test of the elements of an array of numbers; join says how many have to pass it."""
+    try:
+        ref = field_of(array, definition, array=True)
+    except StatementError:
+        return _never
+    get = _getter(ref)
+    if ref.type == "string" or get is None:
+        return None
+    wanted = list(fitting(Compare(array, operator, value), ref))
+    if not wanted:
+        return _never
+    refs.append(ref)
+    dtype = np.dtype(np.int64) if ref.type in _NS else DTYPES[ref.type]
+    if operator == "=":
+        compare = _one_of(dtype, wanted)
+    else:
+        compare = _comparison(dtype, operator, wanted[0])
+    read = get
+    return lambda stack: join(compare(read(stack)), axis=0)
 
 
 _NS = ("time", "duration")

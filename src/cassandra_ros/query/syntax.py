@@ -222,6 +222,11 @@ class Selected:
         """The column's name."""
         return self.what.text if self.alias is None else self.alias
 
+    @property
+    def is_path(self) -> bool:
+        """Whether it is a field, or a message, which may have any number of fields."""
+        return isinstance(self.what, Path)
+
 
 @dataclass(frozen=True)
 class Compare:
