@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import sys
 
@@ -34,11 +33,10 @@ def counts(store):
     return {topic.name: topic.countTopicData() for topic in store.getAllTopics()}
 
 
-def test_delete(store, call, monkeypatch):
+def test_delete(store, call, type_in, monkeypatch):
     def end(n):
         return f"{T0 // SECOND_NS + n}"
 
-    monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
     assert counts(store) == {"/maps": 1, "/n": 10, "/p": 10}
     assert call("delete")[0] == 2
     with pytest.raises(InvalidOption, match="removeTopic and truncateTopic"):
@@ -51,8 +49,9 @@ def test_delete(store, call, monkeypatch):
     assert [line.split() for line in out.splitlines()[1:3]] == [["/n", "4"], ["/p", "4"]]
     assert out.endswith("8 messages of 2 topics would be deleted\n")
     assert json.loads(call(*by_time, "--dry-run", "--json")[1])["deleted"] == {"/n": 4, "/p": 4}
-    status, out, err = call(*by_time)
+    status, out, err = type_in(*by_time)
     assert (status, out) == (1, "")
+    assert err.startswith("cassandra_bag: ")
     assert "Delete 8 messages of 2 topics? Nobody can be asked here; say so with --yes" in err
     monkeypatch.setattr(sys, "stdin", Terminal("no\n"))
     assert call(*by_time)[0] == 1

@@ -112,7 +112,7 @@ def lets_in(cluster, *login):
     return True
 
 
-def test_it_answers_when_its_user_is_made(cluster, monkeypatch):
+def test_it_answers_when_its_user_is_made(cluster, monkeypatch, capsys):
     """Programs of a launch file wait for this: a moment before they would be refused, and end."""
     kept = cluster.security.folder / "secrets.json"
     text = kept.read_text()
@@ -125,6 +125,8 @@ def test_it_answers_when_its_user_is_made(cluster, monkeypatch):
         with pytest.raises(ServerError, match=r"secrets\.json is gone.*local_cassandra clear"):
             cluster.security.make_files("java")
         assert not kept.exists()
+        assert local_cassandra.main(["status", "--dir", str(cluster.directory)]) == 3
+        assert "secrets.json is gone" in capsys.readouterr().out
     finally:
         write_private(kept, text)
     assert [status.answers for status in cluster.status()] == [True]

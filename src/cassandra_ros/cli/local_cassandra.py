@@ -100,6 +100,8 @@ def status(options: argparse.Namespace) -> int:
     heap = f"heap {cluster.settings.java_heap_mb}M a node"
     say(f"directory {cluster.directory}, {format_bytes(free)} free, {heap}")
     _say_login(cluster)
+    if cluster.settings.secure and (loss := cluster.security.loss()):
+        say(f"warning: {loss}")
     if full := full_disk(cluster.directory):
         say(f"warning: {full}")
     return 0 if answers else EXIT_NOT_RUNNING

@@ -68,8 +68,9 @@ class Security:
         try:
             self.folder.mkdir(mode=0o700, exist_ok=True)
             self.folder.chmod(0o700)
+            if loss := self.loss():
+                raise ServerError(loss)  # others would open nothing
             if not (self.folder / _SECRETS).exists():
-                self._require_new()
                 chosen = {name: secrets.token_urlsafe(24) for name in ("keystore", "user", "root")}
                 write_private(self.folder / _SECRETS, json.dumps(chosen))
             if not self.certificate.exists():
@@ -80,14 +81,16 @@ class Security:
         except OSError as exc:
             raise ServerError(f"{self.folder} cannot be written: {exc}") from exc
 
-    def _require_new(self) -> None:
-        """Raise ServerError where passwords were chosen before: others would open nothing."""
-        if self._keystore.exists() or self.certificate.exists():
-            raise ServerError(
-                f"{self.folder / _SECRETS} is gone, and with it the passwords of the local "
-                "Cassandra: its data can be opened with those alone. Put the file back from a "
-                "backup, or delete the data: local_cassandra clear"
-            )
+    def loss(self) -> str:
+        """Say that the passwords that were chosen are lost, and what to do; '' = they are not."""
+        kept = self.folder / _SECRETS
+        if kept.exists() or not (self._keystore.exists() or self.certificate.exists()):
+            return ""
+        return (
+            f"{kept} is gone, and with it the passwords of the local Cassandra: its data can be "
+            "opened with those alone. Put the file back from a backup, or delete the data: "
+            "local_cassandra clear"
+        )
 
     def yaml(self) -> dict[str, object]:
         """Return what a node's cassandra.yaml says of logging in."""

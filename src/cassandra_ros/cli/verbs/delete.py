@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
                 confirm(f"Delete {_sum(counts, whole)}?", _table(counts))
             counts = delete(dry_run=False)
     if options.json:
-        print_json({"deleted": counts, "topics": whole, "dry_run": options.dry_run})
+        print_json({"deleted": counts, "with_topics": whole, "dry_run": options.dry_run})
     elif not options.quiet:
         if any(counts.values()):
             print(_table(counts))
