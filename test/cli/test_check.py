@@ -114,6 +114,11 @@ def test_check(store, call, cql, connect):
     assert left == {"message", "connection", "definition"}
     # Pieces that may still get their message stay.
     assert len(cql.execute(f'SELECT "_t" FROM {chunks}').all()) > 0
+    # A topic that cannot be read at all does not hide the others.
+    comment = tables["/n"].metadata.with_(definition="no definition").to_comment()
+    cql.execute(f"ALTER TABLE {tables['/n'].qualified} WITH comment = '{comment}'")
+    assert ("definition", "/n", False) in damages(call, "/n")
+    assert {("definition", "/n", False), ("message", "/p", False)} <= damages(call)
     space.close()
 
 

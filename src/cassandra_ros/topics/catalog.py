@@ -229,6 +229,8 @@ class Catalog:
         self, topics: Optional[Iterable[str]], key: Optional[Time], to_key: Optional[Time]
     ) -> Stretch:
         """Return the stretch of some topics between two times, None = open; see stretch_between."""
+        if key is None and to_key is None:
+            return Stretch()
         return stretch_between(self.keyspace, self.tables(topics), key, to_key)
 
     def whose(self, node: Optional[str], run: RunName) -> Whose:
