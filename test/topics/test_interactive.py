@@ -79,6 +79,12 @@ def test_objects_say_what_they_are(store, topic, cassandra):
         "<TopicInfo /cmd_vel of husky: geometry_msgs/Twist in format packed, messages: 5, "
         f"bytes: 240, from {first} to {last}>"
     )
+    explained = store.explainCQL("select linear.x from /cmd_vel")
+    assert repr(explained).startswith("select linear.x from /cmd_vel\ntopic:         /cmd_vel\n")
+    assert repr(topic.format) == "<CassandraTopic_packed of geometry_msgs/Twist>"
+    assert repr(store.upkeep).startswith(f"<Upkeep of keyspace {store.keyspace}")
+    assert repr(store.cassandra) == f"<Cassandra {cassandra.host} port {cassandra.port}>"
+    assert "<TopicTable t_" in repr(row.table)
     result = store.iterCQL("select linear.x from /cmd_vel")
     assert repr(result) == "<QueryResult of 'select linear.x from /cmd_vel': rows of linear.x>"
 

@@ -49,6 +49,9 @@ class CassandraTopic_(ABC):
         self.md5sum = md5sum
         self.definition = definition
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {self.msg_type}>"
+
     def _usable(self) -> Definition:
         """Return the definition, or raise DefinitionError where it is unusable."""
         if self.definition is None:

@@ -30,7 +30,7 @@ from cassandra_ros.query.syntax import (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Explanation:
     """How a statement was answered; ``str()`` is for people.
 
@@ -67,7 +67,7 @@ class Explanation:
     counted: bool = False
     """The directory of buckets knew the answer; no row was read."""
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         read = self.indexed + self.filtered + self.whole
         counts = {
             "by an index": self.indexed,

@@ -204,6 +204,9 @@ class Cassandra:
             raise InvalidOption("jobs: a connection with an ssl_context is of one process; use 1")
         return {"host": list(self.hosts), "port": self.port, **self._given}
 
+    def __repr__(self) -> str:
+        return f"<Cassandra {self._where}{', closed' if self._closed else ''}>"
+
     def require_open(self) -> None:
         """Raise ConnectionFailed where it is closed; the driver takes that for a passing one."""
         if self._closed:

@@ -86,6 +86,9 @@ class TopicTable(RowTable):
         self._indexes: tuple[Mapping[str, str], dict[str, IndexField]] = ({}, {})
         self.heirs: Optional[Callable[[str, bool], Optional[TopicTable]]] = None
 
+    def __repr__(self) -> str:
+        return f"<TopicTable {self.name} of {self.metadata.topic}: {self.msg_type}>"
+
     def heir(self, fresh: bool) -> Optional[TopicTable]:
         """Return the table that has its messages now, where one replaced it up to 2 s ago.
 

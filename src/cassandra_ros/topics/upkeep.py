@@ -27,6 +27,9 @@ class Upkeep:
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
 
+    def __repr__(self) -> str:
+        return f"<Upkeep of keyspace {self._catalog.keyspace.name}: see its methods>"
+
     def delete(
         self,
         topics: Optional[Iterable[str]] = None,
