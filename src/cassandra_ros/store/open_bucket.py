@@ -8,12 +8,11 @@ import math
 import struct
 import threading
 import time
-import zlib
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import accumulate, chain, repeat, takewhile
 from operator import attrgetter
-from typing import Callable, Iterable, Sequence
+from typing import Callable, Iterable, NamedTuple, Sequence
 
 from cassandra.query import BatchStatement, BatchType, BoundStatement
 
@@ -49,6 +48,14 @@ Again = Callable[[], object]
 """Writes a message anew, into the table that its topic has then."""
 RowAgain = Callable[[NewRow], object]
 """The same for the message of a row."""
+
+
+class Chunks(NamedTuple):
+    """A message that lies in the chunk table."""
+
+    number: int
+    crc: int
+    """Of the whole message."""
 
 
 @dataclass
@@ -134,8 +141,8 @@ class OpenBucket:
         """Encode the primary key of a row in this bucket."""
         return (*self._place, encode_long(t), encode_long(seq))
 
-    def add(self, row: NewRow, again: Again | None, chunks: int = 0) -> None:
-        """Add a row to the batch, with its message inside or in so many chunks."""
+    def add(self, row: NewRow, again: Again | None, chunks: Chunks | None = None) -> None:
+        """Add a row to the batch, with its message inside or in chunks."""
         batch = self.batch
         if not batch.rows:
             batch.since = time.monotonic()
@@ -178,7 +185,7 @@ class OpenBucket:
         batch.runs.append((rows, again))
         return len(rows)
 
-    def _statement(self, row: NewRow, chunks: int = 0) -> Prepared:
+    def _statement(self, row: NewRow, chunks: Chunks | None = None) -> Prepared:
         """Return the statement that stores a row, which is counted in the batch."""
         if row.columns is None:
             row = self.table.encode(row)
@@ -197,15 +204,15 @@ class OpenBucket:
         flag = ODD if odd else None
         own: Sequence[bytes | None] = (None, None, flag, row.raw)
         if chunks:
-            own = (encode_int(chunks), encode_long(zlib.crc32(wire)), flag, None)
+            own = (encode_int(chunks.number), encode_long(chunks.crc), flag, None)
         rest = (UNSET if value is None else value for value in (*own, *columns))
         full = (*self._place, *head, *rest)
         self.batch.nbytes += _ROW_OVERHEAD + sum(len(v) for v in full if v is not UNSET)
         self.batch.odd_rows += odd
         return True, self._full_id, full
 
-    def add_block(self, block: Block, chunks: int = 0) -> None:
-        """Add a block to the batch, its one message in so many chunks."""
+    def add_block(self, block: Block, chunks: Chunks | None = None) -> None:
+        """Add a block to the batch, whose one message may lie in chunks."""
         batch, sizes = self.batch, list(map(len, block.wires))
         if not batch.rows:
             batch.since = time.monotonic()
@@ -220,7 +227,7 @@ class OpenBucket:
             encode_int(len(sizes)),
             block.data or UNSET,
             encode_long(block.crc),
-            encode_int(chunks) if chunks else UNSET,
+            encode_int(chunks.number) if chunks else UNSET,
             ODD if block.odd else UNSET,
             None,  # whatever was deleted is there again, as a row that is written anew
             encode_texts(block.nan) if block.nan else UNSET,

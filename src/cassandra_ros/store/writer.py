@@ -7,6 +7,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+import zlib
 from collections import deque
 from dataclasses import dataclass
 from typing import Callable, Sequence, Union
@@ -19,7 +20,7 @@ from cassandra_ros.store.counting import recount
 from cassandra_ros.store.directory import HEARTBEAT_SEC, BucketTotals, Directory
 from cassandra_ros.store.driver_errors import is_table_gone, translate
 from cassandra_ros.store.flight import Flight, Outcome
-from cassandra_ros.store.open_bucket import BATCH_BYTES, Again, Batch, OpenBucket, RowAgain
+from cassandra_ros.store.open_bucket import BATCH_BYTES, Again, Batch, Chunks, OpenBucket, RowAgain
 from cassandra_ros.store.paging import Patience
 from cassandra_ros.store.row_table import CHUNK_BYTES, NewRow, RowTable, bind, encode_int
 from cassandra_ros.store.schema import Schema
@@ -250,26 +251,28 @@ class RowWriter:
             self._schema.ensure_chunk_table(table.name, table.metadata)
             table.has_chunks = True
         statement = table.insert_chunk()  # before anything is counted: it may fail
-        chunks, told = -(-len(new.wire) // CHUNK_BYTES), 0
+        # Not when its row is made: then its bytes would be far away again.
+        crc = new.crc if isinstance(new, Block) else zlib.crc32(new.wire)
+        chunks, told = Chunks(-(-len(new.wire) // CHUNK_BYTES), crc), 0
         outcome = self._chunk_outcome(bucket, new, again, chunks)
         with bucket.mutex:
             bucket.in_air += 1
         try:
-            for number in range(chunks):
+            for number in range(chunks.number):
                 data = new.wire[number * CHUNK_BYTES : (number + 1) * CHUNK_BYTES]
                 bound = bind(statement, (*bucket.key(new.t, new.seq), encode_int(number), data))
                 told += 1  # whatever happens in submit, it tells the outcome
                 self._flight.submit(bound, len(data), outcome)
         except BaseException as exc:
-            for _ in range(chunks - told):
+            for _ in range(chunks.number - told):
                 outcome(exc)
             raise
         self._commit()
 
     def _chunk_outcome(
-        self, bucket: OpenBucket, new: _New, again: Again | None, chunks: int
+        self, bucket: OpenBucket, new: _New, again: Again | None, chunks: Chunks
     ) -> Outcome:
-        left, mutex = [chunks], threading.Lock()
+        left, mutex = [chunks.number], threading.Lock()
         failures: list[BaseException] = []
 
         def outcome(exc: BaseException | None) -> None:
@@ -290,7 +293,7 @@ class RowWriter:
 
         return outcome
 
-    def _add_row(self, bucket: OpenBucket, new: _New, again: Again | None, chunks: int) -> None:
+    def _add_row(self, bucket: OpenBucket, new: _New, again: Again | None, chunks: Chunks) -> None:
         """Add the row of a large message to the batch, as one whose message it holds.
 
         A request for each would cost the server a sixth of what an image does.
