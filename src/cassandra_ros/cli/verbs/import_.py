@@ -91,9 +91,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--salvage",
         action="store_true",
-        help="of a bag that is cut short, damaged or was never closed (.bag.active), store what "
-        "stands before the damage, and say what that is (default: refuse it); of an MCAP, mcap "
-        "recover makes a sound copy",
+        help="of a bag or an MCAP that is cut short, damaged or was never closed (.bag.active), "
+        "store what stands before the damage, and say what that is (default: refuse it)",
     )
     add(
         "--jobs",
