@@ -48,6 +48,24 @@ def test_every_option_says_what_it_is_without(program):
     assert silent == []
 
 
+def test_every_verb_that_answers_does_so_in_json_too():
+    options = {
+        parser.prog.split()[-1]: {
+            text for action in parser._actions for text in action.option_strings
+        }
+        for parser in parsers(cassandra_bag)[1:]
+    }
+    silent = ["rename", "completion"]
+    assert [verb for verb, known in options.items() if "--json" not in known] == silent
+
+
+def test_topics_may_be_named_by_regular_expressions():
+    verbs = parsers(cassandra_bag)[1:]
+    many = [verb for verb in verbs if any(action.dest == "topics" for action in verb._actions)]
+    assert len(many) > 8
+    assert all("--regex" in verb._option_string_actions for verb in many)
+
+
 def test_numbers_have_units():
     silent = []
     for parser in parsers(cassandra_bag):

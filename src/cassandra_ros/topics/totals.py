@@ -8,6 +8,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Optional, Sequence
 
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.store.counting import count_part, settle
 from cassandra_ros.store.directory import BucketRow, BucketTotals, Directory
@@ -45,6 +46,9 @@ class TopicInfo:
     """Messages of the topic by this node that are known to be lost, whatever their table."""
     key: str
     """What finds a message: 'time', 'hash', 'manual', or the field that is the key."""
+    rate_hz: Optional[float]
+    """Mean rate while messages came: gaps of more than a bucket do not count, as between two
+    recordings. None where no bucket holds two of one writer."""
 
     def __repr__(self) -> str:
         node = f" of {self.node}" if self.node else ""
@@ -178,4 +182,10 @@ def _describe(table: TopicTable, node: str, rows: list[BucketRow], lost: int) ->
         largest_bucket=max(by_bucket.values(), default=0),
         lost=lost,
         key=metadata.key_part or metadata.key_format,
+        rate_hz=_rate(filled),
     )
+
+
+def _rate(filled: Sequence[BucketRow]) -> Optional[float]:
+    covered_ns = sum(row.t_max - row.t_min for row in filled)
+    return sum(row.rows - 1 for row in filled) * SECOND_NS / covered_ns if covered_ns else None

@@ -201,13 +201,18 @@ def _print_outcomes(outcomes: list[_Outcome], options: argparse.Namespace) -> No
             (
                 shown(each.path),
                 str(each.report.messages) if each.report else "-",
-                str(sum(each.report.lost.values())) if each.report else "-",
+                _lost(each.report) if each.report else "-",
                 each.state,
             )
             for each in outcomes
         ]
         header = ("file", "messages", "lost", "state")
         print("\n" + format_table(header, rows, right=("messages", "lost")))
+
+
+def _lost(report: ImportReport) -> str:
+    size = report.salvaged.lost_bytes
+    return format_bytes(size) if size else str(sum(report.lost.values()))
 
 
 def _answer(outcome: _Outcome) -> dict[str, object]:

@@ -9,10 +9,11 @@
 A topic has a line for each type, format and node. All of it comes from the directory: it takes as
 long for a hundred million messages as for a thousand. Times are those of reception, in UTC, and
 what is in brackets seconds since 1970; --start and --end of other verbs take both. --freq prints
-the mean rate between the first and the last message (rosbag: the median). Where messages are found
-by something else than their receive time the last column says by what. What should have been
-recorded and was not is listed with the reason, also of topics that are not stored; then the latest
-recordings and imports.
+the mean rate while messages came (rosbag: the median); pauses within a bucket lower it.
+
+Where messages are found by something else than their receive time the last column says by what.
+What should have been recorded and was not is listed with the reason, also of topics that are not
+stored; then the latest recordings and imports.
 
 YAML and JSON have the keys of rosbag info -y (duration, start, end, size, messages, types, topics)
 and beside them keyspace, start_ns, end_ns, losses and runs.
@@ -96,7 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_json_option(form)
     text = "print only the information on this key, with -y or --json (default: all)"
     parser.add_argument("-k", "--key", metavar="KEY", help=text)
-    text = "print the mean rate of each topic, Hz"
+    text = "print the mean rate of each topic in Hz, while messages came"
     parser.add_argument("--freq", action="store_true", help=text)
     add_store_options(parser)
 
@@ -166,21 +167,14 @@ def _print_topics(infos: list[TopicInfo], with_rates: bool) -> None:
     print(format_table(header, [[row[name] for name in header] for row in rows], right=_RIGHT))
 
 
-def _rate(info: TopicInfo) -> float | None:
-    """Return the mean rate in Hz; None where there is only one message, or one time."""
-    span_ns = (info.last_ns or 0) - (info.first_ns or 0)
-    return (info.count - 1) * SECOND_NS / span_ns if span_ns else None
-
-
 def _topic_row(info: TopicInfo) -> dict[str, str]:
-    rate = _rate(info)
     return {
         "topic": shown(info.topic),
         "type": info.type,
         "format": info.format,
         "node": shown(info.node) or "-",
         "messages": str(info.count),
-        "rate": "-" if rate is None else f"{rate:.1f} Hz",
+        "rate": "-" if info.rate_hz is None else f"{info.rate_hz:.1f} Hz",
         "size": format_bytes(info.bytes),
         "first": "-" if info.first_ns is None else iso_time(info.first_ns),
         "last": "-" if info.last_ns is None else iso_time(info.last_ns),
@@ -255,7 +249,8 @@ def _topic_answer(info: TopicInfo, with_rates: bool) -> dict[str, object]:
         "messages": values.pop("count"),
         "size": values.pop("bytes"),
     }
-    rate = {"frequency": _rate(info)} if with_rates else {}
+    frequency = values.pop("rate_hz")
+    rate = {"frequency": frequency} if with_rates else {}
     return {**known, **rate, **values}
 
 

@@ -66,7 +66,7 @@ def _add_rules(group: argparse._ArgumentGroup) -> None:
     add("--max-size", metavar="SIZE", type=byte_size, help=text)
     text = "of what is left keep at most HZ messages a second, of each publisher (default: all)"
     add("--thin", metavar="HZ", type=factor, help=text)
-    text = "thin only what is older than that (default: 0, everything)"
+    text = "thin only what is older than that, as 12h or 7d (default: 0, everything)"
     add("--thin-after", metavar="AGE", type=age, default=0.0, help=text)
     text = (
         "leave everything alone that lies around messages of a topic that satisfy a condition as "
