@@ -62,7 +62,10 @@ class Binding:
         params: Sequence[object],
         terms: Iterable[Term],
     ) -> None:
-        found = sorted(set(_placeholders(terms)))  # of BETWEEN one operand stands twice
+        given = [term for term in terms if isinstance(term, (Literal, Call))]
+        # Most statements stay as they are.
+        self._fixed = all(isinstance(term, Literal) and term.bound for term in given)
+        found = sorted(set(_placeholders(given)))  # of BETWEEN one operand stands twice
         _check_params(text, found, params)
         if len(found) != len(params):
             at = found[len(params)] if len(params) < len(found) else len(text)
@@ -70,10 +73,12 @@ class Binding:
             raise InvalidQuery(text, at, reason)
         self._text = text
         self._values = dict(zip(found, params))
-        self._now = TimeNs(time.time_ns())
+        self._now = TimeNs(0 if self._fixed else time.time_ns())
 
     def select(self, select: Select) -> Select:
         """Bind a SELECT but for its LIMIT."""
+        if self._fixed:
+            return select
         columns, condition = select.columns, select.condition
         return replace(
             select,
@@ -85,6 +90,8 @@ class Binding:
 
     def expression(self, item: Expression) -> Expression:
         """Bind a condition; StatementError: something in it cannot be computed."""
+        if self._fixed:
+            return item
         if isinstance(item, LEAVES):
             return self._leaf(item)
         if isinstance(item, Negation):

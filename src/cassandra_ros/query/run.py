@@ -306,6 +306,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         run: Only messages of these writers; None = of all.
         limit: At most so many rows, besides the statement's LIMIT; None = no bound.
         after: ``cursor`` of an earlier result of the same statement: go on behind its last row.
+            Groups, distinct rows and those in another order than KEY's are made anew for it.
         plan: What the server may check, one of pushdown.PLANS; the answer is always the same.
 
     Attributes:
