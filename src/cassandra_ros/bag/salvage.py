@@ -132,7 +132,8 @@ class _Scan:
 
     def _records(self, content: bytes, where: str) -> tuple[int, list[int], Counter[int]]:
         """Read records up to the damage: where that is, the times and counts of the messages."""
-        position, times, counts = 0, [2**63, 0], Counter[int]()
+        counts: Counter[int] = Counter()
+        position, times = 0, [2**63, 0]
         try:
             while position < len(content):
                 kind, fields, start, stop = record_at(content, position, where)
