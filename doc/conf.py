@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import sys
@@ -11,6 +12,9 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))  # directives.py
+
+# What is imported to be described says nothing of its own.
+logging.getLogger("rospy").setLevel(logging.WARNING)
 
 # Defaults are shown as the program has them, not as this shell does.
 for name in [name for name in os.environ if name.startswith("CASSANDRA_ROS_")]:
