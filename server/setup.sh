@@ -76,7 +76,9 @@ package_list() {
 }
 
 test_package_list() {
-  # Only the tests need them: what brings message types, of which they send more than 200.
+  # Only the tests need them: what brings message types, of which they send more than 200, and zsh,
+  # in which they press Tab.
+  echo zsh
   local common=(actionlib map move-base nav pcl rosgraph sensor shape stereo trajectory visualization)
   if [ -d /opt/ros/noetic ]; then
     printf 'ros-noetic-%s-msgs ' "${common[@]}" moveit

@@ -492,6 +492,14 @@ def test_one_run_of_two(stage):
         Past(stage.store, TOPIC, run="nobody")
 
 
+def test_a_simulation_whose_clock_begins_at_0_reads_nothing_of_today(stage):
+    stage.stored(fields(), numbered(0), stage.begin)
+    stage.flush()
+    past = Past(stage.store, TOPIC)
+    assert list(past.rows(5 * 10**9, 6 * 10**9)) == []
+    assert [row.wire for row in past.rows(5 * 10**9)] == [numbered(0)]
+
+
 def test_large_messages(stage):
     wires = [serialize(String(str(n) * 700_000)) for n in range(8)]
     header = fields("/big", String)

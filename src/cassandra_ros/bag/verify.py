@@ -18,7 +18,7 @@ from cassandra_ros.bag.sent import count_differing
 from cassandra_ros.errors import CorruptMessage, InvalidKey
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection import Connection
-from cassandra_ros.messages.stamps import Time, iso_time, to_ns
+from cassandra_ros.messages.stamps import Stamp, Time, iso_time, to_ns
 from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.runs import RunName, Writers
@@ -259,9 +259,10 @@ def _by_place(
     if found is None:
         rows = ros_cas.readMessages(topics, nodeID=node, received=True, run=writers)
         return Comparison(_in_order(rows, ranks), report, _BY_CONNECTION)
-    start_ns, end_ns = reader.start_ns, reader.end_ns
+    # As stamps: an int near 0, a simulation's time, might be refused as seconds.
+    ends = map(Stamp.from_ns, (reader.start_ns, reader.end_ns))
     own = frozenset([found.writer])
-    rows = ros_cas.readMessages(topics, start_ns, end_ns, nodeID=found.node, received=True, run=own)
+    rows = ros_cas.readMessages(topics, *ends, nodeID=found.node, received=True, run=own)
     # These rows know their positions, so that one which is missing shifts no others.
     return Comparison(_in_order(rows, ranks), report, _BY_POSITION)
 

@@ -8,6 +8,7 @@ from typing import Iterator, List, Optional, Union
 
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.store.registry import Loss
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.stored_row import StoredRow
@@ -53,9 +54,11 @@ class Past:
         """Yield what was received in [low, high], ns; nothing of a topic that is not stored."""
         if high is not None and high < low:
             return
+        # As stamps: an int near 0, a simulation's time, might be refused as seconds.
+        first, last = Stamp.from_ns(low), None if high is None else Stamp.from_ns(high)
         try:
             yield from self._rosCas.readMessages(
-                [self.topic], low, high, nodeID=self._node, received=True, run=self._run
+                [self.topic], first, last, nodeID=self._node, received=True, run=self._run
             )
         except TopicNotFound:
             return
