@@ -11,6 +11,7 @@ from std_msgs.msg import Int64, UInt8MultiArray
 from topics.test_run_states import T0, add, age, begin
 
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.store.orphans import old_us, orphans, remove_orphans
 from cassandra_ros.store.row_table import CHUNK_BYTES
 
 
@@ -112,8 +113,15 @@ def test_check(store, call, cql, connect):
     assert ("orphan", "/big", True) in damages(call, "--repair")
     left = {kind for kind, *_ in damages(call)}
     assert left == {"message", "connection", "definition"}
-    # Pieces that may still get their message stay.
-    assert len(cql.execute(f'SELECT "_t" FROM {chunks}').all()) > 0
+    # Pieces that may still get their message stay, and what an import that is repeated brings anew.
+    cql.execute(f"{orphan} ('', 1, 4, 5, 0, 0x00) {past}")
+    until_us = old_us(space.cassandra)
+    lost = orphans(space.cassandra, space.keyspace, tables["/big"], until_us)
+    assert [tuple(each) for each in lost] == [("", 1, 4, 5)]
+    cql.execute(f"{orphan} ('', 1, 4, 5, 0, 0x01)")
+    remove_orphans(space.cassandra, tables["/big"], lost, until_us)
+    (piece,) = cql.execute(f'SELECT "_data" FROM {chunks} WHERE {key}', ("", 1, 4, 5))
+    assert piece == (b"\x01",)
     # A topic that cannot be read at all does not hide the others.
     comment = tables["/n"].metadata.with_(definition="no definition").to_comment()
     cql.execute(f"ALTER TABLE {tables['/n'].qualified} WITH comment = '{comment}'")
@@ -132,3 +140,26 @@ def test_what_is_being_written_is_no_damage(rosCas, call, cql):
         assert status == 0 and "compared" not in out
         states = cql.execute(f"SELECT state FROM {rosCas.keyspace}.cr_bucket").all()
         assert {state for (state,) in states} == {"closed"}
+
+
+def test_what_is_removed_meanwhile_is_no_damage(rosCas, connect):
+    large = UInt8MultiArray(data=bytes(2 * CHUNK_BYTES))
+    for name, fmt in (("/blocks", "packed"), ("/rows", "ros")):
+        topic = rosCas.addTopic(name, format=fmt)
+        for n in range(3):
+            topic.addData(large, key=T0 + n)
+        read = []
+
+        def delete(done, total, topic=topic, read=read):
+            read.append(done)
+            assert topic.removeData(T0, T0 + 2) == (3 if len(read) == 1 else 0)
+
+        report = rosCas.upkeep.check([name], progress=delete)
+        assert read and (report.damages, report.messages) == ([], 1)
+
+    def remove(done, total):
+        with connect(keyspace=rosCas.keyspace) as other:
+            other.removeTopic("/x")
+
+    rosCas.addTopic("/x").addData(Int64(1), key=T0)
+    assert rosCas.upkeep.check(["/x"], progress=remove).damages == []

@@ -10,13 +10,13 @@ that is not has lost its entry.
 from __future__ import annotations
 
 from itertools import islice
-from typing import Iterable, List, NamedTuple, Set, Tuple, Union
+from typing import Iterable, List, NamedTuple, Sequence, Set, Tuple, Union
 
 from cassandra_ros.store.blocks.block_row import ask_blocks
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.names import chunk_table_name
 from cassandra_ros.store.paging import RawRow
-from cassandra_ros.store.row_table import COUNTED, RowTable, bind, decode_long
+from cassandra_ros.store.row_table import COUNTED, Order, RowTable, bind, decode_long
 
 ORPHAN_SEC = 3600
 """So old pieces without a message are nobody's: a message is not tried for longer."""
@@ -45,35 +45,52 @@ def partitions(table: RowTable) -> Set[Tuple[str, Where]]:
     return table.collect(bind(table.select_partitions(), (), _PAGE_ROWS), read, "listing")
 
 
-def orphans(cassandra: Cassandra, keyspace: str, table: RowTable) -> List[Orphan]:
-    """List the pieces of large messages that have no row; none where rows expire by themselves."""
+def old_us(cassandra: Cassandra) -> int:
+    """Return until when, by the server's clock in us, pieces without a message are nobody's."""
+    return cassandra.server_time_us() - ORPHAN_SEC * 10**6
+
+
+def orphans(cassandra: Cassandra, keyspace: str, table: RowTable, until_us: int) -> List[Orphan]:
+    """List the pieces of large messages, of before a time, that have no row.
+
+    There are none where rows expire by themselves.
+    """
     name = chunk_table_name(table.name)
     there = cassandra.system_schema("tables", "table_name", keyspace, name)
     if not there or table.metadata.ttl:
         return []
-    young_us = cassandra.server_time_us() - ORPHAN_SEC * 10**6
 
     def read(rows: Iterable[RawRow]) -> List[Orphan]:
-        old = (values for values in rows if decode_long(values[4]) < young_us)
+        old = (values for values in rows if decode_long(values[4]) <= until_us)
         return [_orphan(table, values) for values in old if not _has_row(table, values)]
 
     statement = bind(table.select_chunked(), (), _PAGE_KEYS)
     return table.collect(statement, read, "looking for orphans of")
 
 
+def rows_at(table: RowTable, place: Tuple[bytes, bytes], key: Order) -> Sequence[RawRow]:
+    """Read what is counted of the row of a key; it has none where it was deleted."""
+    return list(ask_blocks(table, place, [key], COUNTED).page())
+
+
 def _has_row(table: RowTable, values: RawRow) -> bool:
     place = values[0] or b"", values[1] or b""
     key = decode_long(values[2]), decode_long(values[3])
     # Of the columns the fourth says how many pieces there are.
-    return any(row[3] is not None for row in ask_blocks(table, place, [key], COUNTED).page())
+    return any(row[3] is not None for row in rows_at(table, place, key))
 
 
-def remove_orphans(cassandra: Cassandra, table: RowTable, found: Iterable[Orphan]) -> None:
-    """Delete the pieces of messages that have no row."""
-    params = iter(found)
+def remove_orphans(
+    cassandra: Cassandra, table: RowTable, found: Iterable[Orphan], until_us: int
+) -> None:
+    """Delete the pieces of messages that have no row, as far as they are of before a time.
+
+    An import that is repeated meanwhile writes them anew, and then their row.
+    """
+    params = ((until_us, *each) for each in found)
     what = f"removing orphans of topic {table.metadata.topic}"
-    while some := [tuple(each) for each in islice(params, _PAGE_KEYS)]:
-        cassandra.execute_many(table.delete_one(chunks=True), some, what=what)
+    while some := list(islice(params, _PAGE_KEYS)):
+        cassandra.execute_many(table.delete_one(chunks=True, older=True), some, what=what)
 
 
 def _place(table: RowTable, values: RawRow) -> Tuple[str, Where]:

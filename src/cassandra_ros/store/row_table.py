@@ -37,6 +37,7 @@ KEYS = '"_t", "_seq"'
 COUNTED = '"_t", "_seq", "_size", "_nchunks", "_odd"'
 _RANGE = 'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
 _ROW = 'AND "_t" = ? AND "_seq" = ?'
+_OLDER = "USING TIMESTAMP ? "
 _NEWEST = ' ORDER BY "_t" DESC, "_seq" DESC'
 _T = TypeVar("_T")
 
@@ -308,12 +309,12 @@ class RowTable:
         Args:
             older: Only of what was written up to a timestamp, which is the first parameter.
         """
-        using = "USING TIMESTAMP ? " if older else ""
-        return f"DELETE FROM {self.qualified} {using}{self._where} {_RANGE}"
+        return f"DELETE FROM {self.qualified} {_OLDER if older else ''}{self._where} {_RANGE}"
 
-    def delete_one(self, *, chunks: bool = False) -> str:
-        """DELETE of one row, or of the pieces of its message."""
-        return f"DELETE FROM {self._chunks if chunks else self.qualified} {self._where} {_ROW}"
+    def delete_one(self, *, chunks: bool = False, older: bool = False) -> str:
+        """DELETE of one row, or of the pieces of its message; for older see delete_range."""
+        table = self._chunks if chunks else self.qualified
+        return f"DELETE FROM {table} {_OLDER if older else ''}{self._where} {_ROW}"
 
     def mark_gone(self) -> str:
         """UPDATE that adds to the positions of a block whose messages were deleted."""

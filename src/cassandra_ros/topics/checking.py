@@ -10,24 +10,27 @@ somebody changed in a column of formats ``ros``, ``json`` or ``yaml`` cannot.
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Counter as Counts
 from typing import Dict, List, Optional, Sequence, Set, Tuple
 
-from cassandra_ros.errors import CorruptMessage, DefinitionError, MessageNotFound
+from cassandra_ros.errors import CorruptMessage, DefinitionError, MessageNotFound, TopicNotFound
 from cassandra_ros.store.blocks.block_row import WHOLE, Block, BlockRow, read_block
 from cassandra_ros.store.counting import recount
 from cassandra_ros.store.directory import STALE_SEC, BucketRow, BucketTotals, slot_of
 from cassandra_ros.store.fetch import fetch_row, list_names
-from cassandra_ros.store.orphans import orphans, partitions, remove_orphans
+from cassandra_ros.store.orphans import old_us, orphans, partitions, remove_orphans, rows_at
 from cassandra_ros.store.row_table import ALL, TableRow, decode_long
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.copying import Progress
 from cassandra_ros.topics.selection import Stretch
 from cassandra_ros.topics.stored_row import read_wire
 from cassandra_ros.topics.topic_table import TopicTable
+
+_log = logging.getLogger(__name__)
 
 PAGE_BYTES = 2 * 1024 * 1024
 MAX_PAGE_ROWS = 1000
@@ -141,13 +144,19 @@ class _Check:
             return
         for table in tables:
             self.tables.append(table)
-            self._conns = Counter()
-            if table.named:
-                self._names(table)
-            else:
-                self._buckets(table)
-            self._connections(table)
-            self._orphans(table)
+            try:
+                self._table(table)
+            except TopicNotFound:
+                _log.warning("topic %s was removed or converted while it was checked", name)
+
+    def _table(self, table: TopicTable) -> None:
+        self._conns = Counter()
+        if table.named:
+            self._names(table)
+        else:
+            self._buckets(table)
+        self._connections(table)
+        self._orphans(table)
 
     def _buckets(self, table: TopicTable) -> None:
         low, high = (table.bucket_of(t) for t in self._stretch)
@@ -187,10 +196,11 @@ class _Check:
             except CorruptMessage as exc:
                 last = decode_long(values[4]) if table.packed else t
                 lost = decode_long(values[5]) if table.packed else 1
-                ends = t, max(t, last)
-                self._note(
-                    DamageKind.MESSAGE, table.metadata.topic, table.name, node, ends, lost, str(exc)
-                )
+                key = t, decode_long(values[1])
+                if rows_at(table, table.place(node, bucket), key):  # else removed meanwhile
+                    ends = t, max(t, last)
+                    topic = table.metadata.topic
+                    self._note(DamageKind.MESSAGE, topic, table.name, node, ends, lost, str(exc))
             self._tell(total)
 
     def _message(self, table: TopicTable, row: TableRow) -> None:
@@ -329,8 +339,10 @@ class _Check:
                 if row is not None:
                     self._message(table, row)
             except CorruptMessage as exc:
-                topic, ends = table.metadata.topic, (t, t)
-                self._note(DamageKind.MESSAGE, topic, table.name, node, ends, 1, str(exc))
+                place = table.place(node, key.position.name)
+                if rows_at(table, place, table.stored_order(t, key.position.seq)):
+                    topic, ends = table.metadata.topic, (t, t)
+                    self._note(DamageKind.MESSAGE, topic, table.name, node, ends, 1, str(exc))
             self._tell(len(keys))
         for node, count in sorted((+missing).items()):
             if self._repair:
@@ -359,12 +371,13 @@ class _Check:
 
     def _orphans(self, table: TopicTable) -> None:
         space = self._space
-        every = orphans(space.cassandra, space.name, table)
+        until_us = old_us(space.cassandra)
+        every = orphans(space.cassandra, space.name, table, until_us)
         found = [o for o in every if table.named or _within(o.t, self._stretch)]
         if not found:
             return
         if self._repair:
-            remove_orphans(space.cassandra, table, found)
+            remove_orphans(space.cassandra, table, found, until_us)
         times = [orphan.t for orphan in found]
         self._note(
             DamageKind.ORPHAN,
