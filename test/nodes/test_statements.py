@@ -260,8 +260,9 @@ def test_messages_are_added_as_bytes_or_yaml(write, client, store):
     # The type is known now; times may be typed in any form.
     assert add(topic="added", yaml="[7]", key_text="2014-05-13T16:53:20Z")["key"] == T0
     assert add(topic="added", yaml="{}", key=T0 + 1)["key_text"] == str(T0 + 1)
-    values = [(row.t, row.message().data, row.node) for row in topic.rows(T0, T0 + 1)]
-    assert values == [(T0, 7, ""), (T0 + 1, 0, "")]
+    assert add(topic="added", yaml="8", key=T0 + 2)["success"]
+    values = [(row.t, row.message().data, row.node) for row in topic.rows(T0, T0 + 2)]
+    assert values == [(T0, 7, ""), (T0 + 1, 0, ""), (T0 + 2, 8, "")]
     # A type that is nowhere installed comes with its definition.
     mine = {"type": "my_msgs/Pair", "definition": "int8 a\nint8 b\n"}
     assert add(topic="/pairs", data=[1, 2], **mine)["success"]
@@ -287,6 +288,9 @@ def test_messages_are_added_as_bytes_or_yaml(write, client, store):
         ({"topic": "/numbers"}, "0 bytes are no std_msgs/Int64"),
         ({"topic": "/numbers", "yaml": "data: x"}, "Int64"),
         ({"topic": "/numbers", "yaml": "date: 3"}, "date"),
+        ({"topic": "/numbers", "yaml": "[1, 2]"}, "the YAML is no"),
+        # Ten times as many values in each turn, which an error text would show.
+        ({"topic": "/numbers", "yaml": "[[&a [1, 1], &b [*a, *a], *b, *b]]"}, "alias"),
         ({"topic": "/numbers", "yaml": "!!python/object:os.system {}"}, "the YAML is no"),
         ({"topic": "/numbers", "yaml": "data: 3", "data": [1] * 8}, "not as both"),
         ({"topic": "/numbers", "yaml": "data: 3", "key_text": "noon"}, "noon"),

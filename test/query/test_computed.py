@@ -28,6 +28,7 @@ from std_msgs.msg import Time as TimeMsg
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import Stamp
+from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.gathered import gather
 from cassandra_ros.query.parse import parse_select
 from cassandra_ros.query.projection import Projections
@@ -165,6 +166,22 @@ def test_integers_beyond_floats_beside_floats():
     assert shown(msg, f"sqrt({many})") == float(math.isqrt((2**64 - 1) ** 20))
     assert shown(Bool(True), "data + data, -data, abs(data)") == (2, -1, 1)
     assert type(shown(Float64(1.0), "data * 2")) is float
+
+
+def test_products_that_nobody_can_write_down_are_missing():
+    """Python writes no integer of more than 4300 digits, which a short statement could ask for."""
+    square = "data"
+    for _ in range(8):
+        square = f"({square} * {square})"
+    assert shown(UInt64(2**64 - 1), f"{square}, {square} * 1s") == (None, None)
+    assert unknown(UInt64(2**64 - 1), f"{square} > 0")
+    assert shown(UInt64(1), square) == 1
+    many = " * ".join(["9" * 400] * 20)
+    for text in (many, f"data + {many}", f"1s * {many}"):
+        with pytest.raises(InvalidQuery, match="cannot be computed"):
+            parse_select(f"select {text} from t")
+    with pytest.raises(InvalidQuery, match="bits"):
+        shown(UInt64(1), "data + ?", [10**4299])
 
 
 def test_times_and_durations():

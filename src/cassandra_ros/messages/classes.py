@@ -223,14 +223,19 @@ def exact_message(cls: Any, wire: bytes) -> Any:
 def message_of_yaml(cls: Any, text: str) -> Any:
     """Make a message of what ``rostopic pub`` takes: a mapping of fields, or a list of them all.
 
+    The value of an only field may stand by itself. Aliases (``*name``) are not read: a few hundred
+    bytes of them can stand for any number of values.
+
     Raises:
         TypeMismatch: It is no YAML, or not of that type; nothing but plain values is read.
     """
     found = cls()
     try:
+        if "*" in text and any(isinstance(e, yaml.AliasEvent) for e in yaml.parse(text)):
+            raise TypeMismatch("the YAML has an alias (*name), which is not read: write it out")
         values = yaml.safe_load(text)
-        arguments = [values] if isinstance(values, dict) else values
-        genpy.message.fill_message_args(found, [] if arguments is None else arguments)
+        arguments = values if isinstance(values, list) else [] if values is None else [values]
+        genpy.message.fill_message_args(found, arguments)
         serialize(found)  # who fills it in looks at no number
     except (yaml.YAMLError, genpy.MessageException, ValueError, RecursionError) as exc:
         why = " ".join(str(exc).split())[:300]

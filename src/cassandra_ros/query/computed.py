@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Values that a statement computes: arithmetic, functions, and what is made of one array.
 
-What is missing makes the result missing. Integers (a bool is 0 or 1) are exact, of any size; beside
-a float, and by ``/`` and ``sqrt``, numbers are float64 as in IEEE 754: x / 0 is infinite, 0 / 0
-and the square root of what is negative are NaN, and what is too large is infinite.
+What is missing makes the result missing. Integers (a bool is 0 or 1) are exact, and a product of
+more than MAX_BITS is missing; beside a float, and by ``/`` and ``sqrt``, numbers are float64 as in
+IEEE 754: x / 0 is infinite, 0 / 0 and the square root of what is negative are NaN, and what is too
+large is infinite.
 
 Times and durations are integer nanoseconds. A duration is the difference of two times, or times a
 number, which is rounded to a nanosecond, half to even, and missing where there is none (1s / 0). A
@@ -41,6 +42,8 @@ Get = Callable[[Any], Any]
 """From the values of a row to one; None = missing."""
 INTEGER = "sum"
 """Kind of an integer of any size."""
+MAX_BITS = 8192
+"""Of the integers that are computed with: Python refuses to write over 4300 digits as text."""
 NO_NUMBERS = ("string", "time", "duration")
 
 
@@ -131,6 +134,8 @@ def _constant(literal: Literal) -> Computed:
     elif isinstance(value, str):
         kind = "string"
     elif isinstance(value, Integral) and not isinstance(value, bool):
+        if int(value).bit_length() > MAX_BITS:
+            raise StatementError(literal.position, f"nothing is computed of over {MAX_BITS} bits")
         kind, value = INTEGER, int(value)
     elif isinstance(value, Real) and not isinstance(value, bool):
         kind, value = "float64", float(value)
@@ -227,9 +232,15 @@ def _root(x: Any) -> float:
         return _float(math.isqrt(x))
 
 
+def _multiply(x: Any, y: Any) -> Any:
+    product = x * y
+    return None if isinstance(product, int) and product.bit_length() > MAX_BITS else product
+
+
 def _scaled(ns: int, factor: Any) -> Optional[int]:
     if isinstance(factor, int):
-        return ns * factor
+        scaled: Optional[int] = _multiply(ns, factor)
+        return scaled
     return round(Fraction(ns) * Fraction(factor)) if math.isfinite(factor) else None
 
 
@@ -256,7 +267,7 @@ _RULES: dict[tuple[str, ...], tuple[str, Callable[..., Any]]] = {
     ("-", "time", "time"): ("duration", operator.sub),
     ("-", "time", "duration"): ("time", operator.sub),
     ("-", "duration", "duration"): ("duration", operator.sub),
-    ("*", "number", "number"): ("", _number(operator.mul)),
+    ("*", "number", "number"): ("", _number(_multiply)),
     ("*", "duration", "number"): ("duration", _scaled),
     ("*", "number", "duration"): ("duration", lambda factor, ns: _scaled(ns, factor)),
     ("/", "number", "number"): ("float64", _divide),

@@ -67,6 +67,9 @@ COUNTED = "int64"
 """Kind of a count: whatever is counted is not shown."""
 _BESIDE = -1
 """From here downwards are the marks of problems that no other table can make good."""
+_PAIR = 32
+"""So many bits further are the marks of two terms that are compared: of BETWEEN one stands in two
+comparisons, and each term may be fine by itself."""
 
 
 class Output(NamedTuple):
@@ -253,12 +256,13 @@ class Names:
 
     def _are_alike(self, left: Term, kind: str, right: Term, other: str, position: int) -> bool:
         """Say whether values of two kinds can be compared; note it if not."""
+        mark = (left.position + 1) << _PAIR | right.position
         if family(kind) == family(other):
-            self._findings.fine.add(position)
+            self._findings.fine.add(mark)
             return True
         reason = f"{left.text} is {kind_name(kind)} and {right.text} {kind_name(other)}"
         problem = StatementError(position, f"{reason}: they cannot be compared")
-        self._findings.wrong.setdefault(position, problem)
+        self._findings.wrong.setdefault(mark, problem)
         return False
 
     def _hint_at_quotes(self, leaf: Relate, left: Optional[Computed]) -> None:
@@ -336,7 +340,8 @@ def _fitted(found: Output, leaf: Leaf, literal: Literal) -> Comparable:
         reason = f"{operand.text} is not an array; compare it with ="
         raise StatementError(operand.position, reason)
     if sign == "LIKE" and found.kind != "string":
-        reason = f"is a {found.kind}, and LIKE is for text; compare it with = < > or BETWEEN"
+        reason = f"is {kind_name(found.kind)}, and LIKE is for text"
+        reason += "; compare it with = < > or BETWEEN"
         raise StatementError(operand.position, f"{operand.text} {reason}")
     if found.ref is not None:
         return fit_to_field(literal, found.ref)

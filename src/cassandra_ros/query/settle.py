@@ -117,6 +117,8 @@ def _ordered(select: Select) -> Select:
     limited = bool(select.group or select.aggregates or select.distinct)
     for part in select.order:
         place = _place(select, part.what)
+        if not isinstance(part.what, Aggregate) and is_constant(part.what):
+            raise StatementError(part.position, f"{part.what.text} is the same in every row")
         if place is None:
             if limited:
                 how = "DISTINCT" if select.distinct else "aggregates"
