@@ -7,6 +7,7 @@ from __future__ import annotations
 import io
 from contextlib import suppress
 from random import Random
+from time import process_time
 
 import pytest
 from bag.truth import string_connection, string_wire
@@ -20,7 +21,7 @@ from mcap_ros1.decoder import DecoderFactory
 
 from cassandra_ros.bag.identity import read_content
 from cassandra_ros.bag.mcap_channel import HEADER, to_channel, to_connection
-from cassandra_ros.bag.mcap_format import RECORD, walk
+from cassandra_ros.bag.mcap_format import RECORD, find_messages, walk
 from cassandra_ros.bag.mcap_writer import McapWriter
 from cassandra_ros.bag.opening import make_file, open_file
 from cassandra_ros.errors import BagError, BagUnindexed
@@ -212,6 +213,29 @@ def test_a_chunk_that_is_passed_over_is_missed(tmp_path):
     (tmp_path / "a.mcap").write_bytes(whole)
     with pytest.raises(BagError, match=r"of the 40 messages that it should hold \d+ are found"):
         open_file(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize("place", [1, 2**40, 2**63, 2**64 - 1])
+def test_a_footer_that_points_nowhere_is_damage(tmp_path, place):
+    path = foreign(tmp_path / "a.mcap")
+    whole = bytearray(path.read_bytes())
+    with open(path, "rb") as file:
+        footer = next(r for r in walk(file, "") if r.kind == Opcode.FOOTER)
+    whole[footer.start : footer.start + 8] = place.to_bytes(8, "little")
+    path.write_bytes(whole)
+    with pytest.raises(BagError, match="the crc of its summary is wrong"):
+        open_file(path)
+    with open_file(path, salvage=True) as reader:
+        assert reader.salvaged.why == "has a damaged summary"
+        assert reader.message_count == 40
+
+
+def test_a_chunk_of_records_that_nobody_knows_takes_time_once(tmp_path):
+    """Each of them is passed over where it lies, without a copy of all that follows."""
+    content = RECORD.pack(0x7F, 0) * 300_000
+    before = process_time()
+    assert not len(find_messages(content, "").times)
+    assert process_time() - before < 10
 
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)

@@ -123,7 +123,8 @@ def check_summary(file: BinaryIO, footer: Record, path: str) -> None:
     found = parse(Footer, file.read(footer.stop - footer.start), path)
     if not found.summary_crc:
         return
-    file.seek(found.summary_start or footer.start - RECORD.size)
+    # Behind the footer there is nothing, and seek takes no number of more than 63 bits.
+    file.seek(min(found.summary_start or footer.start - RECORD.size, footer.stop))
     crc, left = 0, footer.stop - _CRC_BYTES - file.tell()
     while left > 0:
         part = file.read(min(left, _READ_BYTES))
@@ -221,9 +222,9 @@ def _unpack(head: ChunkHead, data: bytes) -> bytes:
     raise KeyError(head.compression)
 
 
-def records_of(content: bytes, where: str) -> Iterator[Record]:
-    """List the records that fill some bytes."""
-    position, end = 0, len(content)
+def records_of(content: bytes, where: str, position: int = 0) -> Iterator[Record]:
+    """List the records that fill some bytes, from a byte on."""
+    end = len(content)
     while position < end:
         start = position + RECORD.size
         kind, length = RECORD.unpack_from(content, position) if start <= end else (0, end)
@@ -293,7 +294,7 @@ def find_messages(content: bytes, where: str, offsets: Longs | None = None) -> M
     while position < end:
         if position > last or content[position] != Opcode.MESSAGE:
             # Schemas and channels were read before.
-            position = next(records_of(content[position:], where)).stop + position
+            position = next(records_of(content, where, position)).stop
             continue
         _, length, channel, sequence, t_ns, sent_ns = read(content, position)
         stop = position + RECORD.size + length

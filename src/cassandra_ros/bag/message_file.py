@@ -79,8 +79,8 @@ class MessageFile(ABC):
     """
 
     salvaged = Salvaged()
-    tells_sent = False
     """Of a file that was opened to salvage it: what was damaged, and what can be read."""
+    tells_sent = False
     path: str
     connections: dict[int, Connection]
     counts: Counter[int]
