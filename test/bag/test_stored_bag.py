@@ -152,7 +152,7 @@ def test_counts(bag):
     assert bag.get_message_count() == 24
     assert bag.get_message_count("/chatter") == bag.get_message_count(["/chatter"]) == 20
     assert bag.get_message_count(topic_filters=["/chatter", "/cmd_vel"]) == 24
-    assert bag.get_message_count("/none") == 0
+    assert bag.get_message_count("/none") == bag.get_message_count([]) == 0
 
 
 def test_types_and_topics(bag):
@@ -166,6 +166,7 @@ def test_types_and_topics(bag):
     assert list(info.topics) == ["/cmd_vel"]
     assert tuple(info.topics["/cmd_vel"])[:3] == ("geometry_msgs/Twist", 4, 1)
     assert info.msg_types == types
+    assert bag.get_type_and_topic_info([]).topics == {}
 
 
 def test_times_names_and_text(bag, path):
@@ -173,6 +174,8 @@ def test_times_names_and_text(bag, path):
     assert bag.get_end_time() == pytest.approx((WORDS[-1][0]) / SEC, abs=1e-6)
     assert (bag.filename, bag.mode, bag.version) == (str(path), "r", 200)
     assert bag.size > 0
+    assert bag.options == {"compression": "none", "chunk_threshold": 768 * 1024}
+    assert (bag.compression, bag.chunk_threshold) == ("none", 768 * 1024)
     lines = [line.split() for line in str(bag).splitlines()]
     alike = [line for line in lines if line[0] not in ("size:", "compression:")]
     with rosbag.Bag(str(path)) as truth:

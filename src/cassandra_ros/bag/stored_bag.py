@@ -94,7 +94,8 @@ class Bag:
             Several of one name are read as one. None = all that the keyspace holds.
         mode: 'r' reads, 'w' writes a new run, 'a' adds to those of the name; both read, too.
         compression, chunk_threshold, allow_unindexed, options, skip_index: Taken so that a script
-            need not change; they are about files. A store has formats instead.
+            need not change; they are about files. A store has formats instead. The first two are
+            attributes, and in the attribute options, for a script that writes a bag like this one.
         rosCas: A RosCassandra that is connected to a keyspace; it stays the caller's. None = one of
             its own, opened as the environment says (CASSANDRA_ROS_HOST, _PORT, _KEYSPACE; 'ros').
         nodeID: Reading: only messages of this robot, None = of all; writing: whose they are.
@@ -129,6 +130,10 @@ class Bag:
         if f is None and mode != "r":
             raise InvalidOption("a run that is written needs a name: Bag('patrol', 'w')")
         self.mode = mode
+        given = {"compression": compression, "chunk_threshold": chunk_threshold}
+        self.options: dict[str, object] = {**given, **(options or {})}
+        self.compression = self.options["compression"]
+        self.chunk_threshold = self.options["chunk_threshold"]
         self._own = rosCas is None
         self._store = rosCas or RosCassandra(keyspace=from_environment("KEYSPACE") or "ros")
         self._node = nodeID
@@ -201,7 +206,7 @@ class Bag:
         """
         self.flush()
         ends = [None if not time else time for time in (start_time, end_time)]
-        names, passing = self._topics(topics), None
+        names, passing = self._topics(topics or None), None
         if connection_filter is not None:
             names, passing = self._filtered(names, connection_filter)
         if not names:
@@ -232,9 +237,9 @@ class Bag:
                 yield one
 
     def _topics(self, names: TopicNames) -> list[CassandraTopic]:
-        """Return the topics of these names, None or none = all, that are stored."""
+        """Return the topics of these names, None = all, that are stored."""
         every = {topic.name: topic for topic in self._store.getAllTopics()}
-        if not names:
+        if names is None:
             return list(every.values())
         wanted = {s for name in check_list("topics", names, "['/tf']") for s in spellings(name)}
         return [topic for name, topic in every.items() if name in wanted]
