@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from datetime import timedelta
 
@@ -110,6 +111,29 @@ def test_thinned_to_a_rate(topics):
     assert len(left(topics, "/static")) == 3  # each holds until the next one comes
     again = topics.upkeep.retain(["/rows", "/blocks"], **rules, before=1, after=1)
     assert [each.thinned for each in again] == [0, 0]
+
+
+def test_thinning_leaves_few_tombstones(topics, cql):
+    """Cassandra refuses to read a bucket with 100,000 of them."""
+    both = [(T0 + n * STEP + 1, Int64(n)) for n in range(0, COUNT, 50)]
+    write(
+        topics, "/much", [(T0 + n * STEP, Int64(n)) for n in range(COUNT)], "binary", 6, False, 600
+    )
+    write(topics, "/much", both, "binary", 7, True, 600)  # its own publisher, which latches
+    pinned = {"/battery": "data < 11"}
+    options = {"thin": 0.05, "now": NOW, "keep": pinned, "before": 0, "after": 0}
+    (said,) = topics.upkeep.retain("/much", **options, dry_run=True)
+    (done,) = topics.upkeep.retain("/much", **options)
+    kept = sorted({*seconds(0, 80, 20), 40.5, *(n / 2 for n in range(0, COUNT, 50))})
+    assert said == done and done.left == 6 + 4
+    assert sorted(set(left(topics, "/much"))) == kept
+    assert topics.getTopic("/much").countTopicData() == 10
+    table = topics.getTopic("/much").tables[0].qualified
+    asked = cql.execute_async(f"SELECT * FROM {table}", trace=True)
+    asked.result()
+    told = " ".join(event.description for event in asked.get_query_trace().events)
+    found = re.findall(r"Read (\d+) live rows and (\d+) tombstone", told)
+    assert found and sum(int(dead) for _, dead in found) <= 50
 
 
 def test_by_size(topics):

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from itertools import islice
+from itertools import chain, islice
 from typing import Collection, Dict, Iterable, List, Optional, Sequence, Set, Tuple, Union
 
 from cassandra_ros.store.blocks.counts import headers
@@ -94,6 +94,58 @@ def delete_rows(space: Keyspace, rows: Iterable[StoredRow]) -> int:
                 _delete_some(space, partition, list(map(_key_of, group)))
         deleted += len(some)
     return deleted
+
+
+def thin_rows(space: Keyspace, rated: Iterable[Tuple[StoredRow, bool]], until_us: int) -> int:
+    """Delete some of the rows of a stretch of time; return how many.
+
+    What lies between two that stay is deleted at once: each deletion leaves a tombstone, and
+    Cassandra refuses to read a bucket with 100,000 of them.
+
+    Args:
+        rated: All rows of the stretch in their order, and which are to go.
+        until_us: A time of the server before these were read: what was written later stays.
+    """
+    deleted = held = 0
+    runs: Dict[_Partition, List[List[_Key]]] = {}
+    rated = iter(rated)
+    for row, goes in rated:
+        if row.table.packed:  # from the first row on, or where the topic was converted meanwhile
+            rest = chain([(row, goes)], rated)
+            deleted += delete_rows(space, (each for each, goes in rest if goes))
+            break
+        mine = runs.setdefault(_partition_of(row), [[]])
+        if goes:
+            mine[-1].append(_key_of(row))
+            held += 1
+        elif mine[-1]:
+            mine.append([])
+        if held == ROWS_AT_ONCE:
+            _delete_runs(space, runs, until_us)
+            deleted, held, runs = deleted + held, 0, {}
+    _delete_runs(space, runs, until_us)
+    return deleted + held
+
+
+def _delete_runs(space: Keyspace, runs: Dict[_Partition, List[List[_Key]]], until_us: int) -> None:
+    for partition, parts in runs.items():
+        table, node, where = partition
+        # Of a large message that stays, for it came later, the chunks must stay, too.
+        ranges: List[List[_Key]] = []
+        single: List[_Key] = []
+        for run in parts:
+            if len(run) > 2 and not any(chunked for _, _, chunked in run):
+                ranges.append(run)
+            else:
+                single += run
+        if single:
+            _delete_some(space, partition, single)
+        if ranges:
+            space.schema.listing().check_staying(table.name)
+            _mark_deleted(space.directory, table, node, int(where))
+            params = [(until_us, node, where, *run[0][:2], *run[-1][:2]) for run in ranges]
+            statement = table.delete_range(older=True)
+            space.cassandra.execute_many(statement, params, what=_deleting(table))
 
 
 def _delete_some(space: Keyspace, partition: _Partition, keys: List[_Key]) -> None:

@@ -20,12 +20,15 @@ from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.copying import Progress
 from cassandra_ros.topics.deletion import delete_of_table
 from cassandra_ros.topics.latched import LatchedFinder
-from cassandra_ros.topics.removal import delete_rows
+from cassandra_ros.topics.removal import thin_rows
 from cassandra_ros.topics.selection import EVERYBODY, LAST_NS, Stretch, Whose
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.totals import buckets_of, count_rows
 from cassandra_ros.topics.windows import joined, merge_windows
+
+_Periods = Dict[Tuple[str, int], int]
+"""nodeID and connection of a publisher -> the last period of which there is a message."""
 
 
 @dataclass(frozen=True)
@@ -151,10 +154,16 @@ class _Work:
         for gap in _gaps(pins, 0, self.cutoff - 1):
             found.dropped += delete_of_table(self._space, table, gap, EVERYBODY, self._dry_run)
         if self._thin_end > self.cutoff:
-            rows = self._surplus(table, _gaps(pins, self.cutoff, self._thin_end - 1))
-            found.thinned += (
-                sum(1 for _ in rows) if self._dry_run else delete_rows(self._space, rows)
-            )
+            # Before it is read: what somebody adds among it later stays.
+            until_us = self._space.cassandra.server_time_us()
+            last: _Periods = {}
+            for gap in _gaps(pins, self.cutoff, self._thin_end - 1):
+                rows = self._rated(table, gap, last)
+                found.thinned += (
+                    sum(surplus for _, surplus in rows)
+                    if self._dry_run
+                    else thin_rows(self._space, rows, until_us)
+                )
 
     # ---------------------------------------------------------------- size
 
@@ -223,20 +232,20 @@ class _Work:
 
     # ---------------------------------------------------------------- rate
 
-    def _surplus(self, table: TopicTable, gaps: Iterable[Stretch]) -> Iterator[StoredRow]:
-        """Yield the messages that are too many: all of a period but a publisher's first.
+    def _rated(
+        self, table: TopicTable, gap: Stretch, last: _Periods
+    ) -> Iterator[Tuple[StoredRow, bool]]:
+        """Yield all messages, and which are too many: those of a period but a publisher's first.
 
         A latched message holds until the next one comes, however long that takes: none is left out.
         """
-        last: Dict[Tuple[str, int], int] = {}
-        for gap in gaps:
-            for row in self._bare([table], gap):
-                publisher, period = (row.node, row.conn), row.t // self._rules.period
-                if self._finder.is_latched(row):
-                    continue
-                if last.get(publisher) == period:
-                    yield row
-                last[publisher] = period
+        for row in self._bare([table], gap):
+            if self._finder.is_latched(row):
+                yield row, False
+                continue
+            publisher, period = (row.node, row.conn), row.t // self._rules.period
+            yield row, last.get(publisher) == period
+            last[publisher] = period
 
 
 def _times(rows: Iterable[StoredRow]) -> Iterator[int]:
