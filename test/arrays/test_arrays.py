@@ -255,6 +255,19 @@ def test_what_is_missing_is_masked():
     assert found["NODE"].tolist() == ["robot", "robot"]
 
 
+def test_computed_integers_are_int64_where_they_fit():
+    table = Table(INT64)
+    rows = [Row(table, wire_of(x, [1] * n)) for x, n in ((1, 0), (-(2**63), 2))]
+    found = gather(rows, ["len(some) AS n", "sum(some)", "x - 1", "x / 2", "x * 1ns", "KEY + 1s"])
+    assert [each.dtype.kind for each in found.values()] == list("iiOfii")
+    assert shown(found["n"]) == [0, 2]
+    assert shown(found["sum(some)"]) == [None, 2]
+    assert shown(found["x - 1"]) == [0, -(2**63) - 1]
+    assert shown(found["x * 1ns"]) == [1, -(2**63)]
+    with pytest.raises(InvalidQuery, match="beyond int64"):
+        gather(rows, ["x * 1s"])
+
+
 def test_comments_hide_nothing():
     rows = [Row(Table(INT64), wire_of(1))]
     assert gather(rows, ["x -- the number"], "x = 1 -- one")["x"].tolist() == [1]
@@ -378,6 +391,7 @@ def test_only_the_columns_that_are_needed_are_read():
         (["y"], None, "has no field y"),
         ([], None, "expected"),
         (["count(*)"], None, "count(*) is one value"),
+        (["distinct x"], None, "DISTINCT stands in a statement"),
         (["x FROM /other"], None, "FROM"),
         (["x FROM /topic WHERE x = 7 --"], None, "FROM"),
         ([5], None, "not int"),

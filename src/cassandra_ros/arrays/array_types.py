@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Optional, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cassandra_ros.query.computed import INTEGER
 from cassandra_ros.query.names import Array
 from cassandra_ros.query.projection import Projection, Projections
 from cassandra_ros.query.protocols import Table
@@ -35,7 +36,8 @@ class ArrayType:
     """The type of a column."""
 
     kind: str
-    """Primitive ROS type, or 'mixed' where the definitions of a topic disagree."""
+    """Primitive ROS type; 'mixed' where the definitions of a topic disagree, 'sum' where integers
+    are computed, of any size."""
     depth: int = 0
     """How many arrays lie around a value."""
     length: Optional[int] = None
@@ -46,7 +48,7 @@ class ArrayType:
         """The type of one value in numpy; times and durations are integer nanoseconds."""
         if self.kind in ("time", "duration"):
             return np.dtype(np.int64)
-        return np.dtype(object if self.kind in ("string", MIXED) else self.kind)
+        return np.dtype(object if self.kind in ("string", MIXED, INTEGER) else self.kind)
 
     @property
     def cells(self) -> bool:

@@ -15,6 +15,7 @@ from cassandra_ros.arrays.stacked_values import MessageBlock
 from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.arrays.values import empty_values, join_values
 from cassandra_ros.errors import InvalidQuery, TopicNotFound
+from cassandra_ros.query.computed import INTEGER
 from cassandra_ros.query.names import Findings
 from cassandra_ros.query.parse import parse_condition, parse_select
 from cassandra_ros.query.protocols import Row, Table
@@ -155,6 +156,9 @@ def _statement(
     # In lines of their own no comment hides what follows, and an error shows the one alone.
     text = f"SELECT {', '.join(names)}\nFROM {shown}"  # noqa: S608 (read by our own grammar)
     select = parse_select(text if where is None else f"{text} WHERE (\n{where}\n)", params)
+    if select.distinct:
+        reason = "DISTINCT stands in a statement, not before fields; executeCQL answers it"
+        raise InvalidQuery(select.text, len("SELECT "), reason)
     select = settle(select, topic.tables)
     called: dict[str, Term] = {}
     for column in select.columns or ():
@@ -186,8 +190,18 @@ def _united(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArr
         values, missing = join_values([table.take(name, kind) for table in filled], kind)
         if order is not None:
             values, missing = values[order], missing[order]
+        if kind.kind == INTEGER:
+            kind, values = _as_int64(values, missing)
         found[name] = FieldArray(kind, values, missing)
     return found
+
+
+def _as_int64(values: AnyArray, missing: AnyArray) -> Tuple[ArrayType, AnyArray]:
+    """Return computed integers as int64; as Python's, where one does not fit."""
+    try:
+        return ArrayType("int64"), np.where(missing, 0, values).astype(np.int64)
+    except OverflowError:
+        return ArrayType(MIXED), values
 
 
 def _order_of(places: Sequence[MessageBlock]) -> Optional[AnyArray]:

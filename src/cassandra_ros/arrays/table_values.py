@@ -36,7 +36,7 @@ from cassandra_ros.arrays.values import (
     none_missing,
     objects_of,
 )
-from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFound
+from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidQuery, MessageNotFound
 from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.plan import wire_plan
 from cassandra_ros.query.names import FieldRef, Findings
@@ -77,7 +77,7 @@ class TableValues:
     """
 
     def __init__(self, select: Select, table: Table, findings: Findings) -> None:
-        self._table = table
+        self._table, self._text = table, select.text
         self._projection = Projection.compile(select, table, findings)
         self.groups = group_types(self._projection, table)
         self._outputs = [output for group in self._projection.groups for output in group]
@@ -276,10 +276,14 @@ class TableValues:
     def _value_by_value(self) -> list[Values]:
         columns = list(zip(*self._decoded))
         self._orders.append(_order(self._numbers))
-        return [
-            from_decoded(columns[output.place], kind)
-            for output, kind in zip(self._outputs, self._kinds)
-        ]
+        chunks = []
+        for output, kind in zip(self._outputs, self._kinds):
+            try:
+                chunks.append(from_decoded(columns[output.place], kind))
+            except OverflowError as exc:
+                reason = f"{output.name} goes beyond int64 nanoseconds; executeCQL answers it"
+                raise InvalidQuery(self._text, len("SELECT "), reason) from exc
+        return chunks
 
     def _column_by_column(self) -> list[Values]:
         columns = list(zip(*self._raws))

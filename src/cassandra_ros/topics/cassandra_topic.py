@@ -395,7 +395,7 @@ class CassandraTopic:
           array of objects.
         * ``KEY``, times and durations are int64 nanoseconds: ``.view('datetime64[ns]')`` or
           ``.view('timedelta64[ns]')`` shows them as such. KEY is text where messages lie under
-          names. ``secs`` and ``nsecs`` are int64.
+          names. ``secs`` and ``nsecs`` are int64, computed integers too where all of them fit.
         * Arrays of fixed length have two dimensions, as (rows, 9); others give an array of objects,
           an array a row; arrays inside of arrays of messages give lists.
 
