@@ -63,6 +63,7 @@ def test_the_first_that_matches_holds_and_options_go_before_the_file():
         ("topics: [{pattern: /a, ttl: soon}]", "not a duration"),
         ("topics: [{pattern: /a, rate_limit: 0}]", "no rate"),
         ("topics: [{pattern: /a, where: 'a >'}]", "pattern '/a'"),
+        ("topics: [{pattern: /a, where: 'header.stamp > now() - 1s'}]", "KEY - 1s"),
         ("topics: [{pattern: /a, index: 5}]", "no list of names"),
         ("!!python/object/apply:os.system ['true']", "could not determine a constructor"),
     ],

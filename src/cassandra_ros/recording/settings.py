@@ -12,9 +12,11 @@ from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 import yaml
 
 from cassandra_ros.arguments import check_fields, check_text, check_ttl
-from cassandra_ros.errors import CassandraRosError, InvalidOption
+from cassandra_ros.errors import CassandraRosError, InvalidOption, InvalidQuery
 from cassandra_ros.formats.table import format_class
+from cassandra_ros.query.binding import terms_of_condition
 from cassandra_ros.query.parse import parse_condition
+from cassandra_ros.query.syntax import Literal, TimeNs, inside
 
 _UNITS = {"": 1, "s": 1, "m": 60, "h": 3600, "d": 86400}
 MAX_RATE_HZ = 1e6
@@ -142,7 +144,14 @@ def read_label(text: str) -> Tuple[str, str]:
 def check_condition(value: object) -> str:
     """Return a condition that can be parsed; its fields are known with the first message."""
     text = check_text("where", value, wanted="a condition, as 'linear.x > 0.5'")
-    parse_condition(text)
+    for term in terms_of_condition(parse_condition(text)):
+        for part in inside(term):
+            if isinstance(part, Literal) and isinstance(part.value, TimeNs):
+                reason = (
+                    "now() would remain the moment in which the recorder read this; KEY is the "
+                )
+                reason += "time at which a message came, as in header.stamp > KEY - 1s"
+                raise InvalidQuery(text, part.position, reason)
     return text
 
 
