@@ -114,7 +114,8 @@ def parse(kind: Type[Parsed], raw: bytes, where: str) -> Parsed:
         found: Parsed = kind.read(ReadDataStream(BytesIO(raw)))
         return found
     except (McapError, struct.error, ValueError, OverflowError, MemoryError) as exc:
-        raise BagError(f"{where} is damaged: {kind.__name__.lower()} record: {exc}") from exc
+        why = str(exc) or "it ends too early"
+        raise BagError(f"{where} is damaged: {kind.__name__.lower()} record: {why}") from exc
 
 
 def check_summary(file: BinaryIO, footer: Record, path: str) -> None:

@@ -204,6 +204,10 @@ class McapReader(MessageFile):
                 head, place = mcapformat.read_chunk_head(self._file, chunk, self.path, cut=True)
                 part = mcapformat.unpack_part(head, self._bytes(place))
                 self._chunks.append(_Chunk(place, head, part=part))
+                where = f"in the chunk at byte {position} of {file_bytes}"
+                self.salvaged.why = f"is cut short or damaged {where}"
+                if head.compression == "none":
+                    self.salvaged.lost_bytes = file_bytes - place.start - len(part)
 
     def _check_chunks(self) -> None:
         """Count what the chunks hold; leave out the first that is damaged, and all behind it."""

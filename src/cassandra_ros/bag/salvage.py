@@ -46,7 +46,10 @@ class Salvaged:
     why: str = ""
     """What ended it; '' = the chunks are whole, up to the index."""
     lost_bytes: int = 0
-    """Of the file, behind what can be read; 0 where only the index is missing."""
+    """Of the file, behind what can be read; 0 where only the index is missing.
+
+    At most so many: of a compressed chunk that is cut all bytes count, also those that can be read.
+    """
     cut: CutChunk | None = None
 
     def told(self, path: str) -> str:
@@ -54,7 +57,7 @@ class Salvaged:
         if not self.why:
             return ""
         left = (
-            f"{self.lost_bytes} bytes behind them are lost"
+            f"at most {self.lost_bytes} bytes behind them are lost"
             if self.lost_bytes
             else ("no message that the file holds is lost")
         )
