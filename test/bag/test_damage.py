@@ -161,6 +161,8 @@ def test_a_bomb_is_not_unpacked(tmp_path, compression):
     tracemalloc.start()
     with pytest.raises(BagError, match="chunk 1 of 1 is damaged: it unpacks to more than 1000"):
         read_all(tmp_path / "a.bag")
+    with pytest.raises(BagError, match="no message that can be salvaged"):
+        BagReader(tmp_path / "a.bag", salvage=True)
     assert tracemalloc.get_traced_memory()[1] < 50_000_000
     tracemalloc.stop()
 

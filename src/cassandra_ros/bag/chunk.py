@@ -70,22 +70,27 @@ def _unpack(step: Callable[[bytes, int], bytes], data: bytes, size: int, where: 
     return b"".join(parts)
 
 
-def unpack_part(name: str, data: bytes) -> bytes:
-    """Unpack what still can be of a chunk that is cut or damaged: its content up to there."""
+def unpack_part(name: str, data: bytes, size: int) -> bytes:
+    """Unpack what still can be of a chunk that is cut or damaged: its content up to there.
+
+    Args:
+        size: Bytes of content that it states, more are not unpacked; 0 = it states none yet.
+    """
     if name not in ("bz2", "lz4"):
         return data if name == "none" else b""
-    bz2_step = bz2.BZ2Decompressor().decompress
-    step = bz2_step if name == "bz2" else _roslz4().LZ4Decompressor().decompress
-    parts, have = [], 0
+    lz4 = None if name == "bz2" else _roslz4().LZ4Decompressor().decompress
+    unpack_bz2 = bz2.BZ2Decompressor().decompress
+    parts, have, most = [], 0, min(size or MAX_CHUNK_BYTES, MAX_CHUNK_BYTES)
     for position in range(0, len(data), _FEED_BYTES):
+        part = data[position : position + _FEED_BYTES]
         try:
-            parts.append(bytes(step(data[position : position + _FEED_BYTES])))
+            parts.append(bytes(lz4(part)) if lz4 else unpack_bz2(part, most - have))
         except (OSError, EOFError, ValueError):
             break
         have += len(parts[-1])
-        if have > MAX_CHUNK_BYTES:
-            return b""
-    return b"".join(parts)
+        if have >= most:
+            break
+    return b"".join(parts)[:most]
 
 
 def _roslz4() -> ModuleType:

@@ -101,7 +101,8 @@ class BagReader(BagIndex, MessageFile):
             raise BagError(f"{where} cannot be read: {exc.strerror}") from exc
         cut = self.salvaged.cut
         if cut is not None and cut.number == chunk:
-            content, offsets = unpack_part(compression, data)[: cut.content_bytes], None
+            content = unpack_part(compression, data, cut.content_bytes)[: cut.content_bytes]
+            offsets = None
         else:
             content = decompress_chunk(compression, data, size, where)
             offsets = self._offsets(counts)

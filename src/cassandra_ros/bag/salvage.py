@@ -121,7 +121,7 @@ class _Scan:
         except BagError:
             whole = False
         if not whole:
-            content = unpack_part(compression, data)
+            content = unpack_part(compression, data, declared)
         end, times, counts = self._records(content, where)
         if counts:
             self.infos.append(_chunk_info(position, times, counts))
