@@ -144,6 +144,7 @@ def test_it_is_found_without_its_pid_file(folder):
     status.node.pid_file.write_text(f"{status.pid}\n")
 
 
+@pytest.mark.long
 def test_data_survive_stop_and_start(folder):
     cluster = make(folder)
     assert cluster.stop() is True
@@ -201,6 +202,7 @@ def write_until_killed(cluster, session, after):
     raise AssertionError("the loop above returns")
 
 
+@pytest.mark.long
 def test_batches_in_flight_survive_kill_9_as_far_as_they_were_acknowledged(folder):
     cluster = make(folder)
     ask(cluster, "CREATE TABLE k.many (part int, i int, data blob, PRIMARY KEY (part, i))")
