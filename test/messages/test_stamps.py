@@ -16,7 +16,14 @@ from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.messages.stamps import Stamp, duration_ns, iso_time, time_or_length, to_ns
+from cassandra_ros.messages.stamps import (
+    Stamp,
+    duration_ns,
+    iso_time,
+    seconds_to_ns,
+    time_or_length,
+    to_ns,
+)
 
 NS = st.integers(0, MAX_NS)
 DAY = 86_400 * 10**9
@@ -101,6 +108,11 @@ def test_seconds_of_any_kind():
     assert Stamp(1.1).ns == 1_100_000_000
     assert Stamp.from_sec(1.1).ns == 1_100_000_000
     assert Stamp(1, 2_000_000_000).ns == 3_000_000_000
+
+
+def test_lengths_of_hundreds_of_digits_are_exact():
+    ns = 10**309 + 743_976_961
+    assert seconds_to_ns(Decimal(f"{ns // 10**9}.{ns % 10**9:09}")) == ns
 
 
 @pytest.mark.parametrize("ns", [-1, MAX_NS + 1])

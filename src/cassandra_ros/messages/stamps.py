@@ -7,7 +7,7 @@ from __future__ import annotations
 import operator
 import re
 from datetime import datetime, timedelta
-from decimal import Decimal, InvalidOperation
+from decimal import Context, Decimal, InvalidOperation
 from numbers import Integral, Real
 from typing import Any, Callable, NamedTuple, Union
 
@@ -29,6 +29,8 @@ pandas.Timestamp."""
 Length = Union[genpy.Duration, timedelta, "np.timedelta64", int, float, Decimal]
 """Whatever means a length of time; a number is seconds."""
 
+# A statement computes lengths of hundreds of digits; Python rounds a product to 28.
+_EXACT = Context(prec=1000)
 _EPOCH = datetime(1970, 1, 1)
 _DECIMAL = re.compile(r"[0-9]+\.?[0-9]*|\.[0-9]+")
 _ISO = re.compile(
@@ -49,7 +51,7 @@ def seconds_to_ns(seconds: Any) -> int:
         return int(seconds) * SECOND_NS
     try:
         exact = seconds if isinstance(seconds, Decimal) else Decimal(repr(float(seconds)))
-        return int((exact * SECOND_NS).to_integral_value())
+        return int(_EXACT.multiply(exact, SECOND_NS).to_integral_value())
     except (InvalidOperation, ValueError, OverflowError, TypeError) as exc:
         raise InvalidKey(f"{seconds!r} is not a number of seconds") from exc
 
