@@ -11,6 +11,7 @@ import pytest
 from bag.test_import_export import counts_agree
 from bag.test_import_process import spawn_import
 from bag.truth import string_connection, string_wire
+from campaign import sparing
 
 from cassandra_ros.bag import job_process
 from cassandra_ros.bag.importer import import_bag
@@ -116,7 +117,7 @@ def test_a_deleted_message_is_there_again_after_the_import(rosCas, cql, tmp_path
     assert sum(counts_agree(rosCas, cql).values()) == 500
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", sparing([1, 2], kept=[1]))
 def test_an_import_into_blocks_that_a_conversion_cut_doubles_nothing(
     rosCas, cql, tmp_path, monkeypatch, jobs
 ):

@@ -349,6 +349,7 @@ def test_three_nodes(tmp_path, monkeypatch, caplog):
     assert not any(status.pid for status in make(tmp_path).status())
 
 
+@pytest.mark.long
 def test_two_starts_at_once_make_one_server(tmp_path):
     program = (
         "import sys; from cassandra_ros.local_server import LocalCluster\n"

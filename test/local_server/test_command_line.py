@@ -146,6 +146,7 @@ def answered(env, answer):
         os.close(theirs)
 
 
+@pytest.mark.long
 def test_start_status_stop_clear(type_in, env, tmp_path):
     try:
         done = type_in("start", "--port", str(free_port()), "--heap", "256M")
@@ -169,6 +170,7 @@ def test_start_status_stop_clear(type_in, env, tmp_path):
     assert not (tmp_path / "cassandra_ros" / "node1").exists()
 
 
+@pytest.mark.long
 def test_run_lets_clients_go_before_it_stops(env, tmp_path):
     port = free_port()
     process = subprocess.Popen(

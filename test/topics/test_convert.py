@@ -131,6 +131,7 @@ def test_keys_and_cursors_of_the_old_table_stay_good(rosCas):
     assert rows[0].wire == keys[0][1]
 
 
+@pytest.mark.long
 def test_an_iterator_goes_on_where_its_table_was_dropped(rosCas):
     fill(rosCas, "ros", 1200)
     topic = rosCas.getTopic("/t")
