@@ -24,6 +24,8 @@ import numpy
 
 MISSING = type("Missing", (), {"__repr__": lambda self: "MISSING"})()
 KEY, NODE, RUN = "KEY", "NODE", "RUN"
+LONGEST_NS = 10**29
+"""So long no computed length may be."""
 RUN_NAMES = {1: "dawn", 2: "noon's"}
 """By writer; another writer's run has no name, or there is none."""
 PARTS = {"time": "uint32", "duration": "int32"}
@@ -354,7 +356,8 @@ def computed(function, values, kinds):
         return values[0] // values[1] * values[1]
     if "time" in kinds or (kinds.count("duration") == len(kinds) and function != "/"):
         signs = {"neg": int.__neg__, "abs": abs, "+": int.__add__, "-": int.__sub__}
-        return signs[function](*values)
+        found = signs[function](*values)
+        return found if abs(found) < LONGEST_NS else MISSING
     if "duration" in kinds and kinds != ["duration", "duration"]:
         if kinds[0] != "duration":
             values = values[::-1]
@@ -364,7 +367,8 @@ def computed(function, values, kinds):
         if abs(factor) == math.inf:
             return 0 if function == "/" else MISSING
         exact = Fraction(factor)
-        return round(ns * exact if function == "*" else ns / exact)
+        found = round(ns * exact if function == "*" else ns / exact)
+        return found if abs(found) < LONGEST_NS else MISSING
     return of_numbers(function, *values)
 
 

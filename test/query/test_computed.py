@@ -191,6 +191,9 @@ def test_times_and_durations():
     assert shown(msg, "data * 0.1").to_nsec() == 150_000_000
     assert shown(msg, "data / 7").to_nsec() == round(Fraction(1_500_000_000, 7))
     assert shown(msg, "data / 0, data * ?", [NAN]) == (None, None)
+    # Here literals end, and no computed length is told from them.
+    assert shown(msg, "data * 1e300, data / 1e-300, data * 1e19 + data * 9e19") == (None,) * 3
+    assert matches(msg, "data * 1e19 < ? and data * 1e19 = ?", [1e300, 1.5e19])
     assert unknown(msg, "data / 0 > 0s")
     assert matches(msg, "data / 0 is null")
     at = TimeMsg(Stamp.from_ns(T0 + 7))

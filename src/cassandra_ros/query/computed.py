@@ -8,7 +8,8 @@ IEEE 754: x / 0 is infinite, 0 / 0 and the square root of what is negative are N
 large is infinite.
 
 Times and durations are integer nanoseconds. A duration is the difference of two times, or times a
-number, which is rounded to a nanosecond, half to even, and missing where there is none (1s / 0). A
+number, which is rounded to a nanosecond, half to even, and missing where there is none (1s / 0). It
+is missing, too, from 10^29 ns on, where literals are not told apart (3 million million years). A
 plain number is neither: 5s is a duration, and ``field * 1s`` makes one of a number of seconds.
 
 Of an array, min, max, sum and avg are what they are of all rows (see ``totals``): of one without
@@ -25,7 +26,7 @@ from operator import itemgetter
 from typing import Any, Callable, NamedTuple, Optional, Union
 
 from cassandra_ros.messages.stamps import is_time
-from cassandra_ros.query.literals import fit_to_time, length_ns
+from cassandra_ros.query.literals import BEYOND_NS, fit_to_time, length_ns
 from cassandra_ros.query.syntax import (
     Call,
     DurationNs,
@@ -237,17 +238,20 @@ def _multiply(x: Any, y: Any) -> Any:
     return None if isinstance(product, int) and product.bit_length() > MAX_BITS else product
 
 
+def _length(ns: int) -> Optional[int]:
+    return ns if abs(ns) < BEYOND_NS else None
+
+
 def _scaled(ns: int, factor: Any) -> Optional[int]:
-    if isinstance(factor, int):
-        scaled: Optional[int] = _multiply(ns, factor)
-        return scaled
-    return round(Fraction(ns) * Fraction(factor)) if math.isfinite(factor) else None
+    if isinstance(factor, float) and not math.isfinite(factor):
+        return None
+    return _length(round(ns * Fraction(factor)))
 
 
 def _shared(ns: int, parts: Any) -> Optional[int]:
     if parts == 0 or parts != parts:
         return None
-    return 0 if abs(parts) == math.inf else round(Fraction(ns) / Fraction(parts))
+    return 0 if abs(parts) == math.inf else _length(round(ns / Fraction(parts)))
 
 
 def _check_stretch(length: Term) -> None:
@@ -262,11 +266,11 @@ _RULES: dict[tuple[str, ...], tuple[str, Callable[..., Any]]] = {
     ("+", "number", "number"): ("", _ADD),
     ("+", "time", "duration"): ("time", operator.add),
     ("+", "duration", "time"): ("time", operator.add),
-    ("+", "duration", "duration"): ("duration", operator.add),
+    ("+", "duration", "duration"): ("duration", lambda a, b: _length(a + b)),
     ("-", "number", "number"): ("", _SUBTRACT),
     ("-", "time", "time"): ("duration", operator.sub),
     ("-", "time", "duration"): ("time", operator.sub),
-    ("-", "duration", "duration"): ("duration", operator.sub),
+    ("-", "duration", "duration"): ("duration", lambda a, b: _length(a - b)),
     ("*", "number", "number"): ("", _number(_multiply)),
     ("*", "duration", "number"): ("duration", _scaled),
     ("*", "number", "duration"): ("duration", lambda factor, ns: _scaled(ns, factor)),

@@ -32,8 +32,8 @@ from cassandra_ros.query.syntax import (
 
 Comparable = Union[int, float, str]
 
-_BEYOND_SEC = 1e20
-"""Later and earlier than any time; also stands for the infinities."""
+BEYOND_NS = 10**29
+"""Later and earlier than any time, and longer than any length; also stands for the infinities."""
 
 
 def fit_to_field(literal: Literal, ref: FieldRef) -> Comparable:
@@ -112,8 +112,8 @@ def _number_to_ns(value: object) -> Optional[int]:
         return int(value)
     try:
         rough = float(value)
-        if abs(rough) > _BEYOND_SEC:
-            return int(math.copysign(_BEYOND_SEC, rough)) * 10**9
+        if abs(rough) > BEYOND_NS / 10**9:
+            return int(math.copysign(1, rough)) * BEYOND_NS
         # Seconds as they were written: a float keeps about 200 ns of a time of today.
         exact = Decimal(value.text) if isinstance(value, DecimalText) else value
         return seconds_to_ns(exact)
