@@ -63,6 +63,8 @@ package_list() {
   # Java without a display, Maven for the jars, a compiler because catkin's CMake asks for one;
   # openssl makes certificates for tests of logging in.
   echo openjdk-17-jre-headless maven gcc g++ cmake python3-venv openssl
+  # Plots in the viewer.
+  echo libjs-dygraphs
   if [ -d /opt/ros/noetic ]; then
     echo ros-noetic-ros-base ros-noetic-rostest ros-noetic-tf ros-noetic-tf2-msgs ros-noetic-tf2-py
     echo ros-noetic-{diagnostic,geometry,std}-msgs ros-noetic-std-srvs
@@ -76,9 +78,12 @@ package_list() {
 }
 
 test_package_list() {
-  # Only the tests need them: what brings message types, of which they send more than 200, and zsh,
-  # in which they press Tab.
+  # Only the tests need them: what brings message types, of which they send more than 200, zsh, in
+  # which they press Tab, and a browser, in which they look at the viewer.
   echo zsh
+  if [ "$(. /etc/os-release && echo "$ID")" = debian ]; then
+    echo chromium chromium-driver
+  fi
   local common=(actionlib map move-base nav pcl rosgraph sensor shape stereo trajectory visualization)
   if [ -d /opt/ros/noetic ]; then
     printf 'ros-noetic-%s-msgs ' "${common[@]}" moveit
@@ -162,7 +167,7 @@ install_jars() {
 
 make_workspace() {
   local package=$workspace/src/cassandra_ros stamp=$workspace/.setup wanted item
-  local items=(CMakeLists.txt package.xml setup.py requirements.txt requirements-tables.txt src scripts msg srv launch config server examples test)
+  local items=(CMakeLists.txt package.xml setup.py requirements.txt requirements-tables.txt requirements-viewer.txt web src scripts msg srv launch config server examples test)
   mkdir -p "$package"
   for item in "${items[@]}"; do
     # One link per item: rosrun searches the package's folder, and .ws must not be in it.

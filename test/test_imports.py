@@ -37,7 +37,15 @@ BELOW = {
     "nodes": {
         *("recording", "playing", "history", "topics", "query", "formats", "store", "messages"),
     },
+    "places": {"topics", "transforms", "query", "arrays", "store", "messages"},
+    "mapping": {"places", "topics", "transforms", "query", "arrays", "store", "messages"},
+    "drawing": {"mapping", "places", "topics", "query", "arrays", "store", "messages"},
+    "viewing": {
+        *("drawing", "mapping", "places", "bag", "topics", "transforms", "query", "arrays"),
+        *("recording", "store", "messages"),
+    },
     "cli": {
+        *("viewing", "drawing", "mapping", "places"),
         *("nodes", "recording", "playing", "bag", "topics", "query", "arrays", "formats"),
         *("messages", "store", "local_server"),
     },
@@ -62,6 +70,9 @@ DOORS = {
     "geometry_msgs": {"transforms"},
     "lark": {"query"},
     "argparse": {"cli"},
+    "aiohttp": {"viewing"},
+    "matplotlib": {"drawing"},
+    "PIL": {"drawing"},
 }
 
 

@@ -24,8 +24,8 @@ ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = sorted(path.name for path in (ROOT / "scripts").iterdir())
 LAUNCH = ROOT / "launch" / "cassandra_ros.launch"
 REQUIREMENTS = (
-    *("requirements.txt", "requirements-tables.txt", "requirements-doc.txt"),
-    "requirements-dev.txt",
+    *("requirements.txt", "requirements-tables.txt", "requirements-viewer.txt"),
+    *("requirements-doc.txt", "requirements-dev.txt"),
 )
 PYTHONS = ("3.8", "3.9", "3.10", "3.11", "3.12")
 
@@ -40,7 +40,7 @@ def files_of_the_checkout():
 def test_the_scripts_are_those_of_the_build_file():
     listed = re.findall(r"^  scripts/(\w+)$", (ROOT / "CMakeLists.txt").read_text(), re.M)
     assert listed == SCRIPTS
-    assert SCRIPTS == ["cassandra_bag", "local_cassandra", "player", "query_server", "recorder"]
+    assert SCRIPTS == ["cassandra_bag", "local_cassandra", "player", "query_server", "recorder", "viewer"]
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
