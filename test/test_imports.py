@@ -28,8 +28,9 @@ BELOW = {
     "query": {"messages"},
     "arrays": {"query", "messages"},
     "transforms": {"query", "messages"},
-    "topics": {"query", "arrays", "transforms", "formats", "store", "messages"},
-    "recording": {"topics", "query", "formats", "store", "messages"},
+    "places": {"transforms", "query", "arrays", "store", "messages"},
+    "topics": {"places", "query", "arrays", "transforms", "formats", "store", "messages"},
+    "recording": {"topics", "places", "query", "formats", "store", "messages"},
     "playing": {"topics", "store", "messages"},
     "history": {"recording", "topics", "store", "messages"},
     "bag": {"topics", "formats", "store", "messages"},
@@ -37,7 +38,6 @@ BELOW = {
     "nodes": {
         *("recording", "playing", "history", "topics", "query", "formats", "store", "messages"),
     },
-    "places": {"topics", "transforms", "query", "arrays", "store", "messages"},
     "mapping": {"places", "topics", "transforms", "query", "arrays", "store", "messages"},
     "drawing": {"mapping", "places", "topics", "query", "arrays", "store", "messages"},
     "viewing": {
