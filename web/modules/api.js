@@ -1,0 +1,120 @@
+// SPDX-FileCopyrightText: 2026 cassandra_ros authors
+// SPDX-License-Identifier: BSD-3-Clause
+// @ts-check
+/** Asks the viewer's server. What fails is an ApiError, whose message is meant to be shown. */
+
+/** @typedef {string | number | bigint | boolean | null | undefined} Value */
+/** @typedef {Record<string, Value | readonly Value[]>} Parameters */
+
+/** What the server answered instead, or that it did not. */
+export class ApiError extends Error {
+  /**
+   * @param {string} kind Name of the server's error, as `TopicNotFound`.
+   * @param {string} text What happened, to what, and what to do.
+   * @param {number} status Of HTTP; 0 where no answer came.
+   */
+  constructor(kind, text, status) {
+    super(text);
+    this.name = kind;
+    this.status = status;
+  }
+}
+
+/**
+ * Make the address of a path and its parameters; those that are absent, empty or false are left out.
+ * A list becomes one parameter, with commas.
+ * @param {string} path
+ * @param {Parameters} [parameters]
+ * @returns {string}
+ */
+export function url(path, parameters = {}) {
+  const parts = [];
+  for (const [name, given] of Object.entries(parameters)) {
+    const value = Array.isArray(given) ? given.join(",") : given;
+    if (value !== null && value !== undefined && value !== "" && value !== false) {
+      parts.push(`${encodeURIComponent(name)}=${readable(String(value))}`);
+    }
+  }
+  return parts.length ? `${path}?${parts.join("&")}` : path;
+}
+
+/**
+ * Ask, and return the response once its head is there; its body may be read as it comes.
+ * @param {string} path
+ * @param {Parameters} [parameters]
+ * @param {RequestInit} [options] As of fetch; `signal` ends the request.
+ * @returns {Promise<Response>}
+ * @throws {ApiError}
+ */
+export async function ask(path, parameters = {}, options = {}) {
+  let response;
+  try {
+    response = await fetch(url(path, parameters), { credentials: "same-origin", ...options });
+  } catch (error) {
+    if (error instanceof TypeError) {
+      throw new ApiError(
+        "NoAnswer",
+        "The viewer does not answer. Does `rosrun cassandra_ros viewer` still run?",
+        0,
+      );
+    }
+    throw error;
+  }
+  if (!response.ok) throw await failure(response);
+  return response;
+}
+
+/**
+ * Ask for JSON.
+ * @param {string} path
+ * @param {Parameters} [parameters]
+ * @param {RequestInit} [options]
+ * @returns {Promise<any>}
+ * @throws {ApiError}
+ */
+export async function get(path, parameters = {}, options = {}) {
+  return (await ask(path, parameters, options)).json();
+}
+
+/**
+ * Ask for JSON with a body of JSON, where the question is too long for an address.
+ * @param {string} path
+ * @param {unknown} body
+ * @param {RequestInit} [options]
+ * @returns {Promise<any>}
+ * @throws {ApiError}
+ */
+export async function post(path, body, options = {}) {
+  const headers = { "Content-Type": "application/json" };
+  const request = { method: "POST", headers, body: JSON.stringify(body), ...options };
+  return (await ask(path, {}, request)).json();
+}
+
+/**
+ * Say whether a request ended because it was told to.
+ * @param {unknown} error
+ */
+export function isAbort(error) {
+  return error instanceof DOMException && error.name === "AbortError";
+}
+
+/** @param {string} text Escaped as little as an address allows, for people send and read them. */
+function readable(text) {
+  return encodeURIComponent(text)
+    .replaceAll("%2F", "/")
+    .replaceAll("%2C", ",")
+    .replaceAll("%3A", ":");
+}
+
+/** @param {Response} response */
+async function failure(response) {
+  const text = await response.text();
+  try {
+    const said = JSON.parse(text);
+    if (typeof said.text === "string") return new ApiError(said.error, said.text, response.status);
+  } catch (error) {
+    if (!(error instanceof SyntaxError)) throw error;
+  }
+  const what = text.trim().slice(0, 500) || response.statusText;
+  return new ApiError("HttpError", `The viewer answered ${response.status}: ${what}`, response.status);
+}

@@ -1,0 +1,168 @@
+// SPDX-FileCopyrightText: 2026 cassandra_ros authors
+// SPDX-License-Identifier: BSD-3-Clause
+// @ts-check
+/** What all pages share: the bar at the head, the banner of errors, the choice of topics, robots, runs. */
+
+import { get, isAbort } from "./api.js";
+import * as state from "./state.js";
+
+const PAGES = [
+  { name: "Home", path: "/" },
+  { name: "Ask", path: "/ask.html" },
+  { name: "Look", path: "/look.html" },
+  { name: "Map", path: "/map.html" },
+];
+
+/**
+ * Make an element. Text is only ever text, never markup.
+ * @template {keyof HTMLElementTagNameMap} K
+ * @param {K} tag
+ * @param {Record<string, string | boolean | ((event: any) => void)>} [attributes] `onclick` and its
+ *   kin are listeners; false leaves one out.
+ * @param {...(Node | string)} children
+ * @returns {HTMLElementTagNameMap[K]}
+ */
+export function make(tag, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (typeof value === "function") element.addEventListener(name.slice(2), value);
+    else if (value !== false) element.setAttribute(name, value === true ? "" : value);
+  }
+  element.append(...children);
+  return element;
+}
+
+/**
+ * Fill the bar at the head (`<header id="head">`), and say what the address has that cannot be read.
+ * @param {string} name Of this page, as it stands in the bar.
+ */
+export function start(name) {
+  const links = PAGES.map((page) => {
+    const link = make("a", { href: state.link(page.path) }, page.name);
+    if (page.name === name) link.setAttribute("aria-current", "page");
+    return link;
+  });
+  const keyspace = make("span", { class: "keyspace", id: "keyspace" });
+  document.getElementById("head")?.replaceChildren(
+    make("a", { class: "brand", href: "/" }, "cassandra_ros"),
+    make("nav", { "aria-label": "Pages" }, ...links),
+    keyspace,
+  );
+  state.onChange(() => {
+    for (const [index, link] of links.entries()) link.href = state.link(PAGES[index].path);
+  });
+  window.addEventListener("unhandledrejection", (event) => {
+    showError(event.reason);
+    // What is shown to the person is not also a fault of the page.
+    if (event.reason instanceof Error && "status" in event.reason) event.preventDefault();
+  });
+  for (const problem of state.read().problems) showError(new Error(problem));
+  get("/api/keyspace").then((answer) => {
+    keyspace.textContent = `keyspace ${answer.keyspace}`;
+  }, showError);
+}
+
+/**
+ * Show an error until it is closed, once however often it comes. What was aborted is none.
+ * @param {unknown} error
+ */
+export function showError(error) {
+  if (isAbort(error)) return;
+  const text = error instanceof Error ? error.message : String(error);
+  let banner = document.getElementById("banner");
+  if (!banner) {
+    banner = make("div", { id: "banner", role: "alert" });
+    document.getElementById("head")?.after(banner);
+  }
+  if ([...banner.children].some((each) => each.firstChild?.textContent === text)) return;
+  const line = make("div", { class: "problem" }, make("pre", {}, text));
+  line.append(make("button", { "aria-label": "Close", onclick: () => line.remove() }, "×"));
+  banner.append(line);
+}
+
+/** Take away all errors that are shown, as before something is tried again. */
+export function clearErrors() {
+  document.getElementById("banner")?.replaceChildren();
+}
+
+/**
+ * @typedef {object} Choice
+ * @property {string} value As it stands in the state.
+ * @property {string} [text] As it is shown; the value where it is left out.
+ */
+
+/**
+ * Add menus in which topics, robots and runs are ticked; what is ticked stands in the state.
+ * @param {HTMLElement} place
+ * @param {{topics?: Choice[], nodes?: Choice[], runs?: Choice[]}} choices What there is. Menus of
+ *   what is left out, and of less than two robots, are not shown.
+ */
+export function addSelection(place, choices) {
+  const { nodes } = choices;
+  const menus = [
+    choices.runs && menu("runs", "Runs", choices.runs),
+    nodes && nodes.length > 1 && menu("nodes", "Robots", nodes),
+    choices.topics && menu("topics", "Topics", choices.topics),
+  ];
+  place.replaceChildren(...menus.flatMap((each) => each || []));
+}
+
+/**
+ * @param {"topics" | "nodes" | "runs"} name
+ * @param {string} title
+ * @param {Choice[]} choices
+ */
+function menu(name, title, choices) {
+  const summary = make("summary");
+  const list = make("ul");
+  const boxes = choices.map((choice) => {
+    const box = make("input", { type: "checkbox", value: choice.value });
+    box.addEventListener("change", () => {
+      state.write({ [name]: boxes.filter((each) => each.checked).map((each) => each.value) });
+    });
+    list.append(make("li", {}, make("label", {}, box, choice.text ?? choice.value)));
+    return box;
+  });
+  const update = () => {
+    const chosen = new Set(state.read()[name]);
+    for (const box of boxes) box.checked = chosen.has(box.value);
+    summary.textContent = chosen.size ? `${title}: ${chosen.size} of ${boxes.length}` : `${title}: all`;
+  };
+  update();
+  state.onChange(update);
+  const all = make("button", { onclick: () => state.write({ [name]: null }) }, "All");
+  const tools = make("div", { class: "tools" }, filterOf(list, `Filter ${title.toLowerCase()}`), all);
+  return make("details", { class: "menu", id: `menu-${name}`, onkeydown: closeOnEscape }, summary,
+    make("div", { class: "sheet" }, tools, list));
+}
+
+/**
+ * @param {HTMLElement} list
+ * @param {string} label
+ */
+function filterOf(list, label) {
+  const filter = make("input", { type: "search", placeholder: label, "aria-label": label });
+  filter.addEventListener("input", () => {
+    const words = filter.value.toLowerCase().split(/\s+/);
+    for (const item of list.querySelectorAll("li")) {
+      const text = item.textContent?.toLowerCase() ?? "";
+      item.hidden = !words.every((word) => text.includes(word));
+    }
+  });
+  return filter;
+}
+
+/** @param {KeyboardEvent} event */
+function closeOnEscape(event) {
+  const details = /** @type {HTMLDetailsElement} */ (event.currentTarget);
+  if (event.key !== "Escape" || !details.open) return;
+  details.open = false;
+  details.querySelector("summary")?.focus();
+  event.stopPropagation();
+}
+
+document.addEventListener("pointerdown", (event) => {
+  for (const details of document.querySelectorAll("details.menu[open]")) {
+    if (event.target instanceof Node && !details.contains(event.target)) details.removeAttribute("open");
+  }
+});

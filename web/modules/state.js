@@ -1,0 +1,101 @@
+// SPDX-FileCopyrightText: 2026 cassandra_ros authors
+// SPDX-License-Identifier: BSD-3-Clause
+// @ts-check
+/**
+ * What a page shows stands in its address, whole: an address that is sent shows the same.
+ * `start`, `end` and `time` are times, `topics`, `nodes` and `runs` lists; the rest are texts.
+ */
+
+import { url } from "./api.js";
+import { parse } from "./times.js";
+
+const TIMES = ["start", "end", "time"];
+const LISTS = ["topics", "nodes", "runs"];
+const CHANGED = "cassandra-state";
+
+/**
+ * @typedef {object} State
+ * @property {bigint | null} start Of the window, included.
+ * @property {bigint | null} end Of the window, included.
+ * @property {bigint | null} time The moment that is looked at.
+ * @property {string[]} topics None: all.
+ * @property {string[]} nodes Robots; none: all.
+ * @property {string[]} runs None: all.
+ * @property {string} q The statement.
+ * @property {string} layout
+ * @property {string} keyspace
+ * @property {Record<string, string>} others What a page keeps for itself.
+ * @property {string[]} problems What could not be read, for people.
+ */
+
+/**
+ * Read the state of an address.
+ * @param {string} [search] With its question mark.
+ * @returns {State}
+ */
+export function read(search = location.search) {
+  /** @type {State} */
+  const state = {
+    start: null, end: null, time: null, topics: [], nodes: [], runs: [],
+    q: "", layout: "", keyspace: "", others: {}, problems: [],
+  };
+  for (const [name, text] of new URLSearchParams(search)) take(state, name, text);
+  if (state.start !== null && state.end !== null && state.start > state.end) {
+    state.problems.push("The address has a start behind its end: both are left out.");
+    state.start = state.end = null;
+  }
+  return state;
+}
+
+/**
+ * @param {any} state
+ * @param {string} name
+ * @param {string} text
+ */
+function take(state, name, text) {
+  if (TIMES.includes(name)) {
+    try {
+      state[name] = text ? parse(text) : null;
+    } catch (error) {
+      if (!(error instanceof RangeError)) throw error;
+      state.problems.push(`${name} of the address is left out: ${error.message}`);
+    }
+  } else if (LISTS.includes(name)) {
+    state[name].push(...text.split(",").filter(Boolean));
+  } else if (["q", "layout", "keyspace"].includes(name)) {
+    state[name] = text;
+  } else if (name !== "token") {
+    state.others[name] = text;
+  }
+}
+
+/**
+ * Change the state: the address of this page, without loading it again.
+ * @param {import("./api.js").Parameters} changes null removes.
+ * @param {{push?: boolean}} [options] push: the browser's back button undoes it.
+ */
+export function write(changes, { push = false } = {}) {
+  const address = link(location.pathname, changes);
+  if (address === location.pathname + location.search) return;
+  if (push) history.pushState(null, "", address);
+  else history.replaceState(null, "", address);
+  window.dispatchEvent(new Event(CHANGED));
+}
+
+/**
+ * Make the address of a page with this page's state and changes.
+ * @param {string} page As /look.html.
+ * @param {import("./api.js").Parameters} [changes] null removes.
+ */
+export function link(page, changes = {}) {
+  const { problems, others, ...own } = read();
+  return url(page, { ...own, ...others, ...changes });
+}
+
+/**
+ * Call a listener whenever the state has changed: written, or by the back button.
+ * @param {(state: State) => void} listener
+ */
+export function onChange(listener) {
+  for (const event of [CHANGED, "popstate"]) window.addEventListener(event, () => listener(read()));
+}
