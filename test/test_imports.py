@@ -21,7 +21,7 @@ BELOW = {
     "metadata": {"errors", "keys"},
     "arguments": {"errors", "keys", "metadata"},
     "shown": set(),
-    "installation": set(),
+    "installation": {"errors"},
     "messages": set(),
     "formats": {"messages"},
     "store": set(),

@@ -4,8 +4,12 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from pathlib import Path
+from typing import Any
+
+from cassandra_ros.errors import MissingDependency
 
 # What a Python without our venv lacks, by import name: the packages of requirements.txt, and those
 # of ROS, which another Python than the system's does not see.
@@ -20,6 +24,15 @@ NEEDED = {
     "roslib",
     "rospy",
     "yaml",
+}
+
+# What only some need, by import name: the file that pins it.
+OPTIONAL = {
+    "pandas": "requirements-tables.txt",
+    "pyarrow": "requirements-tables.txt",
+    "aiohttp": "requirements-viewer.txt",
+    "matplotlib": "requirements-viewer.txt",
+    "PIL": "requirements-viewer.txt",
 }
 
 
@@ -47,3 +60,21 @@ def shipped_file(name: str) -> Path:
             if (place / name).is_file():
                 return place / name
     return Path(name)
+
+
+def optional_module(name: str, purpose: str) -> Any:
+    """Import a module of an optional package, as 'pyarrow.parquet', for a purpose.
+
+    Raises:
+        MissingDependency: The package is not installed, or does not run here; the text says how to
+            get it.
+    """
+    package = name.split(".")[0]
+    try:
+        return importlib.import_module(name)
+    except ImportError as exc:
+        why = "is not installed" if exc.name == package else f"cannot be loaded ({exc})"
+        raise MissingDependency(
+            f"{purpose} needs the Python package {package}, which {why}: "
+            f"{sys.executable} -m pip install -r {shipped_file(OPTIONAL[package])}"
+        ) from exc

@@ -20,7 +20,6 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 from geometry_msgs.msg import Twist, Vector3
-from packaging.requirements import Requirement
 from std_msgs.msg import Duration, Float32, Int64, String, Time, UInt8MultiArray, UInt64
 
 from cassandra_ros.messages.classes import message_class
@@ -449,10 +448,7 @@ with RosCassandra(sys.argv[1], int(sys.argv[2]), keyspace={keyspace!r}) as store
     )
     assert done.returncode == 1, done.stderr
     assert str(T) in done.stdout
-    lines = (ROOT / "requirements-tables.txt").read_text().splitlines()
-    pins = [Requirement(line) for line in lines if line.startswith(package)]
-    wanted = next(f"{pin.name}{pin.specifier}" for pin in pins if pin.marker.evaluate())
-    assert f"-m pip install {wanted}" in done.stderr
+    assert f"-m pip install -r {ROOT / 'requirements-tables.txt'}" in done.stderr
     assert "not installed" in done.stderr
     assert done.stderr.count("\n") == 1
     assert not path.exists()

@@ -7,8 +7,6 @@ pandas and pyarrow are loaded when a table is asked for: nothing else needs them
 
 from __future__ import annotations
 
-import importlib
-import sys
 from typing import Any, Optional
 
 import numpy as np
@@ -23,15 +21,10 @@ from cassandra_ros.arrays.gather import (
     gather_fields,
 )
 from cassandra_ros.arrays.values import rows_of
-from cassandra_ros.errors import MissingDependency
+from cassandra_ros.installation import optional_module
 from cassandra_ros.query.protocols import Row
 from cassandra_ros.query.source import Source
 
-VERSIONS = {
-    "pandas": "2.0.3" if sys.version_info < (3, 9) else "2.3.3",
-    "pyarrow": "17.0.0" if sys.version_info < (3, 10) else "25.0.1",
-}
-"""As in requirements-tables.txt."""
 _UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}
 
 
@@ -68,21 +61,3 @@ def _series(pandas: Any, array: FieldArray) -> Any:
     elif values.dtype.kind == "f":
         values[missing] = np.nan
     return values
-
-
-def optional_module(name: str, purpose: str) -> Any:
-    """Import a module of an optional package, as 'pyarrow.parquet', for a purpose.
-
-    Raises:
-        MissingDependency: The package is not installed, or does not run here.
-    """
-    package = name.split(".")[0]
-    try:
-        return importlib.import_module(name)
-    except ImportError as exc:
-        wanted = f"{package}=={VERSIONS[package]}"
-        why = "is not installed" if exc.name == package else f"cannot be loaded ({exc})"
-        raise MissingDependency(
-            f"{purpose} needs the Python package {package}, which {why}: "
-            f"{sys.executable} -m pip install {wanted}"
-        ) from exc

@@ -9,7 +9,6 @@ import os
 import re
 import sys
 import time
-from decimal import Decimal
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Callable, Sequence
@@ -212,22 +211,15 @@ def read_times(options: argparse.Namespace) -> tuple[Stamp | None, Stamp | None]
 
 def read_time(option: str, text: str | None) -> Stamp | None:
     """Return the time that an option gives; None = it is not given."""
-    from cassandra_ros.messages.stamps import Stamp, to_ns
+    from cassandra_ros.messages.stamps import Stamp, written_time_ns
 
     if text is None:
         return None
-    whole = re.fullmatch(r"\s*([0-9]{1,40})\s*", text)
     try:
-        # As rosbag users write them; what is larger lies far behind the end of ROS time as seconds.
-        ns = to_ns(Decimal(whole[1]) if whole and int(whole[1]) < 10**12 else text)
         # Not an integer of nanoseconds: one that looks like seconds is refused.
-        return Stamp.from_ns(ns)
+        return Stamp.from_ns(written_time_ns(text))
     except InvalidKey as exc:
-        raise InvalidOption(
-            f"--{option} {text!r} is not a time of ROS: write seconds since 1970 (1368021980 or "
-            "1368021980.25), ISO 8601 (2013-05-08T14:06:20Z, no zone means UTC), or nanoseconds, "
-            "which are taken for such from 13 digits on"
-        ) from exc
+        raise InvalidOption(f"--{option} {exc}") from exc
 
 
 def add_origin_options(parser: argparse.ArgumentParser) -> None:

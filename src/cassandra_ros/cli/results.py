@@ -14,9 +14,9 @@ from types import ModuleType
 from typing import IO, TYPE_CHECKING, Any, Iterable, Iterator, Sequence, Tuple
 
 from cassandra_ros.arrays.array_types import ArrayType
-from cassandra_ros.arrays.frames import optional_module
 from cassandra_ros.cli.text import align, shown
 from cassandra_ros.errors import InvalidOption
+from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import Stamp, iso_time
 from cassandra_ros.query.json_values import json_value, to_json
 

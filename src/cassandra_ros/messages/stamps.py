@@ -327,6 +327,26 @@ def _iso_to_ns(match: re.Match[str]) -> int:
     return seconds * SECOND_NS + int((match["fraction"] or "").ljust(9, "0"))
 
 
+def written_time_ns(text: str) -> int:
+    """Return the nanoseconds since 1970 of a time as a person writes it, in an option or a URL.
+
+    As to_ns, but a whole number of less than 13 digits is seconds, as users of rosbag write them:
+    what is larger lies far behind the end of ROS time as seconds.
+
+    Raises:
+        InvalidKey: It is none, or outside 1970 to 2106; the text says what may be written.
+    """
+    whole = re.fullmatch(r"\s*([0-9]{1,40})\s*", text)
+    try:
+        return to_ns(Decimal(whole[1]) if whole and int(whole[1]) < SECONDS_BELOW else text)
+    except InvalidKey as exc:
+        raise InvalidKey(
+            f"{text[:80]!r} is not a time of ROS: write seconds since 1970 (1368021980 or "
+            "1368021980.25), ISO 8601 (2013-05-08T14:06:20Z, no zone means UTC), or nanoseconds, "
+            "which are taken for such from 13 digits on"
+        ) from exc
+
+
 def is_iso_text(text: str) -> bool:
     """Say whether a text is a time in ISO 8601."""
     return _ISO.fullmatch(text.strip()) is not None

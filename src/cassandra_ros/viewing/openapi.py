@@ -1,0 +1,90 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The API's description by OpenAPI 3.0, made of the routes."""
+
+from __future__ import annotations
+
+from typing import Iterable
+
+from cassandra_ros.viewing.answers import Json
+from cassandra_ros.viewing.route import KINDS, Parameter, Route
+
+_SCHEMAS: dict[str, dict[str, Json]] = {
+    "text": {"type": "string"},
+    "texts": {"type": "array", "items": {"type": "string"}},
+    "time": {"type": "string"},
+    "number": {"type": "number"},
+    "count": {"type": "integer", "minimum": 0},
+    "flag": {"type": "boolean"},
+}
+_ERROR: dict[str, Json] = {
+    "type": "object",
+    "required": ["error", "text"],
+    "properties": {
+        "error": {"type": "string", "description": "The name of an error of cassandra_ros."},
+        "text": {"type": "string", "description": "What failed, on what, and what to do."},
+        "position": {"type": "integer", "description": "InvalidQuery: where in the statement."},
+    },
+}
+_INTRODUCTION = (
+    "What an Apache Cassandra keeps of the topics of ROS, read only. Times in answers are decimal "
+    "texts of nanoseconds since 1970, for JavaScript's numbers cannot hold them; the ends of a "
+    "stretch of time are included. Errors are JSON: error (its name) and text."
+)
+
+
+def describe(routes: Iterable[Route]) -> Json:
+    """Return the document; each route is in it with all its parameters."""
+    paths: dict[str, Json] = {}
+    for route in routes:
+        of_path = paths.setdefault(route.path, {})
+        assert isinstance(of_path, dict)  # noqa: S101 -- for mypy: it was made a line above
+        of_path[route.method.lower()] = _operation(route)
+    return {
+        "openapi": "3.0.3",
+        "info": {"title": "cassandra_ros viewer", "version": "1", "description": _INTRODUCTION},
+        "paths": paths,
+        "components": {
+            "schemas": {"Error": _ERROR},
+            "securitySchemes": {"token": {"type": "apiKey", "in": "query", "name": "token"}},
+        },
+    }
+
+
+def _operation(route: Route) -> dict[str, Json]:
+    error: Json = {"application/json": {"schema": {"$ref": "#/components/schemas/Error"}}}
+    found: dict[str, Json] = {
+        "summary": route.summary,
+        "parameters": [_parameter(each) for each in route.parameters],
+        "responses": {
+            "200": {"description": route.summary, "content": _content(route)},
+            "default": {"description": "It failed.", "content": error},
+        },
+    }
+    if route.body:
+        content: Json = {"application/json": {"schema": {"type": "object"}}}
+        found["requestBody"] = {"description": route.body, "content": content}
+    return found
+
+
+def _content(route: Route) -> dict[str, Json]:
+    if route.kind == "json":
+        return {"application/json": {"schema": {}}}
+    return {route.kind: {"schema": {"type": "string", "format": "binary"}}}
+
+
+def _parameter(parameter: Parameter) -> dict[str, Json]:
+    schema = dict(_SCHEMAS[parameter.kind])
+    default = parameter.default
+    if default is not None:
+        schema["default"] = list(default) if isinstance(default, tuple) else default
+    found: dict[str, Json] = {
+        "name": parameter.name,
+        "in": "query",
+        "description": f"{parameter.summary} ({KINDS[parameter.kind]})",
+        "required": parameter.required,
+        "schema": schema,
+    }
+    if parameter.kind == "texts":
+        found.update(style="form", explode=False)
+    return found

@@ -1,0 +1,44 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What all calls of a viewer have in common: the store, the settings, and what is kept for more."""
+
+from __future__ import annotations
+
+import threading
+from typing import Callable, TypeVar, cast
+
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.viewing.settings import ViewerSettings
+
+T = TypeVar("T")
+
+
+class Shared:
+    """The store and the settings of one viewer, and the caches made for it. Safe between threads.
+
+    Args:
+        store: Stays the caller's to close.
+        settings: What the viewer was started with.
+    """
+
+    def __init__(self, store: RosCassandra, settings: ViewerSettings) -> None:
+        self.store = store
+        self.settings = settings
+        self._made: dict[object, object] = {}
+        self._lock = threading.RLock()  # what is made may itself want another one
+
+    def get(self, make: Callable[[RosCassandra, ViewerSettings], T]) -> T:
+        """Return what ``make`` made at its first call; if it has a ``close``, the end calls it."""
+        with self._lock:
+            if make not in self._made:
+                self._made[make] = make(self.store, self.settings)
+            return cast(T, self._made[make])
+
+    def close(self) -> None:
+        """Close all that was made, the last one first. Twice is harmless."""
+        with self._lock:
+            made, self._made = list(self._made.values()), {}
+        for each in reversed(made):
+            close = getattr(each, "close", None)
+            if close is not None:
+                close()
