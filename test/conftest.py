@@ -62,6 +62,7 @@ ONE_BY_ONE = {
     },
     "programs": {"nodes", "rostest", "cli", "test_import_process.py"},
     "servers": {"local_server"},
+    "pages": {"browser"},
 }
 
 
