@@ -1,0 +1,141 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Poses out of a topic that tells them: Odometry, PoseStamped and their like."""
+
+from __future__ import annotations
+
+from typing import Optional, Sequence
+
+import numpy as np
+
+from cassandra_ros.arguments import check_nodes
+from cassandra_ros.errors import TypeMismatch
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.places.frames import filled
+from cassandra_ros.places.rigid import Floats, Rigid
+from cassandra_ros.places.samples import Flags, Placed, Samples, Times
+from cassandra_ros.places.sources import ArraySource, Find, arrays_between, key_behind, last_key
+from cassandra_ros.query.names import all_fields
+from cassandra_ros.query.source import Writers
+
+_MOVED, _TURNED = ("x", "y", "z"), ("x", "y", "z", "w")
+_SOLID = (
+    ("pose.pose.position", "pose.pose.orientation"),  # Odometry, PoseWithCovarianceStamped
+    ("pose.position", "pose.orientation"),  # PoseStamped
+    ("position", "orientation"),  # Pose
+    ("transform.translation", "transform.rotation"),  # TransformStamped
+)
+_PLANAR = ("x", "y", "theta")  # Pose2D, turtlesim/Pose
+_STAMP, _FRAME = "header.stamp", "header.frame_id"
+
+
+def pose_fields(definition: Optional[Definition]) -> Sequence[str]:
+    """Return the fields of a type that tell a pose: seven, three in the plane, or none."""
+    names = set() if definition is None else {ref.name for ref in all_fields(definition)}
+    for moved, turned in _SOLID:
+        fields = [f"{moved}.{c}" for c in _MOVED] + [f"{turned}.{c}" for c in _TURNED]
+        if names.issuperset(fields):
+            return fields
+    return _PLANAR if names.issuperset(_PLANAR) else ()
+
+
+def tells_poses(topic: ArraySource) -> bool:
+    """Say whether a topic is one of those whose messages are poses."""
+    return any(pose_fields(table.definition) for table in topic.tables)
+
+
+class PoseTopic:
+    """The poses that one robot, or everybody, recorded on a topic.
+
+    Args:
+        find: Returns a topic by its name.
+        topic: Its name.
+        node: nodeID of the robot; None = of all.
+        writers: Of the runs that are meant; None = all.
+        offset: Where what is asked for is on the robot (one transform), as a sensor; None = there.
+
+    Raises:
+        TopicNotFound, TypeMismatch: It is not stored; it tells no poses.
+    """
+
+    def __init__(
+        self,
+        find: Find,
+        topic: str,
+        node: Optional[str] = None,
+        writers: Writers = None,
+        offset: Optional[Rigid] = None,
+    ) -> None:
+        check_nodes(node)
+        self._topic, self._node, self._writers = find(topic), node, writers
+        self._offset = Rigid.none(1) if offset is None else offset
+        told = [t for t in self._topic.tables if pose_fields(t.definition)]
+        if not told:
+            types = ", ".join(sorted({t.msg_type for t in self._topic.tables})) or "no type yet"
+            raise TypeMismatch(
+                f"topic {self._topic.name} ({types}) tells no poses: give one of nav_msgs/Odometry, "
+                "geometry_msgs/PoseStamped or PoseWithCovarianceStamped"
+            )
+        self._fields = list(pose_fields(told[0].definition))
+        names = {ref.name for ref in all_fields(told[0].definition)} if told[0].definition else ()
+        self._stamped = _STAMP in names
+        self.frame = self._first_frame() if _FRAME in names else ""
+        """The frame of the first pose, without a slash in front; '' where messages do not tell."""
+
+    def _first_frame(self) -> str:
+        first = key_behind(self._topic, -1, self._node, self._writers)
+        if first is None:
+            return ""
+        whose = (self._node, self._writers)
+        found = arrays_between(self._topic, [_FRAME], first, first, *whose)
+        return str(next(iter(found[_FRAME]), None) or "").lstrip("/")
+
+    def read(self, low: int, high: int) -> Samples:
+        """Read what was recorded in [low, high], row keys, ns."""
+        if low > high:
+            return Samples.none()
+        fields = ["KEY", *([_STAMP] if self._stamped else []), *self._fields]
+        found = arrays_between(self._topic, fields, low, high, self._node, self._writers)
+        keys = found["KEY"]
+        stamps = filled(found[_STAMP], 0) if self._stamped else keys
+        columns = [filled(found[name], np.nan).astype(np.float64) for name in self._fields]
+        parents, robot = np.zeros(len(keys), np.int64), np.ones(len(keys), np.int64)
+        return Samples.checked(keys, stamps, parents, robot, _numbers(columns))
+
+    def explain(self, time: int) -> str:
+        """Say why there is no pose at a time."""
+        whose = "" if self._node is None else f" of node {self._node}"
+        first = key_behind(self._topic, -1, self._node, self._writers)
+        last = last_key(self._topic, self._node, self._writers)
+        if first is None or last is None:
+            return f"topic {self._topic.name} has no message{whose}"
+        return (
+            f"topic {self._topic.name} tells no pose{whose} at {iso_time(time)}: what it has was "
+            f"received from {iso_time(first)} to {iso_time(last)}"
+        )
+
+    def next_key(self, time: int) -> Optional[int]:
+        """Return the first row key behind a time, ns; None where there is none."""
+        return key_behind(self._topic, time, self._node, self._writers)
+
+    def on_way(self, samples: Samples) -> Flags:
+        """Say which samples have a say in the poses: all of them."""
+        return np.ones(len(samples), bool)
+
+    def placed(
+        self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int
+    ) -> Placed:
+        """Return the poses at some times, ns, out of samples around them."""
+        (poses, known), _ = samples.track(1, stamped).at(times, longest_gap_ns)
+        return Placed(poses @ self._offset, known)
+
+
+def _numbers(columns: Sequence[Floats]) -> Floats:
+    """Return (n, 7) numbers of what the fields of a pose hold."""
+    if len(columns) == len(_PLANAR):
+        flat = Rigid.planar(*columns)
+        return np.concatenate([flat.moved, flat.turned], 1)
+    return np.stack(columns, 1)
+
+

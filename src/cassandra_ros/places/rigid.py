@@ -1,0 +1,124 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Many rigid transforms at once, as numpy arrays: composed, turned round, interpolated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Sequence, Union
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Rows = Union[NDArray[Any], slice]
+"""Which of many: their numbers, or a bool for each."""
+
+_SMALL_SINE = 1e-6
+"""Of the half angle between two rotations; below it the arc is a straight line in a double."""
+
+
+@dataclass(frozen=True)
+class Rigid:
+    """Many rigid transforms, one a row; of many poses: where they are in their parent frame.
+
+    ``a @ b`` does first b and then a, row by row; one row meets all of the other.
+    """
+
+    moved: Floats
+    """(n, 3): x, y, z, metres."""
+    turned: Floats
+    """(n, 4): unit quaternions x, y, z, w."""
+
+    @classmethod
+    def none(cls, count: int) -> Rigid:
+        """Return transforms that change nothing."""
+        turned = np.zeros((count, 4))
+        turned[:, 3] = 1
+        return cls(np.zeros((count, 3)), turned)
+
+    @classmethod
+    def planar(cls, x: Sequence[float], y: Sequence[float], yaw: Sequence[float]) -> Rigid:
+        """Return poses in the plane: metres, and radians counterclockwise."""
+        half = np.asarray(yaw, np.float64) / 2
+        none = np.zeros_like(half)
+        moved = np.stack([np.asarray(x, np.float64), np.asarray(y, np.float64), none], 1)
+        return cls(moved, np.stack([none, none, np.sin(half), np.cos(half)], 1))
+
+    @classmethod
+    def of_numbers(cls, numbers: Floats) -> Rigid:
+        """Return those of (n, 7) numbers, x y z and x y z w; rotations are made unit ones."""
+        turned = numbers[:, 3:]
+        return cls(numbers[:, :3], turned / np.linalg.norm(turned, axis=1, keepdims=True))
+
+    def __len__(self) -> int:
+        return len(self.moved)
+
+    def take(self, rows: Rows) -> Rigid:
+        """Return some of them."""
+        return Rigid(self.moved[rows], self.turned[rows])
+
+    def put(self, rows: Rows, others: Rigid) -> None:
+        """Set some of them."""
+        self.moved[rows], self.turned[rows] = others.moved, others.turned
+
+    def __matmul__(self, inner: Rigid) -> Rigid:
+        moved = rotated(self.turned, inner.moved) + self.moved
+        return Rigid(moved, _product(self.turned, inner.turned))
+
+    def inverse(self) -> Rigid:
+        """Return those that undo them."""
+        back = self.turned * (-1.0, -1.0, -1.0, 1.0)
+        return Rigid(-rotated(back, self.moved), back)
+
+    def apply(self, points: Floats) -> Floats:
+        """Transform points: (n, 3), one for each transform, or (m, 3) by the only one there is."""
+        return rotated(self.turned, points) + self.moved
+
+    @property
+    def x(self) -> Floats:
+        """Metres."""
+        return self.moved[:, 0]
+
+    @property
+    def y(self) -> Floats:
+        """Metres."""
+        return self.moved[:, 1]
+
+    @property
+    def yaw(self) -> Floats:
+        """Turn about z, radians in [-pi, pi]."""
+        x, y, z, w = self.turned.T
+        found: Floats = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return found
+
+
+def rotated(turned: Floats, points: Floats) -> Floats:
+    """Turn points by quaternions, row by row; one row meets all of the other."""
+    axis, real = turned[:, :3], turned[:, 3:]
+    twice = 2 * np.cross(axis, points)
+    found: Floats = points + real * twice + np.cross(axis, twice)
+    return found
+
+
+def _product(a: Floats, b: Floats) -> Floats:
+    """Multiply quaternions row by row."""
+    real = a[:, 3:] * b[:, 3:] - (a[:, :3] * b[:, :3]).sum(1, keepdims=True)
+    axis = a[:, 3:] * b[:, :3] + b[:, 3:] * a[:, :3] + np.cross(a[:, :3], b[:, :3])
+    return np.concatenate([axis, real], 1)
+
+
+def between(a: Rigid, b: Rigid, share: Floats) -> Rigid:
+    """Interpolate as tf2 does: straight, and along the shorter arc; share is 0 at a, 1 at b."""
+    part = share[:, None]
+    moved = a.moved + part * (b.moved - a.moved)
+    cosine = (a.turned * b.turned).sum(1, keepdims=True)
+    other = np.where(cosine < 0, -b.turned, b.turned)
+    angle = np.arccos(np.clip(np.abs(cosine), 0, 1))
+    sine = np.sin(angle)
+    straight = sine < _SMALL_SINE
+    divisor = np.where(straight, 1, sine)
+    mine = np.where(straight, 1 - part, np.sin((1 - part) * angle) / divisor)
+    others = np.where(straight, part, np.sin(part * angle) / divisor)
+    turned = mine * a.turned + others * other
+    return Rigid(moved, turned / np.linalg.norm(turned, axis=1, keepdims=True))

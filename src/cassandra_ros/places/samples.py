@@ -1,0 +1,134 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Recorded transforms and poses of a stretch of time as arrays, and what lies between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassandra_ros.places.rigid import Floats, Rigid, between
+
+Times = NDArray[np.int64]
+"""ns since 1970."""
+Codes = NDArray[np.int64]
+"""Numbers that stand for frames."""
+Flags = NDArray[np.bool_]
+
+NO_FRAME = -1
+_UNIT = 10e-3
+"""How far tf2 lets the square of a rotation's length be from 1."""
+
+
+class Placed(NamedTuple):
+    """Poses at many times."""
+
+    poses: Rigid
+    """One for each time; where it is not known one that changes nothing."""
+    known: Flags
+    """Whether a pose was recorded at the time, or one before and one behind it."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """Poses of one frame by time, each time once and in ascending order."""
+
+    times: Times
+    parents: Codes
+    """The frame in which each pose is."""
+    poses: Rigid
+
+    def at(self, times: Times, longest_gap_ns: int) -> tuple[Placed, Codes]:
+        """Interpolate as tf2 does; return the frames in which the poses are, too.
+
+        Between poses in two different frames the one before counts; where there is no pose the
+        frame is NO_FRAME. Between two that are further apart than the gap nothing is known.
+        """
+        count = len(self.times)
+        if not count:
+            nowhere = np.full(len(times), NO_FRAME)
+            return Placed(Rigid.none(len(times)), np.zeros(len(times), bool)), nowhere
+        before = np.searchsorted(self.times, times, side="right") - 1
+        begun = before >= 0
+        before = np.maximum(before, 0)
+        after = np.minimum(before + 1, count - 1)
+        exact = begun & (self.times[before] == times)
+        gap = self.times[after] - self.times[before]
+        known = exact | (begun & (after > before) & (gap <= longest_gap_ns))
+        steady = exact | (self.parents[before] != self.parents[after]) | (gap <= 0) | ~known
+        share = np.where(steady, 0, (times - self.times[before]) / np.maximum(gap, 1))
+        poses = between(self.poses.take(before), self.poses.take(after), share)
+        poses.put(~known, Rigid.none(int((~known).sum())))
+        return Placed(poses, known), np.where(known, self.parents[before], NO_FRAME)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Recorded transforms in the order of their arrival."""
+
+    keys: Times
+    """Row keys: when they were received."""
+    stamps: Times
+    """Of their headers."""
+    parents: Codes
+    children: Codes
+    poses: Rigid
+    """Of the child in its parent."""
+
+    @classmethod
+    def none(cls) -> Samples:
+        """Return none."""
+        empty = np.zeros(0, np.int64)
+        return cls(empty, empty, empty, empty, Rigid.none(0))
+
+    @classmethod
+    def checked(
+        cls, keys: Times, stamps: Times, parents: Codes, children: Codes, numbers: Floats
+    ) -> Samples:
+        """Take those that tf2 would take: (n, 7) finite numbers, of them a unit quaternion."""
+        finite = np.isfinite(numbers).all(1)
+        lengths = (numbers[:, 3:] ** 2).sum(1)
+        good = finite & (np.abs(lengths - 1) < _UNIT)
+        good &= (parents != children) & (parents != NO_FRAME) & (children != NO_FRAME)
+        columns = (keys[good], stamps[good], parents[good], children[good])
+        return cls(*columns, Rigid.of_numbers(numbers[good]))
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def within(self, low: int, high: int) -> Samples:
+        """Return those with a row key in [low, high], ns."""
+        return self.take((self.keys >= low) & (self.keys <= high))
+
+    def take(self, rows: Flags) -> Samples:
+        """Return some of them."""
+        mine = (self.keys, self.stamps, self.parents, self.children)
+        return Samples(*(column[rows] for column in mine), self.poses.take(rows))
+
+    def followed(self, others: Samples) -> Samples:
+        """Return these and those that arrived behind them."""
+        return Samples(
+            np.concatenate([self.keys, others.keys]),
+            np.concatenate([self.stamps, others.stamps]),
+            np.concatenate([self.parents, others.parents]),
+            np.concatenate([self.children, others.children]),
+            Rigid(
+                np.concatenate([self.poses.moved, others.poses.moved]),
+                np.concatenate([self.poses.turned, others.poses.turned]),
+            ),
+        )
+
+    def times(self, stamped: bool) -> Times:
+        """Return their stamps, or when they were received."""
+        return self.stamps if stamped else self.keys
+
+    def track(self, child: int, stamped: bool) -> Track:
+        """Return what was recorded of one frame; of equal times the first that arrived counts."""
+        mine = np.flatnonzero(self.children == child)
+        # np.unique gives the first of equal ones.
+        times, first = np.unique(self.times(stamped)[mine], return_index=True)
+        rows = mine[first]
+        return Track(times, self.parents[rows], self.poses.take(rows))
