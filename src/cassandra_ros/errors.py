@@ -10,8 +10,8 @@
   - TopicNotFound, MessageNotFound, RunNotFound (also a KeyError)
   - TransformException
     + LookupException, ConnectivityException, ExtrapolationException
-  - TypeMismatch, UnknownFormat, InvalidKey, InvalidName, InvalidOption, InvalidQuery,
-    InvalidExpression, DefinitionError, CorruptMessage, BagError (also a ValueError)
+  - TypeMismatch, UnknownFormat, UnknownEncoding, InvalidKey, InvalidName, InvalidOption,
+    InvalidQuery, InvalidExpression, DefinitionError, CorruptMessage, BagError (also a ValueError)
     + BagUnindexed, a BagError
   - MissingDependency (also an ImportError)
 
@@ -135,6 +135,10 @@ class TypeMismatch(CassandraRosError, ValueError):
 
 class UnknownFormat(CassandraRosError, ValueError):
     """No storage format has this name."""
+
+
+class UnknownEncoding(CassandraRosError, ValueError):
+    """The pixels of an image are encoded in a way of which no picture can be made."""
 
 
 class InvalidKey(CassandraRosError, ValueError):

@@ -92,6 +92,11 @@ class Call:
         parts = (part.strip() for text in given for part in text.split(","))
         return tuple(part for part in parts if part)
 
+    def lines(self, name: str) -> tuple[str, ...]:
+        """Return a parameter of kind lines, without empty ones; missing: none."""
+        self._parameter(name, "lines")
+        return tuple(filter(None, self._query.get(name, ())))
+
     def time_ns(self, name: str) -> int | None:
         """Return a parameter of kind time, ns since 1970; missing: its default.
 

@@ -12,6 +12,7 @@ from cassandra_ros.viewing.route import KINDS, Parameter, Route
 _SCHEMAS: dict[str, dict[str, Json]] = {
     "text": {"type": "string"},
     "texts": {"type": "array", "items": {"type": "string"}},
+    "lines": {"type": "array", "items": {"type": "string"}},
     "time": {"type": "string"},
     "number": {"type": "number"},
     "count": {"type": "integer", "minimum": 0},

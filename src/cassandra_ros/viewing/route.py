@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 KINDS = {
     "text": "text",
     "texts": "texts, divided by commas, or the parameter several times",
+    "lines": "a text, in which commas are no signs; the parameter may be given several times",
     "time": "a time: seconds since 1970 (1368021980.25), ISO 8601 (2013-05-08T14:06:20Z, no zone "
     "means UTC), or nanoseconds since 1970, for which 13 digits or more are taken",
     "number": "a finite number",
