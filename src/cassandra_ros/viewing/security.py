@@ -2,14 +2,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Whom the viewer answers, and what a page of it may do in a browser.
 
-Who listens on loopback only is asked by every page that a browser on this machine shows: the Host
-header tells a name that somebody let point here (DNS rebinding) from ours. Who listens elsewhere is
-asked for a token: in the address once, afterwards a cookie. Other sites read nothing but what
-``allow_origin`` names.
+Who listens on loopback only can be asked by every page that a browser on this machine shows: the
+Host header tells a name that somebody made point here (DNS rebinding) from ours. Who listens for
+others asks them for a token: in the address once, afterwards it is a cookie. Pages of other sites
+read nothing, but of those that ``allow_origin`` names.
 """
 
 from __future__ import annotations
 
+import hashlib
 import hmac
 import ipaddress
 from urllib.parse import urlencode, urlsplit
@@ -25,11 +26,15 @@ PAGE_POLICY = (
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; "
     "worker-src 'self' blob:; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 )
-"""What our pages may load. Styles may be inline: plots and the Studio set them by script."""
+"""What our pages may load. Styles may stand in elements: plots and the Studio set them so."""
 POLICIES: dict[str, str] = {}
-"""Of pages that need another one, by path."""
+"""Those of pages that need another one, by path."""
 _COOKIE_SEC = 30 * 86_400
-_EXPOSED = "Accept-Ranges, Content-Length, Content-Range, Content-Disposition, ETag"
+_READABLE = "Accept-Ranges, Content-Disposition, Content-Length, Content-Range, ETag"
+_TOKEN_WANTED = (
+    "this viewer asks for a token: open the address that it printed when it was started, which "
+    "ends with ?token=…"
+)
 
 
 def is_loopback(host: str) -> bool:
@@ -50,15 +55,14 @@ def check_settings(settings: ViewerSettings) -> None:
     """
     if not (is_loopback(settings.host) or settings.token):
         raise InvalidOption(
-            f"--host {settings.host} can be reached by others, who could read all that is stored: "
-            "give --token SECRET too, or --token auto to have one made"
+            f"others reach {settings.host}, and could read all that is stored: set a token, too"
         )
     for origin in settings.allow_origin:
         parts = urlsplit(origin)
-        if not (parts.scheme and parts.netloc) or parts.path or parts.query:
+        if not (parts.scheme and parts.netloc) or parts.path or parts.query or parts.fragment:
             raise InvalidOption(
-                f"--allow-origin {origin!r} is no origin: write scheme and host, as "
-                "https://app.foxglove.dev, without a path"
+                f"--allow-origin {origin!r} is no origin: write scheme and host without a path, as "
+                "https://app.foxglove.dev"
             )
 
 
@@ -70,82 +74,84 @@ class Guard:
     """
 
     def __init__(self, settings: ViewerSettings) -> None:
-        self._settings = settings
+        self._host = settings.host
         self._loopback = is_loopback(settings.host)
+        self._token = settings.token
+        self._origins = settings.allow_origin
+        # Browsers know no ports of cookies: those of two viewers have two names.
+        self._cookie = f"cassandra_ros_{hashlib.sha256(self._token.encode()).hexdigest()[:8]}"
 
     @web.middleware
     async def check(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Answer a request by ``handler`` if it may be answered; the outermost of all."""
+        """Answer a request by ``handler``, if it may be answered."""
         self._check_host(request)
         self._check_site(request)
         if request.method == "OPTIONS" and self._allowed(request):
             return web.Response(status=204)
-        if self._settings.token and not self._knows_token(request):
-            raise web.HTTPUnauthorized(
-                text="this viewer asks for a token: open the address that it printed when it was "
-                "started, which ends with ?token=…\n"
-            )
-        if self._settings.token and "token" in request.query and _is_page(request):
-            return self._keep_token(request)
+        if self._token:
+            if not self._knows_token(request):
+                return _refuse(request)
+            if "token" in request.query and _is_page(request):
+                return self._keep_token(request)
         return await handler(request)
 
     async def protect(self, request: web.Request, response: web.StreamResponse) -> None:
-        """Add the headers; aiohttp calls it before an answer of any kind is sent."""
+        """Add the headers; aiohttp calls it before any answer is sent."""
         headers = response.headers
         headers["X-Content-Type-Options"] = "nosniff"
         headers["Referrer-Policy"] = "no-referrer"
         headers["Content-Security-Policy"] = POLICIES.get(request.path, PAGE_POLICY)
         headers["Vary"] = "Origin"
         origin = self._allowed(request)
+        headers["Cross-Origin-Resource-Policy"] = "cross-origin" if origin else "same-origin"
         if not origin:
-            headers["Cross-Origin-Resource-Policy"] = "same-origin"
             return
-        headers["Cross-Origin-Resource-Policy"] = "cross-origin"
         headers["Access-Control-Allow-Origin"] = origin
-        headers["Access-Control-Expose-Headers"] = _EXPOSED
+        headers["Access-Control-Expose-Headers"] = _READABLE
         if request.method == "OPTIONS":
             headers["Access-Control-Allow-Methods"] = "GET, HEAD"
-            headers["Access-Control-Allow-Headers"] = "Range, If-Range"
+            headers["Access-Control-Allow-Headers"] = "Authorization, If-Range, Range"
+            # Chrome asks so before a page of the internet reaches into a private network.
             headers["Access-Control-Allow-Private-Network"] = "true"
             headers["Access-Control-Max-Age"] = "600"
 
     def _allowed(self, request: web.Request) -> str:
+        """Return the origin of the page that asks, if it is one that may; else ''."""
         origin = request.headers.get("Origin", "")
-        return origin if origin in self._settings.allow_origin else ""
+        return origin if origin in self._origins else ""
 
     def _check_host(self, request: web.Request) -> None:
-        host = urlsplit(f"//{request.host}").hostname or ""
-        if self._loopback and not is_loopback(host) and host != self._settings.host:
+        try:
+            host = urlsplit(f"//{request.host}").hostname or ""
+        except ValueError:  # [:
+            host = ""
+        if self._loopback and not is_loopback(host) and host != self._host:
             raise web.HTTPForbidden(
-                text=f"this viewer is for this machine only and does not answer as {host!r}: open "
-                "it as localhost, or start it with --host and --token\n"
+                text=f"this viewer is for this machine only, and does not answer as {host!r}: open "
+                "it as localhost, or start it with --host\n"
             )
 
     def _check_site(self, request: web.Request) -> None:
-        """Refuse what another site's page asks for behind the user's back."""
+        """Refuse what the page of another site asks for behind its reader's back."""
         origin = request.headers.get("Origin", "")
         foreign = bool(origin) and urlsplit(origin).netloc != request.host
-        cross = request.headers.get("Sec-Fetch-Site") == "cross-site"
-        navigates = request.headers.get("Sec-Fetch-Mode") == "navigate" and request.method == "GET"
-        if (foreign or (cross and not navigates)) and not self._allowed(request):
+        navigates = request.method == "GET" and request.headers.get("Sec-Fetch-Mode") == "navigate"
+        cross = request.headers.get("Sec-Fetch-Site") == "cross-site" and not navigates
+        if (foreign or cross) and not self._allowed(request):
             raise web.HTTPForbidden(
                 text=f"a page of {origin or 'another site'} may not read this viewer: start it "
-                "with --allow-origin ORIGIN to let it\n"
+                "with --allow-origin and the origin of that page to let it\n"
             )
-
-    def _cookie(self) -> str:
-        return f"cassandra_ros_{self._settings.port}"  # browsers know no ports of cookies
 
     def _knows_token(self, request: web.Request) -> bool:
         scheme, _, bearer = request.headers.get("Authorization", "").partition(" ")
         given = (
             request.query.get("token", ""),
-            request.cookies.get(self._cookie(), ""),
+            request.cookies.get(self._cookie, ""),
             bearer if scheme.lower() == "bearer" else "",
         )
-        wanted = self._settings.token.encode()
-        # All three are compared, each in constant time.
-        return any([hmac.compare_digest(text.encode(), wanted) for text in given])
+        wanted = self._token.encode()
+        return any(hmac.compare_digest(_bytes(text), wanted) for text in given)
 
     def _keep_token(self, request: web.Request) -> web.Response:
         """Put the token into a cookie, and send the browser to the address without it."""
@@ -155,15 +161,32 @@ class Guard:
         there = f"./{request.rel_url.raw_name}{query}"
         response = web.Response(status=303, headers={"Location": there})
         response.set_cookie(
-            self._cookie(),
-            self._settings.token,
-            max_age=_COOKIE_SEC,
-            httponly=True,
-            samesite="Strict",
+            self._cookie, self._token, max_age=_COOKIE_SEC, httponly=True, samesite="Strict"
         )
         return response
+
+
+def _refuse(request: web.Request) -> web.Response:
+    """Refuse who does not know the token.
+
+    A strict cookie is not sent where a link on another site was followed. The page that comes then
+    loads itself again, as a page of ours: now it is sent, if there is one.
+    """
+    if not _is_page(request):
+        raise web.HTTPUnauthorized(text=_TOKEN_WANTED + "\n")
+    followed = request.headers.get("Sec-Fetch-Site") in ("cross-site", "same-site")
+    again = '<meta http-equiv="refresh" content="0">' if followed else ""
+    page = (
+        f"<!DOCTYPE html><html lang=en><meta charset=utf-8>{again}<title>cassandra_ros</title>"
+        f"<p>{_TOKEN_WANTED}</p></html>\n"
+    )
+    return web.Response(status=401, text=page, content_type="text/html")
 
 
 def _is_page(request: web.Request) -> bool:
     """Say whether a person opens a page, rather than a program a file or an answer."""
     return request.method == "GET" and (request.path == "/" or request.path.endswith(".html"))
+
+
+def _bytes(text: str) -> bytes:
+    return text.encode("utf-8", "surrogateescape")  # headers may hold any bytes

@@ -1,0 +1,82 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Serve a viewer until somebody ends it."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import signal
+import socket
+from typing import Callable
+
+from aiohttp import web
+
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.viewing.application import make_application
+from cassandra_ros.viewing.security import is_loopback
+from cassandra_ros.viewing.settings import ViewerSettings
+
+LAST_ANSWERS_SEC = 0.5
+"""How long answers that are being sent may go on at the end."""
+
+
+def serve(settings: ViewerSettings, store: RosCassandra, ready: Callable[[str], None]) -> None:
+    """Serve until Ctrl-C or SIGTERM; called from the main thread.
+
+    Args:
+        settings: Where, for whom.
+        store: Connected; stays the caller's to close.
+        ready: Told the address to open, with the token, once it can be asked.
+
+    Raises:
+        InvalidOption: Nobody can listen there; the text says why.
+    """
+    asyncio.run(_serve(settings, store, ready))
+
+
+async def _serve(
+    settings: ViewerSettings, store: RosCassandra, ready: Callable[[str], None]
+) -> None:
+    loop, ended = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, ended.set)
+    runner = web.AppRunner(
+        make_application(settings, store),
+        access_log=None,
+        handler_cancellation=True,  # who goes away ends what was read for him
+        shutdown_timeout=LAST_ANSWERS_SEC,
+    )
+    await runner.setup()
+    try:
+        try:
+            await web.TCPSite(runner, settings.host, settings.port).start()
+        except OSError as exc:
+            raise InvalidOption(_why_not(settings, exc)) from exc
+        ready(address(settings, runner.addresses[0][1]))
+        await ended.wait()
+    finally:
+        await runner.cleanup()
+
+
+def address(settings: ViewerSettings, port: int) -> str:
+    """Return what is typed into a browser, with the token where there is one."""
+    host = settings.host
+    if host in ("", "0.0.0.0", "::"):  # noqa: S104 -- not listened on here
+        host = socket.gethostname()
+    name = f"[{host}]" if ":" in host else host
+    return f"http://{name}:{port}/{f'?token={settings.token}' if settings.token else ''}"
+
+
+def _why_not(settings: ViewerSettings, error: OSError) -> str:
+    where = f"{settings.host} port {settings.port}"
+    if error.errno == errno.EADDRINUSE:
+        return (
+            f"{where} is taken by another program, perhaps by another viewer: give another one, "
+            f"as --port {settings.port + 1}, or --port 0 for any that is free"
+        )
+    if error.errno == errno.EACCES:
+        return f"{where}: you may not listen there; give --port of 1024 or more"
+    hint = "" if is_loopback(settings.host) else ": --host is an address of this machine"
+    return f"nobody can listen on {where}{hint} ({error.strerror or error})"
