@@ -1,9 +1,207 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages as they were sent, for the Studio."""
+"""Messages as they were sent, for the Studio: its topics, pages of a window, what was sent last."""
 
 from __future__ import annotations
 
-from cassandra_ros.viewing.route import Route
+import threading
+import time
+from collections import OrderedDict
+from itertools import chain
+from typing import Iterator, Sequence
 
-ROUTES: tuple[Route, ...] = ()
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.keys import decode_cursor
+from cassandra_ros.topics.latest import Latest
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.selection import LAST_NS, Stretch, Whose
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.viewing.answers import Json, Stream
+from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.choice import (
+    END,
+    NODES,
+    RUNS,
+    START,
+    TOPICS,
+    tables_chosen,
+    whose_chosen,
+)
+from cassandra_ros.viewing.look_window import Held, default_window, held
+from cassandra_ros.viewing.message_frames import CONTENT_TYPE, describe_channel, frames
+from cassandra_ros.viewing.route import Parameter, Route
+from cassandra_ros.viewing.settings import ViewerSettings
+
+PAGE_BYTES = 4 * 2**20
+MAX_PAGE_BYTES = 64 * 2**20
+_MAX_FINDERS = 16
+_FINDER_SEC = 30
+"""So long somebody who began to latch may stay unnoticed."""
+
+
+def _connections(call: Call) -> Json:
+    tables, whose, keyspace = tables_chosen(call), whose_chosen(call), call.store.parts
+    start, end, moment = (call.time_ns(name) for name in ("start", "end", "time"))
+    window = default_window(keyspace, tables, whose, start, end, moment)
+    _check_order(window)
+    problems: list[Json] = []
+    by_topic: dict[str, list[tuple[TopicTable, Held]]] = {}
+    for table in tables:
+        reason = _reason_not_shown(table)
+        if reason:
+            problems.append({"topic": table.metadata.topic, "text": reason})
+        else:
+            found = held(keyspace, table, window, whose)
+            by_topic.setdefault(table.metadata.topic, []).append((table, found))
+    whole = Held()
+    for _, found in chain.from_iterable(by_topic.values()):
+        whole = whole.with_(found)
+    if whole.last >= 0:  # an end that nobody gave lies where the messages end
+        first = window.low if start is not None else max(window.low, whole.first)
+        last = window.high if end is not None else min(window.high, whole.last)
+        window = Stretch(min(first, last), last)
+    topics: list[Json] = [_topic(name, parts) for name, parts in sorted(by_topic.items())]
+    return {
+        "start": str(window.low),
+        "end": str(window.high),
+        "messages": whole.count,
+        "bytes": whole.size,
+        "topics": topics,
+        "problems": problems,
+    }
+
+
+def _reason_not_shown(table: TopicTable) -> str:
+    """Say why nobody can look at a table's messages; '' where he can."""
+    topic = table.metadata.topic
+    if table.definition is None:
+        return f"the messages of {topic} cannot be shown: their definition is none that can be read"
+    if table.metadata.key_format == "hash":
+        return f"the messages of {topic} cannot be shown: by key format hash they have no time"
+    return ""
+
+
+def _topic(name: str, parts: Sequence[tuple[TopicTable, Held]]) -> Json:
+    whole = Held()
+    for _, found in parts:
+        whole = whole.with_(found)
+    # One type for the panels; messages of the others are read by their own.
+    table, _ = max(parts, key=lambda part: (part[1].last, part[0].metadata.date))
+    return {
+        **describe_channel(table),
+        "topic": name,
+        "messages": whole.count,
+        "bytes": whole.size,
+        "first": str(whole.first) if whole.last >= 0 else None,
+        "last": str(whole.last) if whole.last >= 0 else None,
+    }
+
+
+def _messages(call: Call) -> Stream:
+    start, end = call.time_ns("start"), call.time_ns("end")
+    stretch = Stretch(0 if start is None else start, LAST_NS if end is None else end)
+    _check_order(stretch)
+    after = call.text("after")
+    limit = call.count("bytes") or PAGE_BYTES
+    if limit > MAX_PAGE_BYTES:
+        raise InvalidOption(f"bytes={limit}: give at most {MAX_PAGE_BYTES}")
+    # What is kept under names has no place among what passes by: /api/latest has it.
+    rows = call.store.parts.rows.read(
+        [table for table in _shown(call) if not table.named],
+        stretch,
+        whose=whose_chosen(call),
+        after=None if after is None else decode_cursor(after),
+    )
+    return Stream(frames(_until_gone(call, rows), limit), CONTENT_TYPE)
+
+
+def _latest(call: Call) -> Stream:
+    t, since = call.time_ns("time"), call.time_ns("start")
+    finder = call.shared(_Finders).of(_shown(call), whose_chosen(call))
+    rows = finder.before(LAST_NS - 1 if t is None else t, 0 if since is None else since)
+    return Stream(frames(_until_gone(call, iter(rows))), CONTENT_TYPE)
+
+
+def _shown(call: Call) -> list[TopicTable]:
+    return [table for table in tables_chosen(call) if not _reason_not_shown(table)]
+
+
+def _until_gone(call: Call, rows: Iterator[StoredRow]) -> Iterator[StoredRow]:
+    for row in rows:
+        if call.gone.is_set():
+            return
+        yield row
+
+
+def _check_order(stretch: Stretch) -> None:
+    if stretch.low > stretch.high:
+        raise InvalidOption(f"start={stretch.low} lies behind end={stretch.high}")
+
+
+class _Finders:
+    """Keeps what finds the last messages of some topics: it knows which of them are latched."""
+
+    def __init__(self, store: RosCassandra, settings: ViewerSettings) -> None:
+        self._store = store
+        self._made: OrderedDict[object, Latest] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def of(self, tables: Sequence[TopicTable], whose: Whose) -> Latest:
+        """Return the finder of some tables."""
+        age = time.monotonic() // _FINDER_SEC
+        key = (tuple(table.name for table in tables), whose, age)
+        with self._lock:
+            found = self._made.pop(key, None) or Latest(self._store.parts, tables, whose)
+            self._made[key] = found
+            while len(self._made) > _MAX_FINDERS:
+                self._made.popitem(last=False)
+        return found
+
+
+_WINDOW = (TOPICS, START, END, NODES, RUNS)
+_TIME = Parameter("time", "time", "The moment that is looked at.")
+
+ROUTES: tuple[Route, ...] = (
+    Route(
+        "GET",
+        "/api/connections",
+        _connections,
+        "The topics of a window, how much of them lies in it, and how their messages are read.",
+        (*_WINDOW, _TIME),
+    ),
+    Route(
+        "GET",
+        "/api/messages",
+        _messages,
+        "A page of the messages of a window as they were sent, in the order of their key times: "
+        "frames of uint32 channel, uint32 size, int64 time (ns), all little endian, and size "
+        "bytes; those of channel 0 are JSON (channel, problem, end).",
+        (
+            *_WINDOW,
+            Parameter("after", "text", "Read on behind this place: what end.next says."),
+            Parameter(
+                "bytes",
+                "count",
+                f"The page ends behind so many bytes of messages, 1 to {MAX_PAGE_BYTES}.",
+                default=PAGE_BYTES,
+            ),
+        ),
+        CONTENT_TYPE,
+    ),
+    Route(
+        "GET",
+        "/api/latest",
+        _latest,
+        "The last message of each topic at or before a moment, as frames: of transforms those of "
+        "the second before, of latched topics each publisher's, whenever that was sent.",
+        (
+            TOPICS,
+            Parameter("time", "time", "The moment, included; missing: now."),
+            Parameter("start", "time", "What is not latched counts from here on."),
+            NODES,
+            RUNS,
+        ),
+        CONTENT_TYPE,
+    ),
+)

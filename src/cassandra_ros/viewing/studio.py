@@ -1,0 +1,248 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The Studio, which Look shows messages in: fetched from npm's registry, whole or not at all.
+
+It is Foxglove Studio as it was published last under MPL-2.0, and what it is mounted with. Of each
+package one version is known here, with the hash that npm states for it; neither npm nor node is
+needed. Nothing of it is part of this package.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import hmac
+import json
+import os
+import re
+import shutil
+import tarfile
+import tempfile
+import time
+import urllib.error
+import urllib.request
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import BinaryIO, Callable, Iterator
+from urllib.parse import quote, urlsplit
+
+from cassandra_ros.errors import DownloadFailed
+
+_MARKER = "complete.json"
+_ATTEMPTS = 4
+_PAUSE_SEC = 2.0
+_TIMEOUT_SEC = 60.0
+_CHUNK_BYTES = 1 << 20
+_NEEDED_BYTES = 200 << 20
+"""Free space: the largest tarball and all that is unpacked."""
+_MAX_FILE_BYTES = 64 << 20
+_MAX_FILES = 1000
+_DEFAULT_REGISTRY = "https://registry.npmjs.org"
+# The inline map of a file made for debugging: two thirds of it, and it is read each time.
+_SOURCE_MAP = re.compile(rb"\n//# sourceMappingURL=data:[^\n]*\s*\Z")
+
+
+@dataclass(frozen=True)
+class Package:
+    """A package of npm."""
+
+    name: str
+    version: str
+    integrity: str
+    """As npm states it: 'sha512-' and the tarball's hash in base64."""
+    size: int
+    """Bytes of the tarball, about, for who waits."""
+    keep: str
+    """What of it is kept: a regular expression, for names below 'package/'."""
+
+    def url(self, registry: str) -> str:
+        """Return the address of the tarball in a registry."""
+        file = f"{self.name.split('/')[-1]}-{self.version}.tgz"
+        return f"{registry.rstrip('/')}/{quote(self.name, safe='@/')}/-/{file}"
+
+
+PACKAGES = (
+    Package(
+        "@foxglove/studio-base",
+        "1.48.0",
+        "sha512-EY8cYoHUm6VyTSVZBdfn5EJK2bRwTfAjH92H5wgAEcnKyeCUyKkxjgwbqO2jKwRJGa+7VPaEHHF167BzFh+N4A==",
+        36_324_807,
+        r"assets/.+|package\.json|README\.md",
+    ),
+    Package(
+        "react",
+        "17.0.2",
+        "sha512-gnhPt75i/dq/z3/6q/0asP78D0u592D5L1pd7M8P+dck6Fu/jJeL6iVVK23fptSUZj8Vjf++7wXA8UNclGQcbA==",
+        74_686,
+        r"umd/react\.production\.min\.js|package\.json|LICENSE",
+    ),
+    Package(
+        "react-dom",
+        "17.0.2",
+        "sha512-s4h96KtLDUQlsENhMn1ar8t2bEa+q/YAtj8pPPdIjPDGBDIVNsrD9aXNWqspUe6AzKCIG0C1HZZLqLV7qpOBGA==",
+        744_992,
+        r"umd/react-dom\.production\.min\.js|package\.json|LICENSE",
+    ),
+)
+
+
+def studio_folder() -> Path:
+    """Return where the Studio lies, in a folder of its version that all viewers of a user share.
+
+    That is below $CASSANDRA_ROS_STUDIO, else below the ROS home: $ROS_HOME, else ~/.ros.
+    """
+    home = Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
+    named = os.environ.get("CASSANDRA_ROS_STUDIO")
+    return (Path(named) if named else home / "cassandra_ros" / "studio") / PACKAGES[0].version
+
+
+def studio_installed(folder: Path) -> bool:
+    """Tell whether a folder holds the Studio, complete, and of the versions that are known here."""
+    try:
+        return json.loads((folder / _MARKER).read_text(encoding="utf-8")) == _wanted()
+    except (OSError, ValueError):
+        return False
+
+
+def _wanted() -> dict[str, str]:
+    return {package.name: package.integrity for package in PACKAGES}
+
+
+def install_studio(folder: Path, say: Callable[[str], None]) -> bool:
+    """Fetch the Studio where it is missing; return whether it was.
+
+    The registry is that of $npm_config_registry, as of npm; a proxy that of $https_proxy.
+
+    Args:
+        folder: Where it is to lie; what lay there is replaced.
+        say: Is told each step, a line each.
+
+    Raises:
+        DownloadFailed: It could not be fetched again and again, is not what npm published, or
+            there is no room for it.
+    """
+    if studio_installed(folder):
+        return False
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        free = shutil.disk_usage(folder.parent).free
+        if free < _NEEDED_BYTES:
+            raise DownloadFailed(
+                f"no space for the Studio: {folder.parent} has {free >> 20} MiB free, "
+                f"{_NEEDED_BYTES >> 20} MiB are needed"
+            )
+        draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+        try:
+            for package in PACKAGES:
+                _install(package, draft, say)
+            (draft / _MARKER).write_text(json.dumps(_wanted()), encoding="utf-8")
+            draft.chmod(0o755)
+            _put_in_place(draft, folder)
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
+    except OSError as exc:
+        raise DownloadFailed(f"the Studio cannot be kept in {folder}: {exc}") from exc
+    return True
+
+
+def _put_in_place(draft: Path, folder: Path) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    try:
+        os.replace(draft, folder)
+    except OSError:
+        # Another viewer was quicker: what it fetched is the same.
+        if not studio_installed(folder):
+            raise
+
+
+def _install(package: Package, draft: Path, say: Callable[[str], None]) -> None:
+    url = package.url(os.environ.get("npm_config_registry") or _DEFAULT_REGISTRY)
+    if urlsplit(url).scheme not in ("http", "https"):
+        raise DownloadFailed(f"{url} is no address of npm's registry: see $npm_config_registry")
+    say(f"fetching {package.name} {package.version} ({package.size / 1e6:.1f} MB) from {url}")
+    with tempfile.TemporaryFile(dir=draft) as file:
+        _fetch(package, url, file, say)
+        file.seek(0)
+        target = draft / package.name
+        target.mkdir(parents=True)
+        unpack(file, target, re.compile(package.keep))
+
+
+def _fetch(package: Package, url: str, file: BinaryIO, say: Callable[[str], None]) -> None:
+    """Download a tarball and check its hash, again where that failed: what is cut off is not it."""
+    problem = ""
+    for attempt in range(1, _ATTEMPTS + 1):
+        if attempt > 1:
+            say(f"attempt {attempt - 1} of {_ATTEMPTS} failed ({problem}); again soon")
+            time.sleep(_PAUSE_SEC * attempt)
+        try:
+            digest = _download(url, file, package.size)
+        except (OSError, ValueError) as exc:
+            problem = str(exc) or type(exc).__name__
+            continue
+        if hmac.compare_digest(digest, package.integrity):
+            return
+        problem = f"its hash is {digest}, not {package.integrity}"
+    raise DownloadFailed(
+        f"{package.name} {package.version} could not be fetched from {url} {_ATTEMPTS} times: "
+        f"{problem}.\nCheck the network (a proxy belongs in $https_proxy, another registry in "
+        "$npm_config_registry) and try again: rosrun cassandra_ros viewer --install-studio"
+    )
+
+
+def _download(url: str, file: BinaryIO, size: int) -> str:
+    """Write what lies at an address into a file; return its hash as npm writes it."""
+    file.seek(0)
+    file.truncate()
+    digest, got = hashlib.sha512(), 0
+    with urllib.request.urlopen(url, timeout=_TIMEOUT_SEC) as response:  # noqa: S310 - checked
+        while True:
+            chunk = response.read(_CHUNK_BYTES)
+            if not chunk:
+                break
+            got += len(chunk)
+            if got > 2 * size:
+                raise ValueError(f"it has over {2 * size} bytes")
+            digest.update(chunk)
+            file.write(chunk)
+    return "sha512-" + base64.b64encode(digest.digest()).decode("ascii")
+
+
+def unpack(file: BinaryIO, target: Path, keep: re.Pattern[str]) -> None:
+    """Unpack what is wanted of a tarball of npm, files only, each below the target.
+
+    Args:
+        file: The tarball, at its beginning.
+        target: A folder that is there.
+        keep: Matches the whole names, below the tarball's own folder, of what is wanted.
+
+    Raises:
+        DownloadFailed: It is no tarball, or has a file that is too large, or one too many.
+    """
+    try:
+        with tarfile.open(fileobj=file, mode="r|gz") as archive:
+            for count, (name, data) in enumerate(_wanted_files(archive, keep), 1):
+                if count > _MAX_FILES:
+                    raise DownloadFailed(f"a package has over {_MAX_FILES} files")
+                path = target.joinpath(*name.parts)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(_SOURCE_MAP.sub(b"\n", data) if name.suffix == ".js" else data)
+    except (tarfile.TarError, EOFError) as exc:
+        raise DownloadFailed(f"a package is no tarball that can be read: {exc}") from exc
+
+
+def _wanted_files(
+    archive: tarfile.TarFile, keep: re.Pattern[str]
+) -> Iterator[tuple[PurePosixPath, bytes]]:
+    for member in archive:
+        name = PurePosixPath(*PurePosixPath(member.name).parts[1:])
+        # No links, no devices, and no name that leads out of the folder.
+        if not member.isreg() or ".." in name.parts or name.is_absolute():
+            continue
+        if not keep.fullmatch(str(name)):
+            continue
+        if member.size > _MAX_FILE_BYTES:
+            raise DownloadFailed(f"{name} of a package has {member.size} bytes: it is not unpacked")
+        content = archive.extractfile(member)
+        if content is not None:
+            yield name, content.read()
