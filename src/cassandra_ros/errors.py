@@ -6,7 +6,7 @@
   - ConnectionFailed
     + LoginFailed, CertificateRefused, TlsMismatch
   - StoreUnavailable, WriteFailed, AccessDenied, KeyspaceNotFound, SchemaConflict,
-    UnsupportedSchema, TopicExists, ClockNotSet, NotConfirmed, ServerError
+    UnsupportedSchema, TopicExists, ClockNotSet, NotConfirmed, ServerError, DownloadFailed
   - TopicNotFound, MessageNotFound, RunNotFound (also a KeyError)
   - TransformException
     + LookupException, ConnectivityException, ExtrapolationException
@@ -199,6 +199,10 @@ class ClockNotSet(CassandraRosError):
 
 class ServerError(CassandraRosError):
     """The local Cassandra could not be installed, started, stopped or cleared."""
+
+
+class DownloadFailed(CassandraRosError):
+    """What is fetched from the network could not be, or is not what was asked for."""
 
 
 class MissingDependency(CassandraRosError, ImportError):

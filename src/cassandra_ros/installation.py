@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,14 @@ def shipped_file(name: str) -> Path:
             if (place / name).is_file():
                 return place / name
     return Path(name)
+
+
+def home_folder() -> Path:
+    """Return where a user's files of this package lie: in the ROS home, $ROS_HOME, else ~/.ros.
+
+    So roslaunch resolves it.
+    """
+    return Path(os.environ.get("ROS_HOME") or Path.home() / ".ros") / "cassandra_ros"
 
 
 def optional_module(name: str, purpose: str) -> Any:

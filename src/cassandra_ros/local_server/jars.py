@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Callable
 
 from cassandra_ros.errors import ServerError
+from cassandra_ros.installation import home_folder
 from cassandra_ros.local_server.processes import locked
 
 _MARKER = "complete"
@@ -29,15 +30,10 @@ _JVM_ROOT = Path("/usr/lib/jvm")
 def default_directory() -> Path:
     """Return the directory of the local Cassandra that is used when none is named.
 
-    It is $CASSANDRA_ROS_DIR, else it lies in the ROS home: $ROS_HOME, else ~/.ros, as roslaunch
-    resolves it.
+    It is $CASSANDRA_ROS_DIR, else it lies in the ROS home.
     """
     named = os.environ.get("CASSANDRA_ROS_DIR")
-    return Path(named) if named else _in_ros_home()
-
-
-def _in_ros_home() -> Path:
-    return Path(os.environ.get("ROS_HOME") or Path.home() / ".ros") / "cassandra_ros"
+    return Path(named) if named else home_folder()
 
 
 def jars_directory() -> Path:
@@ -46,7 +42,7 @@ def jars_directory() -> Path:
     $CASSANDRA_ROS_JARS names another place, for example one that several users share.
     """
     named = os.environ.get("CASSANDRA_ROS_JARS")
-    return Path(named) if named else _in_ros_home() / "jars" / cassandra_version()
+    return Path(named) if named else home_folder() / "jars" / cassandra_version()
 
 
 def server_file(name: str) -> Path:

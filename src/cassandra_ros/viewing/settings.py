@@ -4,11 +4,11 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from cassandra_ros.installation import shipped_file
+from cassandra_ros.viewing.studio import studio_folder
 
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 8080
@@ -18,12 +18,6 @@ DEFAULT_THREADS = 16
 
 def _web_folder() -> Path:
     return shipped_file("web/index.html").parent
-
-
-def studio_folder() -> Path:
-    """Return where the packages of the Studio lie: $CASSANDRA_ROS_STUDIO, else in the ROS home."""
-    home = Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
-    return Path(os.environ.get("CASSANDRA_ROS_STUDIO") or home / "cassandra_ros" / "studio")
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import hmac
+import http.client
 import json
 import os
 import re
@@ -19,14 +20,14 @@ import shutil
 import tarfile
 import tempfile
 import time
-import urllib.error
 import urllib.request
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO, Callable, Iterator
+from typing import IO, Callable, Iterator
 from urllib.parse import quote, urlsplit
 
 from cassandra_ros.errors import DownloadFailed
+from cassandra_ros.installation import home_folder
 
 _MARKER = "complete.json"
 _ATTEMPTS = 4
@@ -91,9 +92,8 @@ def studio_folder() -> Path:
 
     That is below $CASSANDRA_ROS_STUDIO, else below the ROS home: $ROS_HOME, else ~/.ros.
     """
-    home = Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
     named = os.environ.get("CASSANDRA_ROS_STUDIO")
-    return (Path(named) if named else home / "cassandra_ros" / "studio") / PACKAGES[0].version
+    return (Path(named) if named else home_folder() / "studio") / PACKAGES[0].version
 
 
 def studio_installed(folder: Path) -> bool:
@@ -168,7 +168,7 @@ def _install(package: Package, draft: Path, say: Callable[[str], None]) -> None:
         unpack(file, target, re.compile(package.keep))
 
 
-def _fetch(package: Package, url: str, file: BinaryIO, say: Callable[[str], None]) -> None:
+def _fetch(package: Package, url: str, file: IO[bytes], say: Callable[[str], None]) -> None:
     """Download a tarball and check its hash, again where that failed: what is cut off is not it."""
     problem = ""
     for attempt in range(1, _ATTEMPTS + 1):
@@ -177,7 +177,7 @@ def _fetch(package: Package, url: str, file: BinaryIO, say: Callable[[str], None
             time.sleep(_PAUSE_SEC * attempt)
         try:
             digest = _download(url, file, package.size)
-        except (OSError, ValueError) as exc:
+        except (OSError, ValueError, http.client.HTTPException) as exc:
             problem = str(exc) or type(exc).__name__
             continue
         if hmac.compare_digest(digest, package.integrity):
@@ -190,7 +190,7 @@ def _fetch(package: Package, url: str, file: BinaryIO, say: Callable[[str], None
     )
 
 
-def _download(url: str, file: BinaryIO, size: int) -> str:
+def _download(url: str, file: IO[bytes], size: int) -> str:
     """Write what lies at an address into a file; return its hash as npm writes it."""
     file.seek(0)
     file.truncate()
@@ -208,7 +208,7 @@ def _download(url: str, file: BinaryIO, size: int) -> str:
     return "sha512-" + base64.b64encode(digest.digest()).decode("ascii")
 
 
-def unpack(file: BinaryIO, target: Path, keep: re.Pattern[str]) -> None:
+def unpack(file: IO[bytes], target: Path, keep: re.Pattern[str]) -> None:
     """Unpack what is wanted of a tarball of npm, files only, each below the target.
 
     Args:
