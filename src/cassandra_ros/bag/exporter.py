@@ -119,32 +119,34 @@ def export_bag(
             if progress is not None:
                 progress(1, len(wire))
         if not report.messages and not empty:
-            raise MessageNotFound(_nothing(ros_cas, report.path, names, nodeID, run))
+            raise MessageNotFound(
+                f"{report.path} is not written, for there is no such message: "
+                + why_empty(ros_cas, names, nodeID, run)
+            )
     return report
 
 
-def _nothing(
+def why_empty(
     ros_cas: RosCassandra,
-    path: str,
     topics: Sequence[str] | None,
-    node: str | None,
-    run: RunName,
+    node: str | None = None,
+    run: RunName = None,
 ) -> str:
-    """Say why there is nothing to write."""
-    text, infos = f"{path} is not written, for there is no such message: ", ros_cas.info(topics)
+    """Say why some topics, None = all, have no message of a node and run in some window."""
+    infos = ros_cas.info(topics)
     if not infos:
-        return text + f"keyspace {ros_cas.keyspace} holds none of these topics"
+        return f"keyspace {ros_cas.keyspace} holds none of these topics"
     nodes = sorted({info.node for info in infos})
     if node is not None and node not in nodes:
-        return text + f"none is of node {node!r}, but of {', '.join(map(repr, nodes))}"
+        return f"none is of node {node!r}, but of {', '.join(map(repr, nodes))}"
     if run is not None:
         infos = ros_cas.info(topics, run=run)
         if not infos:
-            return text + f"run {run!r} stored none in these topics"
+            return f"run {run!r} stored none in these topics"
     times = [ns for info in infos for ns in (info.first_ns, info.last_ns) if ns is not None]
     if not times:
-        return text + "these topics are empty"
-    return text + f"these topics reach from {iso_time(min(times))} to {iso_time(max(times))}"
+        return "these topics are empty"
+    return f"these topics reach from {iso_time(min(times))} to {iso_time(max(times))}"
 
 
 class ConnectionNumbers:

@@ -1,0 +1,265 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pictures out of messages: sensor_msgs/Image and sensor_msgs/CompressedImage.
+
+Colours of 8 bits are taken as they are, without their alpha, and those of 16 bits, as mono16, are
+scaled to 8 as cv_bridge does. What measures (16UC1, 32FC1 and their like: depths) is drawn from
+black, the least value of the picture, to white, the greatest; where nothing was measured (NaN,
+infinity) it is black. Of a Bayer pattern each cell of 2 x 2 is one colour.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+import zlib
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from cassandra_ros.errors import CorruptMessage, TypeMismatch, UnknownEncoding
+from cassandra_ros.installation import optional_module
+from cassandra_ros.topics.stored_row import StoredRow
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+IMAGE = "sensor_msgs/Image"
+COMPRESSED = "sensor_msgs/CompressedImage"
+IMAGE_TYPES = (IMAGE, COMPRESSED)
+"""Types of which pictures are made."""
+_DEPTH = "depth"
+_YUV = ("uyvy", "yuyv")
+_NAMED = {
+    **{f"{name}8": ("u1", name) for name in ("rgb", "bgr", "rgba", "bgra")},
+    **{f"{name}16": ("u2", name) for name in ("rgb", "bgr", "rgba", "bgra")},
+    **{f"bayer_{cell}8": ("u1", cell) for cell in ("rggb", "bggr", "gbrg", "grbg")},
+    **{f"bayer_{cell}16": ("u2", cell) for cell in ("rggb", "bggr", "gbrg", "grbg")},
+    "mono8": ("u1", "l"),
+    "mono16": ("u2", "l"),
+    "yuv422": ("u1", "uyvy"),
+    "yuv422_yuy2": ("u1", "yuyv"),
+    "uyvy": ("u1", "uyvy"),
+    "yuyv": ("u1", "yuyv"),
+}
+"""Encoding -> type of a sample, and which samples there are."""
+_OPENCV = re.compile(r"(8|16|32|64)(u|s|f)c([1-4])")
+_OPENCV_COLOURS = {3: "bgr", 4: "bgra"}
+_DECODERS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF")
+"""What a compressed image may be; other decoders of Pillow start programs."""
+_JPEG_START = b"\xff\xd8"
+_DEPTH_HEADER = struct.Struct("<iff")
+"""What compressed_depth_image_transport writes first: an enum and two parameters."""
+
+
+class _Layout(NamedTuple):
+    """How the samples of an encoding lie."""
+
+    sample: str
+    """numpy's type of one, without the order of its bytes."""
+    kind: str
+    """Colours in their order ('bgra'), 'l', 'depth', a Bayer cell ('rggb'), 'uyvy', 'yuyv'."""
+
+    @property
+    def channels(self) -> int:
+        """Samples of a pixel."""
+        if self.kind in _YUV:
+            return 2
+        return len(self.kind) if self.kind in ("rgb", "bgr", "rgba", "bgra") else 1
+
+
+def picture_of(row: StoredRow, width: int | None = None) -> Image:
+    """Draw the image that a message holds, in colours or grey.
+
+    Args:
+        width: Shrink it to so many pixels of width at most, at least 1; None = its own size.
+
+    Raises:
+        TypeMismatch: The message is of none of the types IMAGE_TYPES.
+        UnknownEncoding: Its pixels are encoded in a way that cannot be drawn.
+        CorruptMessage: It is damaged, or has no pixels.
+        MissingDependency: Pillow is not installed.
+    """
+    msg = _message(row)
+    picture = _drawn(row, msg) if row.type == IMAGE else _decompressed(row, msg, width)
+    if width is not None:
+        picture.thumbnail((width, max(1, picture.height)))
+    return picture
+
+
+def jpeg_of(row: StoredRow, width: int | None = None, quality: int = 85) -> bytes:
+    """Return the image that a message holds as a JPEG; one that is one already stays as it is.
+
+    Args:
+        width: As picture_of takes it, and raises for it.
+        quality: Of what is compressed here, 1 to 95.
+    """
+    msg = _message(row)
+    if row.type == COMPRESSED and bytes(msg.data[:2]) == _JPEG_START:
+        own = _opened(row, bytes(msg.data)).width
+        if width is None or own <= width:
+            return bytes(msg.data)
+    found = io.BytesIO()
+    picture_of(row, width).save(found, "JPEG", quality=quality)
+    return found.getvalue()
+
+
+def _message(row: StoredRow) -> Any:
+    if row.type not in IMAGE_TYPES:
+        raise TypeMismatch(
+            f"topic {row.topic} holds {row.type}: pictures are made of {' and '.join(IMAGE_TYPES)}"
+        )
+    return row.message()
+
+
+def _drawn(row: StoredRow, msg: Any) -> Image:
+    layout = _layout_of(row, str(msg.encoding))
+    samples = _samples(row, msg, layout)
+    if layout.kind in _YUV:
+        return _from_yuv(row, samples, layout.kind)
+    if layout.kind == _DEPTH:
+        return _picture(scaled_depth(samples[:, :, 0]))
+    grey = _to_bytes(samples)
+    if layout.channels == 1:
+        plane = grey[:, :, 0]
+        return _picture(plane if layout.kind == "l" else _from_bayer(plane, layout.kind))
+    return _picture(grey[:, :, [layout.kind.index(colour) for colour in "rgb"]])
+
+
+def _layout_of(row: StoredRow, encoding: str) -> _Layout:
+    name = encoding.strip().lower()
+    if name in _NAMED:
+        return _Layout(*_NAMED[name])
+    match = _OPENCV.fullmatch(name)
+    if match is not None:
+        bits, sign, channels = int(match[1]), match[2], int(match[3])
+        sample = f"{'i' if sign == 's' else sign}{bits // 8}"
+        if channels == 1 and sample != "f1":
+            return _Layout(sample, "l" if sample == "u1" else _DEPTH)
+        if channels in _OPENCV_COLOURS and sample in ("u1", "u2"):
+            return _Layout(sample, _OPENCV_COLOURS[channels])
+    known = ", ".join([*_NAMED, "8UC1, 8UC3, 8UC4, 16UC1, 16SC1, 32SC1, 32FC1, 64FC1"])
+    raise UnknownEncoding(
+        f"the image of topic {row.topic} at {row.t} is encoded as {encoding!r:.80}, which cannot "
+        f"be drawn; known are {known}"
+    )
+
+
+def _samples(row: StoredRow, msg: Any, layout: _Layout) -> np.ndarray[Any, Any]:
+    """Return a view of the samples: rows, columns, channels."""
+    sample = np.dtype(layout.sample).newbyteorder(">" if msg.is_bigendian else "<")
+    height, width, size = int(msg.height), int(msg.width), sample.itemsize
+    least = width * layout.channels * size
+    step = int(msg.step) or least
+    # The last row may lack what others have behind their pixels.
+    wanted = step * (height - 1) + least
+    if not (height and width) or step < least or len(msg.data) < wanted:
+        raise CorruptMessage(
+            f"the image of topic {row.topic} at {row.t} is damaged: {width} x {height} pixels of "
+            f"{msg.encoding}, step {msg.step}, in {len(msg.data)} bytes"
+        )
+    shape = (height, width, layout.channels)
+    return np.ndarray(shape, sample, msg.data, strides=(step, layout.channels * size, size))
+
+
+def _to_bytes(samples: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Scale samples of 16 bits to 8, rounded; those of 8 bits stay as they are."""
+    if samples.dtype.itemsize == 1:
+        return samples
+    return ((samples.astype(np.uint32) + 128) // 257).astype(np.uint8)
+
+
+def scaled_depth(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Scale numbers to 0 (the least) to 255 (the greatest), rounded; what is not finite is 0."""
+    exact = values.astype(np.float64)
+    known = np.isfinite(exact)
+    if not known.any():
+        return np.zeros(exact.shape, np.uint8)
+    least, greatest = exact[known].min(), exact[known].max()
+    with np.errstate(over="ignore", invalid="ignore"):
+        # Halves, for the distance of the extremes may be more than a number can be.
+        part = (exact / 2 - least / 2) / (greatest / 2 - least / 2 or 1.0)
+    part[~known] = 0
+    return np.rint(part * 255).astype(np.uint8)
+
+
+def _from_bayer(cells: np.ndarray[Any, Any], pattern: str) -> np.ndarray[Any, Any]:
+    height, width = cells.shape
+    # Mirrored at an odd border, a row or column goes on with the pattern.
+    even = np.pad(cells, ((0, height % 2), (0, width % 2)), mode="reflect")
+    planes = [even[down::2, right::2] for down in (0, 1) for right in (0, 1)]
+    greens = [plane for plane, colour in zip(planes, pattern) if colour == "g"]
+    green = (greens[0].astype(np.uint16) + greens[1]) // 2
+    red, blue = planes[pattern.index("r")], planes[pattern.index("b")]
+    small = np.stack([red, green.astype(np.uint8), blue], axis=-1)
+    return small.repeat(2, axis=0).repeat(2, axis=1)[:height, :width]
+
+
+def _from_yuv(row: StoredRow, samples: np.ndarray[Any, Any], kind: str) -> Image:
+    if samples.shape[1] % 2:
+        raise CorruptMessage(
+            f"the image of topic {row.topic} at {row.t} is damaged: two pixels of yuv422 share "
+            f"their colour, and it is {samples.shape[1]} pixels wide"
+        )
+    luma, chroma = samples[:, :, kind.index("y")], samples[:, :, kind.index("u") % 2]
+    planes = [luma, *(chroma[:, first::2].repeat(2, axis=1) for first in (0, 1))]
+    image = optional_module("PIL.Image", "a picture")
+    merged: Image = image.merge("YCbCr", [_picture(plane) for plane in planes])
+    return merged.convert("RGB")
+
+
+def _picture(values: np.ndarray[Any, Any]) -> Image:
+    """Make a picture of bytes: grey of two dimensions, RGB of three."""
+    image = optional_module("PIL.Image", "a picture")
+    found: Image = image.fromarray(np.ascontiguousarray(values))
+    return found
+
+
+def _decompressed(row: StoredRow, msg: Any, width: int | None) -> Image:
+    form, data = str(msg.format), bytes(msg.data)
+    parameters = None
+    if "compressedDepth" in form and len(data) > _DEPTH_HEADER.size:
+        parameters, data = _DEPTH_HEADER.unpack_from(data), data[_DEPTH_HEADER.size :]
+    picture = _opened(row, data)
+    try:
+        if picture.format == "JPEG" and width is not None:
+            picture.draft(None, (width, 1))  # it is decoded at a part of its size
+        picture.load()
+    except (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error) as exc:
+        raise _undecodable(row, str(exc)) from exc
+    if not picture.mode.startswith(("I", "F")):
+        return picture.convert("L" if picture.mode in ("1", "L", "LA") else "RGB")
+    values = np.asarray(picture)
+    if form.startswith("mono16"):
+        return _picture(_to_bytes(values.astype(np.uint16)))
+    if parameters is not None and form.startswith("32FC1"):
+        values = _depth_of_inverse(values, parameters[1], parameters[2])
+    return _picture(scaled_depth(values))
+
+
+def _depth_of_inverse(
+    values: np.ndarray[Any, Any], scale: float, offset: float
+) -> np.ndarray[Any, Any]:
+    """Return the depths whose inverses compressed_depth_image_transport has kept; 0 = none."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(values == 0, np.nan, scale / (values - np.float64(offset)))
+
+
+def _opened(row: StoredRow, data: bytes) -> Image:
+    """Open what is compressed, without decoding its pixels."""
+    image = optional_module("PIL.Image", "a picture")
+    try:
+        found: Image = image.open(io.BytesIO(data), formats=_DECODERS)
+    except image.UnidentifiedImageError as exc:
+        raise UnknownEncoding(
+            f"the image of topic {row.topic} at {row.t} is compressed in a way that cannot be "
+            f"drawn (format {str(row.message().format)!r:.80}); known are {', '.join(_DECODERS)}"
+        ) from exc
+    except (OSError, SyntaxError, ValueError, struct.error, image.DecompressionBombError) as exc:
+        raise _undecodable(row, str(exc)) from exc
+    return found
+
+
+def _undecodable(row: StoredRow, why: str) -> CorruptMessage:
+    return CorruptMessage(f"the image of topic {row.topic} at {row.t} cannot be decoded: {why}")

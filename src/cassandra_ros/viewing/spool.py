@@ -1,0 +1,294 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Files that are made of what is stored, on disk while browsers ask for them.
+
+A file has a key, which tells its content. Who asks for one that is there, or is being written, gets
+that one; the writing ends when nobody waits for it any more. What the files take together is
+bounded: those that were asked for longest ago go first.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import tempfile
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Callable, Iterator
+
+from cassandra_ros.bag.message_file import Progress
+from cassandra_ros.errors import CassandraRosError, InvalidOption, StoreUnavailable
+
+Write = Callable[[Path, Progress], None]
+"""Makes a file at a path; meanwhile it calls with (messages, bytes) that were written."""
+_PREFIX = "cassandra_ros_viewer_"
+_LOCK = "lock"
+_AT_ONCE = 4
+"""Files that are being written; others wait."""
+_LOOK_BYTES = 1 << 22
+"""After so many bytes of messages it is looked how large a file has become."""
+_LOOK_SEC = 0.2
+"""How often who waits looks whether somebody still waits for him."""
+_KEPT_SEC = 10.0
+"""So long a file stays after it was asked for: it is opened meanwhile."""
+_ORPHAN_SEC = 60.0
+"""A folder that nobody has locked is an orphan from this age on."""
+_CHUNK_BYTES = 1 << 18
+
+
+class _AbandonedError(Exception):
+    """Nobody waits for the file any more."""
+
+
+class SpoolEntry:
+    """A file that is there or is being written.
+
+    Attributes:
+        path: Where it lies.
+        key, request: As Spool.lease was given them.
+    """
+
+    def __init__(self, path: Path, key: str, request: str) -> None:
+        self.path, self.key, self.request = path, key, request
+        self.done = threading.Event()
+        self.error: Exception | None = StoreUnavailable("the file could not be written")
+        self.waiting = 0
+        self.abandoned = False
+        self.bytes = 0
+        self.used = time.monotonic()
+
+    @property
+    def ready(self) -> bool:
+        """Whether the file is complete."""
+        return self.done.is_set() and self.error is None
+
+    def measure(self) -> int:
+        """Return how many bytes it takes now."""
+        for path in (_active(self.path), self.path):
+            with suppress(OSError):
+                self.bytes = path.stat().st_size
+                break
+        return self.bytes
+
+
+class Lease:
+    """Somebody's waiting for a file; a context manager, whose end tells that he waits no more."""
+
+    def __init__(self, spool: Spool, entry: SpoolEntry) -> None:
+        self._spool = spool
+        self.entry = entry
+
+    def __enter__(self) -> Lease:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._spool.release(self.entry)
+
+    def wait(self, gone: threading.Event) -> Path:
+        """Wait until the file is complete, and return where it lies.
+
+        Args:
+            gone: Set where nobody waits any more.
+
+        Raises:
+            StoreUnavailable: So it is; or the store failed.
+            CassandraRosError: What its writing failed of.
+        """
+        entry = self.entry
+        while not entry.done.wait(_LOOK_SEC):
+            if gone.is_set():
+                raise StoreUnavailable(f"nobody waits for {entry.path.name} any more")
+        if entry.error is not None:
+            raise entry.error
+        return entry.path
+
+    def follow(self, gone: threading.Event) -> Iterator[bytes]:
+        """Yield the bytes of a file that is written front to back, while it is.
+
+        Args and errors are those of wait; an error may come behind the first bytes.
+        """
+        entry, stream = self.entry, None
+        try:
+            while not gone.is_set():
+                done = entry.done.is_set()  # before it is read: what is read then is all
+                stream = stream or _open_any(entry.path)
+                chunk = stream.read(_CHUNK_BYTES) if stream is not None else b""
+                if chunk:
+                    yield chunk
+                elif done and entry.error is not None:
+                    raise entry.error
+                elif done:
+                    return
+                else:
+                    entry.done.wait(_LOOK_SEC / 4)
+        finally:
+            if stream is not None:
+                stream.close()
+
+
+class Spool:
+    """Keeps the files of one viewer; see above. Safe between threads.
+
+    Args:
+        folder: Where its own folder is made; None = the temporary folder.
+        most_bytes: What its files take together, at most.
+        most_waiting: How many may wait for files at the same time.
+    """
+
+    def __init__(self, folder: Path | None, most_bytes: int, most_waiting: int) -> None:
+        base = folder or Path(tempfile.gettempdir())
+        try:
+            base.mkdir(parents=True, exist_ok=True)
+            _remove_orphans(base)
+            self._folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=base))
+            self._lock = (self._folder / _LOCK).open("wb")
+            fcntl.flock(self._lock, fcntl.LOCK_EX)
+        except OSError as exc:
+            raise InvalidOption(f"no files can be kept in {base}: {exc.strerror}") from exc
+        self._most_bytes = most_bytes
+        self._most_waiting = most_waiting
+        self._entries: dict[str, SpoolEntry] = {}
+        self._mutex = threading.Lock()
+        self._turns = threading.Semaphore(_AT_ONCE)
+        self._threads: set[threading.Thread] = set()
+
+    def latest(self, request: str) -> SpoolEntry | None:
+        """Return the newest complete file of a request, whatever was stored since; or None."""
+        with self._mutex:
+            found = [e for e in self._entries.values() if e.request == request and e.ready]
+            if not found:
+                return None
+            found[-1].used = time.monotonic()
+            return found[-1]
+
+    def lease(self, key: str, request: str, name: str, write: Write) -> Lease:
+        """Join those who wait for a file, the first of whom has it written.
+
+        Args:
+            key: Tells the content: hexadecimal digits.
+            request: Tells what was asked for, whose content may change.
+            name: Of the file, with its ending.
+            write: Makes it, on a thread of its own.
+
+        Raises:
+            StoreUnavailable: Too many wait already.
+        """
+        with self._mutex:
+            entry = self._entries.get(key)
+            if entry is None or entry.abandoned:
+                waiting = sum(e.waiting for e in self._entries.values() if not e.done.is_set())
+                if waiting >= self._most_waiting:
+                    raise StoreUnavailable(f"{waiting} wait for files already: ask again later")
+                entry = self._begin(key, request, name, write)
+            entry.waiting += 1
+            entry.used = time.monotonic()
+        return Lease(self, entry)
+
+    def _begin(self, key: str, request: str, name: str, write: Write) -> SpoolEntry:
+        folder = Path(tempfile.mkdtemp(prefix=f"{key[:16]}_", dir=self._folder))
+        entry = self._entries[key] = SpoolEntry(folder / name, key, request)
+        thread = threading.Thread(
+            target=self._write, args=(entry, write), name=f"spool {name}", daemon=True
+        )
+        self._threads.add(thread)
+        thread.start()
+        return entry
+
+    def release(self, entry: SpoolEntry) -> None:
+        """Note that somebody waits no more."""
+        with self._mutex:
+            entry.waiting -= 1
+            if not entry.waiting and not entry.done.is_set():
+                entry.abandoned = True
+
+    def _write(self, entry: SpoolEntry, write: Write) -> None:
+        looked = 0
+
+        def progress(messages: int, size: int) -> None:
+            nonlocal looked
+            looked += size
+            if entry.abandoned:
+                raise _AbandonedError
+            if looked >= _LOOK_BYTES:
+                looked = 0
+                self._make_room(entry)
+
+        try:
+            with self._turns:
+                if not entry.abandoned:
+                    write(entry.path, progress)
+                    self._make_room(entry)
+                    entry.error = None
+        except _AbandonedError:
+            pass
+        except (CassandraRosError, OSError) as exc:
+            entry.error = exc
+        finally:
+            with self._mutex:
+                if entry.error is not None:
+                    self._drop(entry)
+                self._threads.discard(threading.current_thread())
+            entry.done.set()
+
+    def _make_room(self, entry: SpoolEntry) -> None:
+        """Remove old files until this one has room; see the bound."""
+        own = entry.measure()
+        if own > self._most_bytes:
+            raise InvalidOption(
+                f"the file is larger than the {self._most_bytes} bytes that the viewer keeps on "
+                "disk: ask for less time or fewer topics, or start the viewer with a larger "
+                "--spool-size"
+            )
+        with self._mutex:
+            others = [e for e in self._entries.values() if e is not entry]
+            taken = own + sum(e.bytes for e in others)
+            for old in sorted(others, key=lambda e: e.used):
+                if taken <= self._most_bytes:
+                    return
+                if old.ready and not old.waiting and time.monotonic() - old.used > _KEPT_SEC:
+                    taken -= old.bytes
+                    self._drop(old)
+        if taken > self._most_bytes:
+            raise StoreUnavailable("the viewer's files take all of their room: ask again later")
+
+    def _drop(self, entry: SpoolEntry) -> None:
+        if self._entries.get(entry.key) is entry:
+            del self._entries[entry.key]
+        shutil.rmtree(entry.path.parent, ignore_errors=True)
+
+    def close(self) -> None:
+        """End what is being written and remove all files. Twice is harmless."""
+        with self._mutex:
+            threads = list(self._threads)
+            for entry in self._entries.values():
+                entry.abandoned = True
+        for thread in threads:
+            thread.join()
+        shutil.rmtree(self._folder, ignore_errors=True)
+        self._lock.close()
+
+
+def _active(path: Path) -> Path:
+    """Return how a file is called until it is complete, see FileWriter."""
+    return path.with_name(path.name + ".active")
+
+
+def _open_any(path: Path) -> IO[bytes] | None:
+    for each in (_active(path), path):
+        with suppress(FileNotFoundError):
+            return each.open("rb")
+    return None
+
+
+def _remove_orphans(base: Path) -> None:
+    """Remove the folders of viewers that were killed: nobody holds their locks."""
+    for lock in base.glob(f"{_PREFIX}*/{_LOCK}"):
+        with suppress(OSError), lock.open("rb") as stream:
+            state = os.fstat(stream.fileno())
+            if state.st_uid != os.getuid() or time.time() - state.st_mtime < _ORPHAN_SEC:
+                continue
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(lock.parent, ignore_errors=True)
