@@ -45,15 +45,20 @@ def add_format_option(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def add_store_options(parser: argparse.ArgumentParser) -> None:
-    """Add where the store is and how one logs in there; store_place reads it."""
+def add_store_options(parser: argparse.ArgumentParser, prefix: str = "") -> None:
+    """Add where the store is and how one logs in there; store_place reads it.
+
+    Args:
+        prefix: Of --host and --port, where a program has such of its own, as 'store-'.
+    """
     group = parser.add_argument_group(
         "store",
         "defaults also from CASSANDRA_ROS_HOST, CASSANDRA_ROS_PORT, CASSANDRA_ROS_KEYSPACE, "
         "CASSANDRA_ROS_CQLSHRC, SSL_CERTFILE, SSL_VALIDATE. Passwords stand in files only",
     )
     group.add_argument(
-        "--host",
+        f"--{prefix}host",
+        dest="host",
         metavar="HOST[,HOST]",
         type=lambda text: text or None,  # as a launch file may give it
         default=from_environment("HOST") or None,
@@ -61,7 +66,9 @@ def add_store_options(parser: argparse.ArgumentParser) -> None:
         f"{DEFAULT_HOST})",
     )
     group.add_argument(
-        "--port",
+        f"--{prefix}port",
+        dest="port",
+        metavar="PORT",
         type=read_port,
         # A text, so that a wrong one in the environment is reported like a wrong option.
         default=from_environment("PORT") or None,

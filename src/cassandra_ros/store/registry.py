@@ -19,6 +19,8 @@ from cassandra_ros.store.connection import CqlRow
 from cassandra_ros.store.run_context import RunContext, decode_context, encode_context
 from cassandra_ros.store.side_tables import SideTables
 
+_OWN_LABELS = ("content",)
+
 
 class StoredHeader(NamedTuple):
     """A connection header as it is kept: the definition cut out, its place noted."""
@@ -53,6 +55,11 @@ class Run:
 
     state: str = "ended"
     """'recording' (an import, too), 'ended', or 'interrupted': killed, or it failed."""
+
+    @property
+    def public_labels(self) -> dict[str, str]:
+        """The labels that people gave, without what an import notes to find itself again."""
+        return {name: text for name, text in self.labels.items() if name not in _OWN_LABELS}
 
     def __repr__(self) -> str:
         start, end = (f"{t:%Y-%m-%dT%H:%M:%SZ}" if t else "?" for t in (self.started, self.ended))

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Iterator, Mapping, Union
+from typing import Iterator, Mapping, Sequence, Union
 
-Json = Union[None, bool, int, float, str, "list[Json]", "dict[str, Json]"]
+Json = Union[None, bool, int, float, str, "Sequence[Json]", "Mapping[str, Json]"]
 
 BYTES = "application/octet-stream"
 

@@ -1,9 +1,195 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What there is: the keyspace, its topics, runs and marks."""
+"""What there is: the keyspace, its topics and runs."""
 
 from __future__ import annotations
 
-from cassandra_ros.viewing.route import Route
+from datetime import datetime
+from typing import Dict, Iterable, List, Optional, Sequence
 
-ROUTES: tuple[Route, ...] = ()
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.messages.stamps import to_ns
+from cassandra_ros.store.registry import Run
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.totals import TopicInfo
+from cassandra_ros.viewing.answers import Json
+from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.route import Parameter, Route
+
+MAX_LISTED = 10_000
+"""Runs or marks in one answer."""
+_USUAL_RUNS = 500
+
+
+def _keyspace(call: Call) -> Json:
+    store = call.store
+    keyspaces: List[Json] = [
+        {
+            "keyspace": each.name,
+            "topics": each.topics,
+            "tables": each.tables,
+            "copies": dict(each.copies),
+        }
+        for each in store.getKeyspaces()
+    ]
+    absence = store.parts.side_tables.absence()
+    return {
+        "keyspace": store.keyspace,
+        "exists": not absence,
+        "text": absence,
+        "keyspaces": keyspaces,
+    }
+
+
+def _topics(call: Call) -> Json:
+    store, names = call.store, call.texts("topics")
+    topics = [store.getTopic(name) for name in names] if names else store.getAllTopics()
+    if not call.flag("counts"):
+        return {"topics": [_topic(topic) for topic in topics]}
+    found: Dict[str, List[TopicInfo]] = {}
+    for info in store.info([topic.name for topic in topics]) if topics else ():
+        found.setdefault(info.topic, []).append(info)
+    return {
+        "topics": [{**_topic(topic), **_counts(found.get(topic.name, []))} for topic in topics]
+    }
+
+
+def _topic(topic: CassandraTopic) -> Dict[str, Json]:
+    """Say what a topic is; nothing of it grows with its messages."""
+    tables = [table.metadata for table in topic.tables]
+    return {
+        "topic": topic.name,
+        "types": _distinct(table.msg_type for table in tables),
+        "formats": _distinct(table.format for table in tables),
+        "key": _distinct(table.key_part or table.key_format for table in tables),
+        "indexes": _distinct(field for table in tables for field in table.indexes),
+        "ttl_sec": max((table.ttl for table in tables), default=0),
+        "comment": next((table.comment for table in tables if table.comment), ""),
+        "meta": {name: value for table in tables for name, value in table.user.items()},
+    }
+
+
+def _distinct(texts: Iterable[str]) -> List[Json]:
+    return list(dict.fromkeys(texts))
+
+
+def _counts(infos: Sequence[TopicInfo]) -> Dict[str, Json]:
+    """Say how much there is of a topic, in all and by table and robot."""
+    starts = [info.first_ns for info in infos if info.first_ns is not None]
+    ends = [info.last_ns for info in infos if info.last_ns is not None]
+    fullest = max(infos, key=lambda info: info.count, default=None)
+    # A topic in two formats has its losses at both.
+    lost = {info.node: info.lost for info in infos}
+    return {
+        "nodes": _distinct(info.node for info in infos),
+        "messages": sum(info.count for info in infos),
+        "bytes": sum(info.bytes for info in infos),
+        "start": shown_ns(min(starts, default=None)),
+        "end": shown_ns(max(ends, default=None)),
+        # Two robots do not send twice as often.
+        "rate_hz": None if fullest is None else fullest.rate_hz,
+        "lost": sum(lost.values()),
+        "tables": [_table(info) for info in infos],
+    }
+
+
+def _table(info: TopicInfo) -> Json:
+    return {
+        "table": info.table,
+        "type": info.type,
+        "md5sum": info.md5sum,
+        "format": info.format,
+        "node": info.node,
+        "messages": info.count,
+        "bytes": info.bytes,
+        "start": shown_ns(info.first_ns),
+        "end": shown_ns(info.last_ns),
+        "rate_hz": info.rate_hz,
+        "bucket_ns": str(info.bucket_ns),
+    }
+
+
+def shown_ns(ns: Optional[int]) -> Optional[str]:
+    """Write a time, ns since 1970, as answers have it: JavaScript's numbers cannot hold it."""
+    return None if ns is None else str(ns)
+
+
+def shown_time(time: Optional[datetime]) -> Optional[str]:
+    """Write a time of the registry, UTC, as answers have times."""
+    return None if time is None else str(to_ns(time))
+
+
+def _runs(call: Call) -> Json:
+    wanted, limit, by_topic = call.texts("runs"), listed_at_most(call), call.flag("by_topic")
+    every = [run for run in call.store.runs() if not wanted or _names(run, wanted)]
+    every.sort(key=lambda run: str(run.started), reverse=True)
+    listed: List[Json] = [_run(run, by_topic) for run in every[:limit]]
+    return {"runs": listed, "left_off": max(len(every) - limit, 0)}
+
+
+def _names(run: Run, names: Sequence[str]) -> bool:
+    return run.name in names or str(run.writer) in names
+
+
+def listed_at_most(call: Call) -> int:
+    """Return the parameter limit.
+
+    Raises:
+        InvalidOption: It is above MAX_LISTED.
+    """
+    limit = call.count("limit")
+    if limit is None or limit > MAX_LISTED:
+        raise InvalidOption(f"limit {limit}: an answer lists {MAX_LISTED} at most")
+    return limit
+
+
+def _run(run: Run, by_topic: bool) -> Dict[str, Json]:
+    found: Dict[str, Json] = {
+        "run": run.name or str(run.writer),
+        "id": run.writer,
+        "node": run.node,
+        "kind": run.kind,
+        "state": run.state,
+        "started": shown_time(run.started),
+        "ended": shown_time(run.ended),
+        "source": run.source,
+        "host": run.host,
+        "format": run.format,
+        "labels": dict(run.public_labels),
+        "messages": sum(run.stored.values()),
+        "lost": sum(run.lost.values()),
+    }
+    if by_topic:
+        found.update(stored_of=dict(run.stored), lost_of=dict(run.lost))
+    return found
+
+
+ROUTES: tuple[Route, ...] = (
+    Route(
+        "GET",
+        "/api/keyspace",
+        _keyspace,
+        "The keyspace that is shown, and those beside it that hold topics.",
+    ),
+    Route(
+        "GET",
+        "/api/topics",
+        _topics,
+        "Topics, sorted by name: types, formats, what is stored of them and when.",
+        (
+            Parameter("topics", "texts", "Only these topics; without: all."),
+            Parameter("counts", "flag", "Count messages, by the directory.", default=True),
+        ),
+    ),
+    Route(
+        "GET",
+        "/api/runs",
+        _runs,
+        "Recordings and imports, the latest first: state, labels, what they stored and lost.",
+        (
+            Parameter("runs", "texts", "Only runs of these names or ids; without: all."),
+            Parameter("limit", "count", f"So many at most, to {MAX_LISTED}.", default=_USUAL_RUNS),
+            Parameter("by_topic", "flag", "Tell stored_of and lost_of, messages by topic, too."),
+        ),
+    ),
+)

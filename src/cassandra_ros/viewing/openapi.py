@@ -36,11 +36,9 @@ _INTRODUCTION = (
 
 def describe(routes: Iterable[Route]) -> Json:
     """Return the document; each route is in it with all its parameters."""
-    paths: dict[str, Json] = {}
+    paths: dict[str, dict[str, Json]] = {}
     for route in routes:
-        of_path = paths.setdefault(route.path, {})
-        assert isinstance(of_path, dict)  # noqa: S101 -- for mypy: it was made a line above
-        of_path[route.method.lower()] = _operation(route)
+        paths.setdefault(route.path, {})[route.method.lower()] = _operation(route)
     return {
         "openapi": "3.0.3",
         "info": {"title": "cassandra_ros viewer", "version": "1", "description": _INTRODUCTION},

@@ -10,6 +10,7 @@ from cassandra_ros.viewing import (
     image_routes,
     look_routes,
     map_routes,
+    mark_routes,
     near_routes,
     timeline_routes,
     window_routes,
@@ -26,6 +27,7 @@ def _describe(call: Call) -> Json:
 
 ROUTES: tuple[Route, ...] = (
     *catalog_routes.ROUTES,
+    *mark_routes.ROUTES,
     *timeline_routes.ROUTES,
     *ask_routes.ROUTES,
     *look_routes.ROUTES,

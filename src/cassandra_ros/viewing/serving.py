@@ -9,6 +9,7 @@ import errno
 import signal
 import socket
 from typing import Callable
+from urllib.parse import quote
 
 from aiohttp import web
 
@@ -66,7 +67,8 @@ def address(settings: ViewerSettings, port: int) -> str:
     if host in ("", "0.0.0.0", "::"):  # noqa: S104 -- not listened on here
         host = socket.gethostname()
     name = f"[{host}]" if ":" in host else host
-    return f"http://{name}:{port}/{f'?token={settings.token}' if settings.token else ''}"
+    query = f"?token={quote(settings.token)}" if settings.token else ""
+    return f"http://{name}:{port}/{query}"
 
 
 def _why_not(settings: ViewerSettings, error: OSError) -> str:

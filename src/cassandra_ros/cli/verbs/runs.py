@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from cassandra_ros.store.registry import Run
 
 _HEADER = ("run", "id", "robot", "kind", "start", "end", "state", "messages", "lost", "labels")
-_OWN_LABELS = ("content",)
-"""What an import notes to find itself again."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _answer(run: Run) -> dict[str, object]:
     """Return a run as it is, but for what an import notes for itself."""
-    return {**vars(run), "labels": _public(run.labels)}
+    return {**vars(run), "labels": run.public_labels}
 
 
 def _row(run: Run) -> tuple[str, ...]:
@@ -60,18 +58,14 @@ def _row(run: Run) -> tuple[str, ...]:
         run.state,
         str(sum(run.stored.values())),
         str(sum(run.lost.values())),
-        _labels(run.labels) or "-",
+        _labels(run.public_labels) or "-",
     )
 
 
 def _labels(labels: Mapping[str, str]) -> str:
     # A label may be a word alone.
-    named = sorted(_public(labels).items())
+    named = sorted(labels.items())
     return shown(", ".join(f"{k}={v}" if v else k for k, v in named))
-
-
-def _public(labels: Mapping[str, str]) -> dict[str, str]:
-    return {name: text for name, text in labels.items() if name not in _OWN_LABELS}
 
 
 def time_of(when: datetime | None) -> str:

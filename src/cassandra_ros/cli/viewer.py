@@ -1,0 +1,140 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Show what is stored in a browser: pages, an API, and windows of time as bags.
+
+  rosrun cassandra_ros viewer
+  rosrun cassandra_ros viewer --keyspace field --port 9000 --open
+  rosrun cassandra_ros viewer --host 0.0.0.0
+
+It prints the address to open, and runs until Ctrl-C. Nothing in it writes to the store. It listens
+on this machine only; with --host also for others, who then need the token that ends the address:
+it is sent as it is, so over networks that you do not trust put TLS in front or use 'ssh -L'.
+
+doc/viewer.md tells of the pages, the API, and how Foxglove, Lichtblick and curl read from it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import secrets
+import sys
+import threading
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING, Sequence
+
+from cassandra_ros.cli.completion import answer_shell
+from cassandra_ros.cli.options import (
+    add_store_options,
+    open_store,
+    read_port,
+    strip_remappings,
+    without_empty,
+)
+from cassandra_ros.cli.parsers import error_line, program_parser
+from cassandra_ros.cli.readers import byte_size
+from cassandra_ros.errors import KeyspaceNotFound
+from cassandra_ros.installation import optional_module
+from cassandra_ros.store.address import from_environment
+from cassandra_ros.viewing.settings import (
+    DEFAULT_HOST,
+    DEFAULT_PORT,
+    DEFAULT_SPOOL_BYTES,
+    ViewerSettings,
+)
+
+if TYPE_CHECKING:
+    from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+PROGRAM = "viewer"
+_TOKEN_BYTES = 18
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = program_parser(PROGRAM, __doc__)
+    add = parser.add_argument
+    text = f"port that a browser asks; 0: any that is free (default: {DEFAULT_PORT})"
+    add("--port", dest="listen_port", type=_listen_port, default=DEFAULT_PORT, help=text)
+    add(
+        "--host",
+        dest="listen_host",
+        metavar="ADDRESS",
+        default=DEFAULT_HOST,
+        help="address of this machine to listen on; 0.0.0.0: all of them (default: "
+        f"{DEFAULT_HOST}, for this machine only)",
+    )
+    add(
+        "--token",
+        metavar="TEXT",
+        help="what who asks must know (default: CASSANDRA_ROS_TOKEN; else, where --host lets "
+        "others in, a new one each time)",
+    )
+    add(
+        "--allow-origin",
+        metavar="ORIGIN",
+        action="append",
+        default=[],
+        help="let the pages of another site read, as https://app.foxglove.dev; may be repeated",
+    )
+    add("--open", action="store_true", help="open it in the browser of this machine")
+    add(
+        "--spool",
+        metavar="DIR",
+        help="folder for bags that are being sent (default: a new one where temporary files lie)",
+    )
+    text = f"bytes that they take there at most, as 500M or 20G (default: {DEFAULT_SPOOL_BYTES})"
+    add("--spool-size", metavar="SIZE", type=byte_size, default=DEFAULT_SPOOL_BYTES, help=text)
+    add_store_options(parser, prefix="store-")
+    return parser
+
+
+def _listen_port(text: str) -> int:
+    return 0 if text == "0" else read_port(text)
+
+
+def read_settings(options: argparse.Namespace) -> ViewerSettings:
+    """Return what the options say; a token is made where others are let in and none is given."""
+    from cassandra_ros.viewing.security import is_loopback
+
+    token = options.token or from_environment("TOKEN") or ""
+    if not token and not is_loopback(options.listen_host):
+        token = secrets.token_urlsafe(_TOKEN_BYTES)
+    return ViewerSettings(
+        host=options.listen_host,
+        port=options.listen_port,
+        token=token,
+        allow_origin=tuple(origin.rstrip("/") for origin in options.allow_origin),
+        spool=Path(options.spool) if options.spool else None,
+        spool_bytes=options.spool_size,
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Serve until Ctrl-C; return the exit status."""
+    parser = make_parser()
+    answer_shell(parser)
+    options = parser.parse_args(without_empty(strip_remappings(argv)))
+    optional_module("aiohttp", "the viewer")
+    from cassandra_ros.viewing.serving import serve
+
+    settings = read_settings(options)
+    # It may be started before the recorder that makes the keyspace.
+    with open_store(options, make=True) as ros_cas:
+        _warn_of_nothing(ros_cas)
+
+        def ready(address: str) -> None:
+            print(f"keyspace {options.keyspace} is at {address} (Ctrl-C ends it)", flush=True)
+            if options.open:
+                threading.Thread(target=webbrowser.open, args=[address], daemon=True).start()
+
+        serve(settings, ros_cas, ready)
+    return 0
+
+
+def _warn_of_nothing(ros_cas: RosCassandra) -> None:
+    """Tell of a keyspace that is not there: it may be misspelt."""
+    try:
+        ros_cas.parts.side_tables.require_keyspace()
+    except KeyspaceNotFound as exc:
+        print(error_line(PROGRAM, f"{exc}; it is shown once it is there"), file=sys.stderr)

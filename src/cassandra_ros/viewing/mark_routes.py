@@ -1,0 +1,119 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What happened when, for a timeline: recordings that began and ended, and what was lost.
+
+A snapshot is a recording of its own: it begins when somebody asked for it. Of an import is known
+when it was made, not when its bag was recorded: it makes no marks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Dict, Iterator, List, Mapping, Optional, Tuple
+
+from cassandra_ros.messages.stamps import to_ns
+from cassandra_ros.store.registry import Loss, Run
+from cassandra_ros.viewing.answers import Json
+from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most
+from cassandra_ros.viewing.route import Parameter, Route
+
+_USUAL_MARKS = 2000
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Something that happened at a time, or in a stretch of it."""
+
+    kind: str
+    """'begin' or 'end' of a recording, or 'loss'."""
+    first_ns: int
+    last_ns: int
+    """The same as first_ns, but of a loss; included."""
+    node: str
+    run: str
+    """Its name, or its id where it has none."""
+    writer: int
+    text: str
+    """Labels of a recording; why messages were lost."""
+    topic: str = ""
+    """'' = of all topics."""
+    count: Optional[int] = None
+    """How many messages were lost; None: nobody knows."""
+
+    def answer(self) -> Dict[str, Json]:
+        """Return it as JSON."""
+        return {
+            "kind": self.kind,
+            "start": str(self.first_ns),
+            "end": str(self.last_ns),
+            "node": self.node,
+            "run": self.run,
+            "text": self.text,
+            "topic": self.topic,
+            "count": self.count,
+        }
+
+
+def _marks(call: Call) -> Json:
+    start, end = call.time_ns("start"), call.time_ns("end")
+    nodes, names, limit = call.texts("nodes"), call.texts("runs"), listed_at_most(call)
+    runs = {(run.writer, run.node): run for run in call.store.runs()}
+    losses = call.store.losses(call.texts("topics") or None, start, end)
+    found = [_of_loss(loss, runs) for loss in losses]
+    found += [mark for run in runs.values() for mark in _of_run(run)]
+    chosen = [
+        mark
+        for mark in found
+        if (start is None or mark.last_ns >= start) and (end is None or mark.first_ns <= end)
+        if not nodes or mark.node in nodes
+        if not names or mark.run in names or str(mark.writer) in names
+    ]
+    chosen.sort(key=lambda mark: (mark.first_ns, mark.kind, mark.topic))
+    listed: List[Json] = [mark.answer() for mark in chosen[:limit]]
+    return {"marks": listed, "left_off": max(len(chosen) - limit, 0)}
+
+
+def _of_loss(loss: Loss, runs: Mapping[Tuple[int, str], Run]) -> Mark:
+    run = runs.get((loss.writer, loss.node))
+    return Mark(
+        kind="loss",
+        first_ns=loss.first_ns,
+        last_ns=loss.last_ns,
+        node=loss.node,
+        run=run.name if run is not None and run.name else str(loss.writer),
+        writer=loss.writer,
+        text=loss.kind.value,
+        topic=loss.topic,
+        count=loss.count or None,
+    )
+
+
+def _of_run(run: Run) -> Iterator[Mark]:
+    if run.kind == "import":
+        return
+    name = run.name or str(run.writer)
+    labels = sorted(run.public_labels.items())
+    text = ", ".join(f"{key}={value}" if value else key for key, value in labels)
+    for kind, time in (("begin", run.started), ("end", run.ended)):
+        if time is not None:
+            ns = to_ns(time)
+            yield Mark(kind, ns, ns, run.node, name, run.writer, text)
+
+
+ROUTES: tuple[Route, ...] = (
+    Route(
+        "GET",
+        "/api/marks",
+        _marks,
+        "What happened when: recordings that began and ended, and losses, the earliest first.",
+        (
+            Parameter("start", "time", "First time, included."),
+            Parameter("end", "time", "Last time, included."),
+            Parameter("topics", "texts", "Losses of these topics only; without: of all."),
+            Parameter("nodes", "texts", "Only of these robots (nodeIDs); without: of all."),
+            Parameter("runs", "texts", "Only of runs of these names or ids; without: of all."),
+            Parameter("limit", "count", f"So many at most, to {MAX_LISTED}.", default=_USUAL_MARKS),
+        ),
+    ),
+)
