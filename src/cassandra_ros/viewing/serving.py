@@ -5,10 +5,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import signal
 import socket
-from typing import Callable
+from typing import AsyncIterator, Callable, Sequence
 from urllib.parse import quote
 
 from aiohttp import web
@@ -16,6 +17,8 @@ from aiohttp import web
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.viewing.application import make_application
+from cassandra_ros.viewing.route import Route
+from cassandra_ros.viewing.routes import ROUTES
 from cassandra_ros.viewing.security import is_loopback
 from cassandra_ros.viewing.settings import ViewerSettings
 
@@ -43,8 +46,24 @@ async def _serve(
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
+    async with listening(settings, store) as port:
+        ready(address(settings, port))
+        await ended.wait()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.remove_signal_handler(number)  # a second Ctrl-C waits for nobody
+
+
+@contextlib.asynccontextmanager
+async def listening(
+    settings: ViewerSettings, store: RosCassandra, routes: Sequence[Route] = ROUTES
+) -> AsyncIterator[int]:
+    """Listen and answer while the context is open; yield the port.
+
+    Raises:
+        InvalidOption: Nobody can listen there; the text says why.
+    """
     runner = web.AppRunner(
-        make_application(settings, store),
+        make_application(settings, store, routes),
         access_log=None,
         handler_cancellation=True,  # who goes away ends what was read for him
         shutdown_timeout=LAST_ANSWERS_SEC,
@@ -55,8 +74,7 @@ async def _serve(
             await web.TCPSite(runner, settings.host, settings.port).start()
         except OSError as exc:
             raise InvalidOption(_why_not(settings, exc)) from exc
-        ready(address(settings, runner.addresses[0][1]))
-        await ended.wait()
+        yield runner.addresses[0][1]
     finally:
         await runner.cleanup()
 
