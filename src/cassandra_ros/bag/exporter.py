@@ -142,7 +142,8 @@ def why_empty(
     if run is not None:
         infos = ros_cas.info(topics, run=run)
         if not infos:
-            return f"run {run!r} stored none in these topics"
+            which = f"run {run!r}" if isinstance(run, (str, int)) else "the run"
+            return f"{which} stored none in these topics"
     times = [ns for info in infos for ns in (info.first_ns, info.last_ns) if ns is not None]
     if not times:
         return "these topics are empty"

@@ -102,7 +102,7 @@ def _version(store: RosCassandra, wanted: Selected, latched: bool) -> str:
             topics,
             to=stretch.high,
             nodeID=wanted.node,
-            run=wanted.writers,
+            run=wanted.whose.writers,
             where=wanted.where or None,
         )
     tables = tables_of(store, topics)
@@ -128,12 +128,11 @@ def _write(
             compression=compression,
             progress=progress,
             where=wanted.where or None,
-            run=wanted.writers,
+            run=wanted.whose.writers,
             latched=latched,
         )
     except MessageNotFound as exc:
-        run = wanted.runs[0] if wanted.runs is not None and len(wanted.runs) == 1 else None
-        reason = why_empty(store, wanted.topics, wanted.node, run)
+        reason = why_empty(store, wanted.topics, wanted.node, wanted.whose.writers)
         raise MessageNotFound(f"there is no such message: {reason}") from exc
 
 

@@ -18,7 +18,7 @@ import argparse
 import json
 import sys
 from itertools import islice
-from typing import TYPE_CHECKING, Callable
+from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.answers import add_json_option, plain
 from cassandra_ros.cli.options import (
@@ -37,10 +37,6 @@ from cassandra_ros.errors import CorruptMessage
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.stored_row import StoredRow
-    from cassandra_ros.topics.topic_table import TopicTable
-
-_NO_LIMIT = 2**62
-_Print = Callable[[bytes], str]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,19 +83,18 @@ def run(options: argparse.Namespace) -> int:
 
 
 class _Printer:
-    """Writes messages, in a form that is compiled once for each table."""
+    """Writes messages with what is known of them."""
 
     def __init__(self, options: argparse.Namespace) -> None:
+        from cassandra_ros.topics.message_text import MessageText
+
+        elements, characters = 0 if options.noarr else None, -1 if options.nostr else None
         self._json = options.json
-        self._limits = (0 if options.noarr else _NO_LIMIT, -1 if options.nostr else _NO_LIMIT)
-        self._prints: dict[str, _Print] = {}
+        self._message = MessageText(options.json, elements, characters)
 
     def text(self, row: StoredRow) -> str:
         """Return the text of a message with what is known of it."""
-        printed = self._prints.get(row.table.name)
-        if printed is None:
-            printed = self._prints[row.table.name] = self._print_of(row.table)
-        message = printed(row.wire)
+        message = self._message.of(row)
         if not self._json:
             head = " ".join(
                 filter(None, (shown(row.topic), _time(row.t), row.type, shown(row.node)))
@@ -119,35 +114,8 @@ class _Printer:
         head = json.dumps(plain(known), ensure_ascii=False)
         return f'{head[:-1]}, "message": {message}}}'
 
-    def _print_of(self, table: TopicTable) -> _Print:
-        from cassandra_ros.formats.json import CassandraTopic_json
-        from cassandra_ros.messages.tree.echo import echo_printer
-        from cassandra_ros.messages.tree.read import Budget, tree_reader
-
-        metadata, definition, as_json = table.metadata, table.definition, self._json
-        if definition is None:
-            return lambda wire: _bytes_alone(metadata.msg_type, wire, as_json)
-        reader, show = tree_reader(definition), echo_printer(definition)
-        if as_json:
-            show = CassandraTopic_json(metadata.msg_type, metadata.md5sum, definition).print_tree
-
-        def print_wire(wire: bytes) -> str:
-            elements, characters = self._limits
-            tree = reader.read(wire, Budget(_NO_LIMIT, 1, elements, characters))
-            if tree is None:
-                raise CorruptMessage(f"{len(wire)} bytes of {metadata.msg_type} have no text")
-            return show(tree)
-
-        return print_wire
-
 
 def _time(ns: int) -> str:
     from cassandra_ros.messages.stamps import iso_time
 
     return f"{iso_time(ns)} {ns}"
-
-
-def _bytes_alone(msg_type: str, wire: bytes, as_json: bool) -> str:
-    if as_json:
-        return json.dumps({"bytes": plain(wire)})
-    return f"# {len(wire)} bytes of {shown(msg_type)}, of which no usable definition is stored"

@@ -1,0 +1,71 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Stored messages as people and other programs read them: as rostopic echo prints them, as JSON."""
+
+from __future__ import annotations
+
+import json
+from base64 import b64encode
+from typing import Callable, Dict
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.formats.json import CassandraTopic_json
+from cassandra_ros.messages.tree.echo import echo_printer
+from cassandra_ros.messages.tree.read import Budget, tree_reader
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.topic_table import TopicTable
+
+_NO_LIMIT = 2**62
+_Print = Callable[[bytes], str]
+
+
+class MessageText:
+    """Writes messages, in a form that is compiled once for each table.
+
+    Args:
+        as_json: As rosbridge writes them: times are secs and nsecs, uint8[] base64, NaN null; else
+            as rostopic echo does.
+        elements: Of longer arrays only type and length are said; None = of none.
+        characters: Of longer strings only the length is said, in bytes; None = of none.
+    """
+
+    def __init__(
+        self, as_json: bool, elements: int | None = None, characters: int | None = None
+    ) -> None:
+        self._json = as_json
+        self._elements = _NO_LIMIT if elements is None else elements
+        self._characters = _NO_LIMIT if characters is None else characters
+        self._prints: Dict[str, _Print] = {}
+
+    def of(self, row: StoredRow) -> str:
+        """Return the text of a message.
+
+        Raises:
+            CorruptMessage: Its bytes are no message of the type.
+        """
+        printed = self._prints.get(row.table.name)
+        if printed is None:
+            printed = self._prints[row.table.name] = self._print_of(row.table)
+        return printed(row.wire)
+
+    def _print_of(self, table: TopicTable) -> _Print:
+        metadata, definition, as_json = table.metadata, table.definition, self._json
+        if definition is None:
+            return lambda wire: _bytes_alone(metadata.msg_type, wire, as_json)
+        reader, show = tree_reader(definition), echo_printer(definition)
+        if as_json:
+            show = CassandraTopic_json(metadata.msg_type, metadata.md5sum, definition).print_tree
+
+        def print_wire(wire: bytes) -> str:
+            tree = reader.read(wire, Budget(_NO_LIMIT, 1, self._elements, self._characters))
+            if tree is None:
+                raise CorruptMessage(f"{len(wire)} bytes of {metadata.msg_type} have no text")
+            return show(tree)
+
+        return print_wire
+
+
+def _bytes_alone(msg_type: str, wire: bytes, as_json: bool) -> str:
+    if as_json:
+        return json.dumps({"bytes": b64encode(wire).decode("ascii")})
+    return f"# {len(wire)} bytes of {msg_type!r}, of which no usable definition is stored"
