@@ -1,0 +1,89 @@
+// SPDX-FileCopyrightText: 2026 cassandra_ros authors
+// SPDX-License-Identifier: BSD-3-Clause
+// @ts-check
+/** Look: the Studio on a window of what is stored. The address has the window, the moment, the panels. */
+
+import { get } from "./api.js";
+import * as page from "./page.js";
+import * as state from "./state.js";
+
+/** The Studio begins anew where one of these changes: they say what its messages are. */
+const CONTENT = /** @type {const} */ (["start", "end", "topics", "nodes", "runs"]);
+const INSTALL = "rosrun cassandra_ros viewer --install-studio";
+
+/** @type {HTMLIFrameElement | null} */
+let frame = null;
+let shown = "";
+
+function open() {
+  const now = state.read();
+  const content = JSON.stringify(CONTENT.map((name) => now[name]), (_, value) =>
+    typeof value === "bigint" ? String(value) : value);
+  if (frame && content === shown) return;
+  shown = content;
+  const made = page.make("iframe", { class: "grow", id: "studio", title: "Studio", src: state.link("/studio.html"),
+    allow: "fullscreen" });
+  if (frame) frame.replaceWith(made);
+  else document.getElementById("look")?.replaceChildren(made);
+  frame = made;
+}
+
+/** @param {MessageEvent} event */
+function told(event) {
+  if (!frame || event.source !== frame.contentWindow || event.origin !== location.origin) return;
+  const { time, layout, error, ready } = event.data;
+  if (error !== undefined) page.showError(new Error(error));
+  if (time !== undefined) later({ time });
+  if (layout !== undefined) later({ layout: layout || null });
+  if (ready) {
+    frame.dataset.ready = "true";
+    frame.focus();
+  }
+}
+
+/** @type {import("./api.js").Parameters} */
+let changes = {};
+let waiting = 0;
+
+/**
+ * Write into the address at most twice a second: browsers refuse more.
+ * @param {import("./api.js").Parameters} more
+ */
+function later(more) {
+  Object.assign(changes, more);
+  waiting ||= window.setTimeout(() => {
+    waiting = 0;
+    state.write(changes);
+    changes = {};
+  }, 500);
+}
+
+function explain() {
+  document.getElementById("look")?.replaceChildren(
+    page.make("div", { class: "note", id: "no-studio" },
+      page.make("h1", {}, "The Studio is not here yet"),
+      page.make("p", {}, "Look shows messages in Foxglove Studio (MPL-2.0), which the viewer fetches from npm's "
+        + "registry once: 37 MB. In a shell on the viewer's machine:"),
+      page.make("pre", {}, INSTALL),
+      page.make("p", {}, "The viewer may go on meanwhile; load this page again afterwards. Without it you can ",
+        page.make("a", { href: state.link("/ask.html") }, "ask"), ", or save this window as ",
+        page.make("a", { href: file("bag") }, "a bag"), " or ", page.make("a", { href: file("mcap") }, "MCAP"),
+        " for rqt_bag, Foxglove or Lichtblick."),
+    ),
+  );
+}
+
+/** @param {string} kind */
+function file(kind) {
+  return state.link(`/window.${kind}`, { time: null, q: null, layout: null });
+}
+
+page.start("Look");
+window.addEventListener("message", told);
+get("/api/studio").then(({ installed }) => {
+  if (!installed) explain();
+  else {
+    open();
+    state.onChange(open);
+  }
+}, page.showError);

@@ -1,0 +1,203 @@
+// SPDX-FileCopyrightText: 2026 cassandra_ros authors
+// SPDX-License-Identifier: BSD-3-Clause
+// @ts-check
+/** Which panels the Studio shows: made of the topics that there are, or as the address says. */
+
+/** @typedef {{name: string, type: string, messages: number, schema: any}} Topic */
+/** @typedef {string | {direction: "row" | "column", first: any, second: any, splitPercentage: number}} Node */
+/** @typedef {{layout?: Node, configById: Record<string, any>, [key: string]: any}} Layout */
+
+const TRANSFORMS = ["tf/tfMessage", "tf2_msgs/TFMessage"];
+const MAPS = ["nav_msgs/OccupancyGrid"];
+const CLOUDS = ["sensor_msgs/PointCloud2", "sensor_msgs/LaserScan", "velodyne_msgs/VelodyneScan"];
+const SHAPES = [
+  "visualization_msgs/Marker", "visualization_msgs/MarkerArray", "nav_msgs/Path",
+  "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped", "geometry_msgs/PoseArray",
+  "geometry_msgs/PolygonStamped",
+];
+const IMAGES = ["sensor_msgs/CompressedImage", "sensor_msgs/Image"];
+/** What of a type is worth a curve; the first that there are are drawn. */
+const CURVES = new Map([
+  ["nav_msgs/Odometry", ["twist.twist.linear.x", "twist.twist.angular.z"]],
+  ["geometry_msgs/Twist", ["linear.x", "angular.z"]],
+  ["geometry_msgs/TwistStamped", ["twist.linear.x", "twist.angular.z"]],
+  ["sensor_msgs/Imu", ["linear_acceleration.x", "angular_velocity.z"]],
+  ["sensor_msgs/BatteryState", ["percentage"]],
+  ["sensor_msgs/JointState", ["position[:]"]],
+  ["sensor_msgs/Range", ["range"]],
+  ["sensor_msgs/NavSatFix", ["altitude"]],
+  ...["Float32", "Float64", "Int32", "UInt32", "Int16"].map((name) => [`std_msgs/${name}`, ["data"]]),
+]);
+const MOST_IMAGES = 3;
+const MOST_CURVES = 4;
+const MOST_CLOUDS = 6;
+/** What a link may carry: servers refuse lines of over 8 KB. */
+const MOST_PACKED = 5000;
+/** The camera over the map, as the paper's figure 3b has it. */
+const OVERHEAD = { perspective: false, phi: 0, thetaOffset: 0, distance: 40 };
+
+/**
+ * Make the layout that a person would: of what can be drawn in space, cameras, curves, and a text.
+ * @param {Topic[]} topics
+ * @param {string} [name] `overhead`: only what lies in space, from above.
+ * @returns {Layout}
+ */
+export function layoutOf(topics, name = "") {
+  const present = topics.filter((topic) => topic.messages > 0 || [...MAPS, ...TRANSFORMS].includes(topic.type));
+  /** @type {Record<string, any>} */
+  const configById = {};
+  const space = addSpace(present, configById, name === "overhead");
+  if (name === "overhead" && space) return whole(space, configById);
+  const cameras = addCameras(present, configById);
+  const texts = [...addCurves(present, configById), ...addTexts(present, configById)];
+  const above = split("row", [space, split("column", cameras)], 68);
+  return whole(split("column", [above, split("row", texts)], 68), configById);
+}
+
+/** @param {Node | undefined} layout @param {Record<string, any>} configById @returns {Layout} */
+function whole(layout, configById) {
+  return { layout, configById, globalVariables: {}, userNodes: {}, playbackConfig: { speed: 1 } };
+}
+
+/**
+ * Put nodes side by side; the first takes so many percent, else all the same.
+ * @param {"row" | "column"} direction
+ * @param {(Node | undefined)[]} nodes
+ * @param {number} [percent]
+ * @returns {Node | undefined}
+ */
+function split(direction, nodes, percent) {
+  const [first, ...rest] = nodes.filter((node) => node !== undefined);
+  if (!rest.length) return first;
+  const second = split(direction, rest);
+  return { direction, first, second, splitPercentage: percent ?? 100 / (rest.length + 1) };
+}
+
+/** @param {Topic[]} topics @param {string[]} types */
+function ofTypes(topics, types) {
+  return topics.filter((topic) => types.includes(topic.type));
+}
+
+/** @param {Topic[]} topics @param {Record<string, any>} configById @param {boolean} overhead */
+function addSpace(topics, configById, overhead) {
+  const drawn = [
+    ...ofTypes(topics, MAPS), ...ofTypes(topics, CLOUDS).slice(0, MOST_CLOUDS), ...ofTypes(topics, SHAPES),
+  ];
+  if (!drawn.length && !ofTypes(topics, TRANSFORMS).length) return undefined;
+  const visible = drawn.map((topic) => [topic.name, drawing(topic)]);
+  configById["3D!space"] = {
+    cameraState: overhead ? OVERHEAD : {},
+    followMode: "follow-pose",
+    topics: Object.fromEntries(visible),
+    layers: overhead ? {} : { grid: GRID },
+    scene: {},
+    transforms: {},
+    publish: {},
+  };
+  return "3D!space";
+}
+
+const GRID = {
+  visible: true, frameLocked: true, label: "Grid", instanceId: "grid", layerId: "foxglove.Grid",
+  size: 20, divisions: 20, lineWidth: 1, color: "#8a97a880", position: [0, 0, 0], rotation: [0, 0, 0], order: 1,
+};
+
+/** @param {Topic} topic */
+function drawing(topic) {
+  if (topic.type === "sensor_msgs/LaserScan") {
+    return { visible: true, colorMode: "flat", flatColor: "#ff5a36ff", pointSize: 4 };
+  }
+  return { visible: true };
+}
+
+/** @param {Topic[]} topics @param {Record<string, any>} configById @returns {Node[]} */
+function addCameras(topics, configById) {
+  // A camera publishes the same picture in several ways: one of them is enough, the smallest first.
+  const cameras = new Map();
+  for (const type of IMAGES) {
+    for (const { name } of ofTypes(topics, [type])) {
+      const camera = name.replace(/\/(compressed|compressedDepth|theora)$/, "");
+      if (!cameras.has(camera)) cameras.set(camera, name);
+    }
+  }
+  return [...cameras.values()].slice(0, MOST_IMAGES).map((cameraTopic, index) => {
+    const id = `ImageViewPanel!camera${index}`;
+    configById[id] = { cameraTopic, enabledMarkerTopics: [], mode: "fit", synchronize: false, transformMarkers: false };
+    return id;
+  });
+}
+
+/** @param {Topic[]} topics @param {Record<string, any>} configById @returns {Node[]} */
+function addCurves(topics, configById) {
+  const paths = [...CURVES].flatMap(([type, fields]) =>
+    ofTypes(topics, [String(type)]).flatMap((topic) => fields.map((field) => `${topic.name}.${field}`)));
+  if (!paths.length) return [];
+  configById["Plot!curves"] = {
+    paths: paths.slice(0, MOST_CURVES).map((value) => ({ value, enabled: true, timestampMethod: "receiveTime" })),
+    showXAxisLabels: true, showYAxisLabels: true, showLegend: true, legendDisplay: "floating",
+    showPlotValuesInLegend: false, isSynced: true, xAxisVal: "timestamp", sidebarDimension: 240,
+  };
+  return ["Plot!curves"];
+}
+
+/** @param {Topic[]} topics @param {Record<string, any>} configById @returns {Node[]} */
+function addTexts(topics, configById) {
+  const large = [...IMAGES, ...MAPS, ...CLOUDS, ...TRANSFORMS];
+  const told = [...ofTypes(topics, [...CURVES.keys()].map(String)), ...topics.filter((topic) => !large.includes(topic.type)),
+    ...topics][0];
+  const panels = [];
+  if (told) {
+    configById["RawMessages!text"] = { topicPath: told.name, diffEnabled: false, diffMethod: "custom", diffTopicPath: "",
+      showFullMessageForDiff: false };
+    panels.push("RawMessages!text");
+  }
+  if (ofTypes(topics, ["rosgraph_msgs/Log"]).length) {
+    configById["RosOut!log"] = { searchTerms: [], minLogLevel: 1 };
+    panels.push("RosOut!log");
+  }
+  return panels;
+}
+
+/**
+ * Write a layout so that an address can carry it; '' where it is too large.
+ * @param {Layout} layout
+ * @returns {Promise<string>}
+ */
+export async function pack(layout) {
+  const { userNodes, ...rest } = layout;
+  const bytes = await through(new CompressionStream("deflate-raw"), new TextEncoder().encode(JSON.stringify(rest)));
+  let binary = "";
+  for (const byte of bytes) binary += String.fromCharCode(byte);
+  const text = btoa(binary).replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", "");
+  return text.length > MOST_PACKED ? "" : text;
+}
+
+/**
+ * Read a layout that an address carries. Programs of the sender, which the Studio would run, are
+ * none of it.
+ * @param {string} text
+ * @returns {Promise<Layout>}
+ * @throws {Error} It is none.
+ */
+export async function unpack(text) {
+  try {
+    const binary = atob(text.replaceAll("-", "+").replaceAll("_", "/"));
+    const bytes = await through(new DecompressionStream("deflate-raw"), Uint8Array.from(binary, (each) => each.charCodeAt(0)));
+    const found = JSON.parse(new TextDecoder().decode(bytes));
+    if (typeof found.configById !== "object" || found.configById === null) throw new TypeError("no panels");
+    const { layout, configById, globalVariables, playbackConfig } = found;
+    return { ...whole(layout, configById), globalVariables: globalVariables ?? {}, ...(playbackConfig && { playbackConfig }) };
+  } catch (error) {
+    const why = error instanceof Error ? error.message : String(error);
+    throw new Error(`The address has a layout that cannot be read (${why}): the usual one is shown.`);
+  }
+}
+
+/**
+ * @param {CompressionStream | DecompressionStream} transform
+ * @param {Uint8Array<ArrayBuffer>} bytes
+ */
+async function through(transform, bytes) {
+  const stream = new Blob([bytes]).stream().pipeThrough(transform);
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}

@@ -1,0 +1,196 @@
+// SPDX-FileCopyrightText: 2026 cassandra_ros authors
+// SPDX-License-Identifier: BSD-3-Clause
+// @ts-check
+/**
+ * The store as a data source of the Studio (its IIterableSource): messages are asked for page by
+ * page as they are needed, so that a recording of any length opens at once.
+ */
+
+import { ApiError, ask, get, isAbort } from "./api.js";
+import { messages } from "./frames.js";
+import * as times from "./times.js";
+
+const PAGE_BYTES = 4 * 1024 * 1024;
+const FIRST_PAUSE_MS = 500;
+const LONGEST_PAUSE_MS = 10_000;
+
+/** @typedef {{sec: number, nsec: number}} Time As the Studio has it. */
+/** @typedef {import("./state.js").State} State */
+/** @typedef {{topic: string, message: any, receiveTime: Time, schemaName: string, sizeInBytes: number}} Event */
+
+/** @param {bigint} ns @returns {Time} */
+export function toTime(ns) {
+  return { sec: Number(ns / times.SECOND), nsec: Number(ns % times.SECOND) };
+}
+
+/** @param {Time} time */
+export function toNs(time) {
+  return BigInt(time.sec) * times.SECOND + BigInt(time.nsec);
+}
+
+export class StoreSource {
+  /**
+   * @param {State} state What of the store: start, end, time, topics, nodes, runs.
+   * @param {(error: unknown) => void} showError Told of what failed and is tried again.
+   */
+  constructor(state, showError) {
+    this.state = state;
+    this.showError = showError;
+    this.chosen = { nodes: state.nodes, runs: state.runs };
+    this.start = 0n;
+    this.end = 0n;
+    /** @type {AbortController | null} Of the messages that are being played. */
+    this.playing = null;
+    /** @type {Set<string>} */
+    this.told = new Set();
+  }
+
+  /** Ask what there is; do it once before the Studio does, for its layout depends on it. */
+  async open() {
+    const { start, end, time, topics } = this.state;
+    const found = await get("/api/connections", { topics, start, end, time, ...this.chosen });
+    this.found = found;
+    this.start = BigInt(found.start);
+    this.end = BigInt(found.end);
+    for (const problem of found.problems) this.tell(problem);
+    return found;
+  }
+
+  /** @returns {Promise<any>} The Studio's Initalization. */
+  async initialize() {
+    const { topics } = this.found ?? (await this.open());
+    const datatypes = new Map();
+    const topicStats = new Map();
+    for (const topic of topics) {
+      for (const [name, definitions] of Object.entries(topic.schema.types)) {
+        datatypes.set(name, { name, definitions });
+      }
+      topicStats.set(topic.name, {
+        numMessages: topic.messages,
+        firstMessageTime: topic.first === null ? undefined : toTime(BigInt(topic.first)),
+        lastMessageTime: topic.last === null ? undefined : toTime(BigInt(topic.last)),
+      });
+    }
+    return {
+      start: toTime(this.start),
+      end: toTime(this.end),
+      topics: topics.map((/** @type {any} */ topic) => ({ name: topic.name, schemaName: topic.type })),
+      topicStats,
+      datatypes,
+      profile: "ros1",
+      name: `${times.shown(this.start)} to ${times.shown(this.end)}`,
+      publishersByTopic: new Map(),
+      problems: [],
+    };
+  }
+
+  /**
+   * Read the messages of a stretch, ends included, in their order.
+   * @param {{topics: string[], start?: Time, end?: Time, consumptionType?: "full" | "partial"}} args
+   * @returns {AsyncGenerator<{type: "message-event", msgEvent: Event}>}
+   */
+  async *messageIterator({ topics, start, end, consumptionType }) {
+    if (!topics.length) return;
+    const abort = new AbortController();
+    if (consumptionType !== "full") this.playing = abort;
+    const asked = {
+      topics,
+      start: start ? toNs(start) : this.start,
+      end: end ? toNs(end) : this.end,
+      bytes: PAGE_BYTES,
+      ...this.chosen,
+    };
+    try {
+      /** @type {string | null} */
+      let after = null;
+      do {
+        const page = this.page({ ...asked, after }, abort.signal);
+        let next = await page.next();
+        for (; !next.done; next = await page.next()) yield { type: "message-event", msgEvent: next.value };
+        after = next.value;
+      } while (after !== null);
+    } finally {
+      abort.abort();
+    }
+  }
+
+  /**
+   * Read one page; one that breaks off is asked for again, behind what came of it.
+   * @param {any} asked
+   * @param {AbortSignal} signal
+   * @returns {AsyncGenerator<Event, string | null>}
+   */
+  async *page(asked, signal) {
+    for (let pause = FIRST_PAUSE_MS, given = 0; ; pause = Math.min(2 * pause, LONGEST_PAUSE_MS)) {
+      try {
+        const found = messages(await ask("/api/messages", asked, { signal }), (each) => this.tell(each));
+        let skipped = 0;
+        let next = await found.next();
+        for (; !next.done; next = await found.next()) {
+          if (skipped++ < given) continue;
+          given++;
+          yield event(next.value);
+        }
+        return next.value;
+      } catch (error) {
+        if (isAbort(error) || !isPassing(error)) throw error;
+        this.showError(error);
+        await wait(pause, signal);
+      }
+    }
+  }
+
+  /**
+   * Find what was sent last of some topics at or before a moment.
+   * @param {{topics: string[], time: Time, abortSignal?: AbortSignal}} args
+   * @returns {Promise<Event[]>}
+   */
+  async getBackfillMessages({ topics, time, abortSignal }) {
+    if (!topics.length) return [];
+    const asked = { topics, time: toNs(time), start: this.start, ...this.chosen };
+    const found = [];
+    const response = await ask("/api/latest", asked, { signal: abortSignal });
+    for await (const each of messages(response, (problem) => this.tell(problem))) found.push(event(each));
+    return found;
+  }
+
+  /** End what is being read for playing: somebody goes elsewhere. */
+  interrupt() {
+    this.playing?.abort();
+  }
+
+  /** @param {import("./frames.js").Problem} problem Told once of each topic. */
+  tell(problem) {
+    if (this.told.has(problem.topic)) return;
+    this.told.add(problem.topic);
+    this.showError(new Error(problem.text));
+  }
+}
+
+/**
+ * @param {import("./frames.js").Message} found
+ * @returns {Event}
+ */
+function event({ channel, time, size, message }) {
+  const { topic, type } = channel;
+  return { topic, message, receiveTime: toTime(time), schemaName: type, sizeInBytes: size };
+}
+
+/** @param {unknown} error Say whether it may be gone when asked again: not where we asked wrongly. */
+function isPassing(error) {
+  return !(error instanceof ApiError) || error.status === 0 || error.status >= 500;
+}
+
+/**
+ * @param {number} ms
+ * @param {AbortSignal} signal Ends the waiting, by its error.
+ */
+function wait(ms, signal) {
+  return new Promise((resolve, reject) => {
+    const end = setTimeout(resolve, ms);
+    signal.addEventListener("abort", () => {
+      clearTimeout(end);
+      reject(signal.reason);
+    }, { once: true });
+  });
+}
