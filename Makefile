@@ -16,11 +16,12 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup demo test campaign lint doc bench bench-quick bench-page bench-formats bench-play clean distclean
+.PHONY: help setup demo viewer test campaign lint doc bench bench-quick bench-page bench-formats bench-play clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, workspace .ws"
 	@echo "make demo           record, ask and export a real robot's topics, end to end"
+	@echo "make viewer         fetch the Studio for the viewer's page Look, and say how to start it"
 	@echo "make test           all tests, on a real Cassandra and a real roscore (ARGS='-k name')"
 	@echo "make campaign       random searches and faults, ten times as far (LENGTH=short: once, for CI)"
 	@echo "make lint           ruff, mypy, catkin_lint, make doc"
@@ -37,6 +38,10 @@ setup:
 
 demo: setup
 	@$(IN_WORKSPACE) $(PYTHON) examples/demo.py $(ARGS)
+
+viewer: setup
+	@PYTHONPATH=src $(PYTHON) scripts/viewer --install-studio
+	@echo "now, in a shell that has sourced .ws/devel/setup.bash: rosrun cassandra_ros viewer"
 
 test: setup
 	@$(IN_WORKSPACE) $(PYTHON) -m pytest -n 3 $(ARGS)

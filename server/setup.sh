@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 #
 # make setup: install what is missing, say each step, skip what is there. Run from the checkout's
-# root. Steps: Debian packages, .venv, Cassandra's jars, catkin workspace .ws.
+# root. Steps: Debian packages, .venv, Cassandra's jars, the Studio, catkin workspace .ws.
 set -euo pipefail
 
 root=$(pwd -P)
@@ -163,7 +163,14 @@ install_jars() {
   PYTHONPATH=src "$venv/bin/python" scripts/local_cassandra install </dev/null | sed -u 's/^/setup: cassandra: /'
 }
 
-# --- 4: the catkin workspace -----------------------------------------------------------------
+# --- 4: the Studio, for the viewer's page Look ----------------------------------------------
+
+install_studio() {
+  PYTHONPATH=src "$venv/bin/python" scripts/viewer --install-studio </dev/null 2>&1 | sed -u 's/^/setup: studio: /' ||
+    say "studio: all but the viewer's page Look works without it; make viewer tries again"
+}
+
+# --- 5: the catkin workspace -----------------------------------------------------------------
 
 make_workspace() {
   local package=$workspace/src/cassandra_ros stamp=$workspace/.setup wanted item
@@ -213,5 +220,6 @@ if [ -f /opt/ros/noetic/setup.bash ]; then
 fi
 make_venv
 install_jars
+install_studio
 make_workspace
 say "done; in a shell: source .ws/devel/setup.bash"

@@ -36,6 +36,11 @@ def confirm(question: str, details: str = "") -> None:
     # Standard output may be an answer for another program.
     if details:
         print(details, file=sys.stderr)
-    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
-    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+    if not says_yes(question):
         raise NotConfirmed("nothing was deleted")
+
+
+def says_yes(question: str) -> bool:
+    """Ask a person on the terminal; the answer is no unless it says yes."""
+    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")

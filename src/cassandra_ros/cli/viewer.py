@@ -33,6 +33,7 @@ from cassandra_ros.cli.options import (
 )
 from cassandra_ros.cli.parsers import error_line, program_parser
 from cassandra_ros.cli.readers import byte_size
+from cassandra_ros.cli.studio_offer import install, offer
 from cassandra_ros.errors import KeyspaceNotFound
 from cassandra_ros.installation import optional_module
 from cassandra_ros.store.address import from_environment
@@ -42,6 +43,7 @@ from cassandra_ros.viewing.settings import (
     DEFAULT_SPOOL_BYTES,
     ViewerSettings,
 )
+from cassandra_ros.viewing.studio import studio_folder
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.ros_cassandra import RosCassandra
@@ -77,6 +79,8 @@ def make_parser() -> argparse.ArgumentParser:
         default=[],
         help="let the pages of another site read, as https://app.foxglove.dev; may be repeated",
     )
+    text = "fetch Foxglove Studio from npm's registry (37 MB), in which Look shows messages, and end"
+    add("--install-studio", action="store_true", help=text)
     add("--open", action="store_true", help="open it in the browser of this machine")
     add(
         "--spool",
@@ -115,10 +119,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = make_parser()
     answer_shell(parser)
     options = parser.parse_args(without_empty(strip_remappings(argv)))
+    if options.install_studio:
+        install(studio_folder())
+        return 0
     optional_module("aiohttp", "the viewer")
     from cassandra_ros.viewing.serving import serve
 
     settings = read_settings(options)
+    offer(PROGRAM, settings.studio)
     # It may be started before the recorder that makes the keyspace.
     with open_store(options, make=True) as ros_cas:
         _warn_of_nothing(ros_cas)

@@ -32,6 +32,7 @@ from cassandra_ros.viewing.look_window import Held, default_window, held
 from cassandra_ros.viewing.message_frames import CONTENT_TYPE, describe_channel, frames
 from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.settings import ViewerSettings
+from cassandra_ros.viewing.studio import STUDIO_VERSION, studio_installed
 
 PAGE_BYTES = 4 * 2**20
 MAX_PAGE_BYTES = 64 * 2**20
@@ -139,6 +140,10 @@ def _check_order(stretch: Stretch) -> None:
         raise InvalidOption(f"start={stretch.low} lies behind end={stretch.high}")
 
 
+def _studio(call: Call) -> Json:
+    return {"installed": studio_installed(call.settings.studio), "version": STUDIO_VERSION}
+
+
 class _Finders:
     """Keeps what finds the last messages of some topics: it knows which of them are latched."""
 
@@ -163,6 +168,7 @@ _WINDOW = (TOPICS, START, END, NODES, RUNS)
 _TIME = Parameter("time", "time", "The moment that is looked at.")
 
 ROUTES: tuple[Route, ...] = (
+    Route("GET", "/api/studio", _studio, "Whether the Studio is here that Look shows messages in."),
     Route(
         "GET",
         "/api/connections",

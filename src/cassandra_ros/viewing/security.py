@@ -27,7 +27,13 @@ PAGE_POLICY = (
     "worker-src 'self' blob:; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 )
 """What our pages may load. Styles may stand in elements: plots and the Studio set them so."""
-POLICIES: dict[str, str] = {}
+POLICIES: dict[str, str] = {
+    "/look.html": f"{PAGE_POLICY}; frame-src 'self'",
+    # The Studio, which Look frames, runs WebAssembly; what messages say it never runs.
+    "/studio.html": PAGE_POLICY.replace(
+        "script-src 'self'", "script-src 'self' 'wasm-unsafe-eval'"
+    ).replace("frame-ancestors 'none'", "frame-ancestors 'self'"),
+}
 """Those of pages that need another one, by path."""
 _COOKIE_SEC = 30 * 86_400
 _READABLE = "Accept-Ranges, Content-Disposition, Content-Length, Content-Range, ETag"

@@ -86,6 +86,8 @@ PACKAGES = (
     ),
 )
 
+STUDIO_VERSION = PACKAGES[0].version
+
 
 def studio_folder() -> Path:
     """Return where the Studio lies, in a folder of its version that all viewers of a user share.
@@ -93,7 +95,7 @@ def studio_folder() -> Path:
     That is below $CASSANDRA_ROS_STUDIO, else below the ROS home: $ROS_HOME, else ~/.ros.
     """
     named = os.environ.get("CASSANDRA_ROS_STUDIO")
-    return (Path(named) if named else home_folder() / "studio") / PACKAGES[0].version
+    return (Path(named) if named else home_folder() / "studio") / STUDIO_VERSION
 
 
 def studio_installed(folder: Path) -> bool:
