@@ -9,14 +9,14 @@ the fixed transforms is fixed, of equal stamps the first counts, tf2 would take 
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
 from cassandra_ros.arguments import check_nodes
 from cassandra_ros.arrays.array_types import AnyArray
 from cassandra_ros.errors import TopicNotFound, TransformException
-from cassandra_ros.keys import MAX_NS
+from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.places.rigid import Rigid
 from cassandra_ros.places.samples import NO_FRAME, Codes, Flags, Placed, Samples, Times
@@ -26,6 +26,8 @@ from cassandra_ros.transforms.lookup import lookup_transform
 from cassandra_ros.transforms.samples import Fixed, Recorded
 
 TF, TF_STATIC = "/tf", "/tf_static"
+AROUND_NS = 10 * SECOND_NS
+"""How far around a time it is looked which frames there are."""
 _NUMBERS = [f"translation.{c}" for c in "xyz"] + [f"rotation.{c}" for c in "xyzw"]
 _NAMES = ("transforms.header.frame_id", "transforms.child_frame_id")
 _STAMP = "transforms.header.stamp"
@@ -133,6 +135,20 @@ class Frames:
         if self.moving is None:
             return None
         return key_behind(self.moving, time, self._node, self._writers)
+
+    def above(self, name: str, times: Sequence[int]) -> List[str]:
+        """List the frames above one, the nearest first, as recorded around some row keys, ns."""
+        parents: Dict[int, Set[int]] = {child: {p} for child, (p, _) in self.fixed.items()}
+        for time in dict.fromkeys(times):
+            samples = self.read(max(0, time - AROUND_NS), time + AROUND_NS)
+            pairs = np.unique(np.stack([samples.children, samples.parents], 1), axis=0)
+            for child, parent in pairs.tolist():
+                if child not in self.fixed:
+                    parents.setdefault(child, set()).add(parent)
+        found = [self.code(name)]
+        for code in found:
+            found.extend(sorted(parents.get(code, set()).difference(found)))
+        return [self.names[code] for code in found[1:]]
 
     def explain(self, frame: str, of: str, time: int) -> str:
         """Say why there is no pose at a time; '' where tf2 would have one."""

@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What one scan or cloud saw: the ends of its beams, and whether something was there."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Callable, Mapping, NamedTuple, Optional, Tuple
+
+import numpy as np
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.places.rigid import Floats
+from cassandra_ros.places.samples import Flags
+
+CLOUD_RANGE = 30.0
+"""Metres; what is further away in a cloud is too sparse for a map, where no range is given."""
+CLOUD_HEIGHTS = (0.1, 2.0)
+"""Metres above the floor of the map's frame; a cloud's points between them are obstacles."""
+
+_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+"""PointField's numbers of types, as numpy calls them."""
+
+
+class Beams(NamedTuple):
+    """Straight ways of light, from the sensor's origin."""
+
+    ends: Floats
+    """(n, 3), metres, in the sensor's frame."""
+    hit: Flags
+    """Whether something is at the end; else nothing was seen up to there."""
+
+
+def beams_of_scan(scan: Any, max_range: Optional[float]) -> Beams:
+    """Return the beams of a sensor_msgs/LaserScan, by the rules of REP 117.
+
+    +Inf, or range_max itself as older drivers wrote it, means that nothing was seen up to
+    range_max. NaN, -Inf, and what lies below range_min or above range_max say nothing.
+
+    Args:
+        max_range: Metres; what is further away counts as not seen. None = range_max.
+    """
+    ranges = np.asarray(scan.ranges, np.float64)
+    angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
+    most = scan.range_max if scan.range_max > 0 else math.inf  # a driver that fills in nothing
+    limit = most if max_range is None else min(most, max_range)
+    with np.errstate(invalid="ignore"):
+        valid = (ranges > 0) & (ranges >= scan.range_min) & (ranges < most)
+        nothing = (ranges == most) | np.isposinf(ranges) | (valid & (ranges > limit))
+    hit = valid & ~nothing
+    told = hit | nothing if math.isfinite(limit) else hit
+    lengths = np.where(hit, ranges, limit)[told]
+    angles = angles[told]
+    flat = np.zeros_like(lengths)
+    ends = np.stack([lengths * np.cos(angles), lengths * np.sin(angles), flat], 1)
+    return Beams(ends, hit[told])
+
+
+def beams_of_cloud(cloud: Any, max_range: Optional[float]) -> Beams:
+    """Return the beams to the points of a sensor_msgs/PointCloud2; those with NaN are left out.
+
+    Args:
+        max_range: Metres; a beam to a point further away ends there, with nothing seen. None =
+            CLOUD_RANGE.
+
+    Raises:
+        CorruptMessage: It has no fields x and y, or less data than it says.
+    """
+    points = _points(cloud)
+    points = points[np.isfinite(points).all(1)]
+    limit = CLOUD_RANGE if max_range is None else max_range
+    lengths = np.linalg.norm(points, axis=1)
+    points, lengths = points[lengths > 0], lengths[lengths > 0]
+    far = lengths > limit
+    points[far] *= (limit / lengths[far])[:, None]
+    return Beams(points, ~far)
+
+
+def _points(cloud: Any) -> Floats:
+    """Return (n, 3) coordinates of a cloud, whether it is organised or not."""
+    order = ">" if cloud.is_bigendian else "<"
+    places = {f.name: (order + _KINDS.get(f.datatype, ""), f.offset) for f in cloud.fields}
+    names = [name for name in "xyz" if name in places]
+    width, height, step = cloud.width, cloud.height, cloud.point_step
+    if not width * height:
+        return np.zeros((0, 3))
+    row_step = cloud.row_step if height > 1 else width * step
+    data = np.frombuffer(bytes(cloud.data), np.uint8)
+    if "x" not in names or "y" not in names:
+        raise CorruptMessage(f"a cloud has no x and y: its fields are {', '.join(places)}")
+    if row_step < width * step or len(data) < row_step * (height - 1) + width * step:
+        raise CorruptMessage(
+            f"a cloud of {width} x {height} points of {step} bytes has {len(data)} bytes"
+        )
+    try:
+        point = np.dtype(
+            {
+                "names": names,
+                "formats": [places[name][0] for name in names],
+                "offsets": [places[name][1] for name in names],
+                "itemsize": step,
+            }
+        )
+    except (TypeError, ValueError) as exc:
+        raise CorruptMessage(f"a cloud's fields do not fit into its points: {exc}") from exc
+    shape, strides = (height, width), (row_step, step)
+    read = np.ndarray(shape, point, data.tobytes(), strides=strides).reshape(-1)
+    points = np.zeros((len(read), 3))
+    for name in names:
+        points[:, "xyz".index(name)] = read[name]
+    return points
+
+
+class Sensor(NamedTuple):
+    """How a type of messages becomes beams."""
+
+    beams: Callable[[Any, Optional[float]], Beams]
+    """Of a message and the range that is asked for."""
+    heights: Tuple[float, float]
+    """Metres above the floor between which something is an obstacle, where none are asked for."""
+
+
+SENSORS: Mapping[str, Sensor] = {
+    "sensor_msgs/LaserScan": Sensor(beams_of_scan, (-math.inf, math.inf)),
+    "sensor_msgs/PointCloud2": Sensor(beams_of_cloud, CLOUD_HEIGHTS),
+}

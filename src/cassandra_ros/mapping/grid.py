@@ -1,0 +1,151 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A grid of log-odds that grows with what is seen, and the rays that fill it."""
+
+from __future__ import annotations
+
+import math
+from typing import Iterator, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.places.rigid import Floats
+from cassandra_ros.places.samples import Flags
+
+MAX_CELLS = 50_000_000
+"""200 MB."""
+_MARGIN = 128
+"""Cells by which it grows beyond what is asked: it is seldom copied then."""
+_CERTAIN = 3.5
+"""Log-odds at which a cell is certain enough (97 %): it can still be talked out of it."""
+_BLOCK = 1 << 14
+"""Cells of rays that are computed together; they stay in the processor's cache."""
+
+Cells = NDArray[np.int64]
+Odds = NDArray[np.float32]
+
+
+class LogOddsGrid:
+    """Says of each cell how likely something is in it. Without bounds, but for memory.
+
+    Cells are counted from the frame's origin: cell (0, 0) reaches from 0 to the resolution.
+
+    Args:
+        resolution: Length of a cell, metres.
+        hit: Probability that there is something in a cell in which a beam ended, 0.5 to 1.
+        miss: The same where a beam went through, 0 to 0.5.
+
+    Raises:
+        InvalidOption: One of them is not in its range.
+    """
+
+    def __init__(self, resolution: float, hit: float = 0.7, miss: float = 0.4) -> None:
+        if not (0 < resolution < math.inf):
+            raise InvalidOption(f"resolution={resolution!r}: give metres above 0, as 0.05")
+        if not (0.5 < hit < 1 and 0 < miss < 0.5):
+            raise InvalidOption(f"hit={hit!r}, miss={miss!r}: give 0.5 < hit < 1 and 0 < miss < 0.5")
+        self.resolution = resolution
+        self._hit, self._miss = (np.float32(math.log(p / (1 - p))) for p in (hit, miss))
+        self._low: Cells = np.zeros(2, np.int64)
+        """Column and row of the first cell in memory."""
+        self._odds: Odds = np.zeros((0, 0), np.float32)
+
+    def add(self, origin: Floats, ends: Floats, hit: Flags) -> None:
+        """Take in the rays of one measurement; each cell changes once, and a hit outweighs.
+
+        Args:
+            origin: (2,), metres: where they begin.
+            ends: (n, 2), metres.
+            hit: Whether something is at the end.
+
+        Raises:
+            InvalidOption: The grid would be larger than MAX_CELLS.
+        """
+        if not len(ends):
+            return
+        start, cells = self._cells(origin), self._cells(ends)
+        low = np.minimum(cells.min(0), start)
+        high = np.maximum(cells.max(0), start)
+        self._cover(low, high)
+        width, height = (int(n) for n in high - low + 1)
+        local, begin = cells - low, start - low
+        flat = local[:, 1] * width + local[:, 0]
+        struck = np.unique(flat[hit])
+        passed = np.setdiff1d(flat[~hit], struck)
+        free = np.zeros(height * width, bool)
+        free[passed] = True
+        for crossed in _crossed(begin, np.union1d(struck, passed), width):
+            free[crossed] = True
+        free[struck] = False
+        (column, row) = (int(n) for n in low - self._low)
+        window = self._odds[row : row + height, column : column + width]
+        np.add(window, self._miss, out=window, where=free.reshape(height, width))
+        window[struck // width, struck % width] += self._hit
+        np.clip(window, -_CERTAIN, _CERTAIN, out=window)
+
+    def _cells(self, points: Floats) -> Cells:
+        cells: Cells = np.floor(points / self.resolution).astype(np.int64)
+        return cells
+
+    def _cover(self, low: Cells, high: Cells) -> None:
+        """Grow so that the cells from low to high are in memory."""
+        size = np.array(self._odds.shape[::-1])
+        first = low if not self._odds.size else np.minimum(low, self._low)
+        behind = high + 1 if not self._odds.size else np.maximum(high + 1, self._low + size)
+        if self._odds.size and (first >= self._low).all() and (behind <= self._low + size).all():
+            return
+        if math.prod(int(n) for n in behind - first) > MAX_CELLS:
+            metres = " x ".join(f"{n * self.resolution:.0f}" for n in behind - first)
+            raise InvalidOption(
+                f"the map would be {metres} m large, more than {MAX_CELLS} cells of "
+                f"{self.resolution:g} m: give a coarser resolution, or a shorter max_range"
+            )
+        first, behind = first - _MARGIN, behind + _MARGIN
+        width, height = (int(n) for n in behind - first)
+        odds = np.zeros((height, width), np.float32)
+        column, row = (int(n) for n in self._low - first)
+        odds[row : row + self._odds.shape[0], column : column + self._odds.shape[1]] = self._odds
+        self._odds, self._low = odds, first
+
+    def trimmed(self) -> Tuple[Odds, Tuple[float, float]]:
+        """Return the log-odds of what was seen, by rows of y and columns of x, and its origin.
+
+        The origin is the corner with the least x and y, metres. Log-odds of 0 say nothing.
+        """
+        seen = self._odds != 0
+        rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
+        if not len(rows):
+            return np.zeros((0, 0), np.float32), (0.0, 0.0)
+        first = self._low + (columns[0], rows[0])
+        x, y = (float(n) * self.resolution for n in first)
+        return self._odds[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].copy(), (x, y)
+
+
+def _crossed(begin: Cells, ends: Cells, width: int) -> Iterator[Cells]:
+    """Yield the cells on the straight ways from one cell to others, without these, flat.
+
+    As Bresenham's they have one cell in each column, or in each row where they are steep.
+    """
+    y, x = np.divmod(ends, width)
+    dx, dy = x - begin[0], y - begin[1]
+    steps = np.maximum(np.abs(dx), np.abs(dy))
+    order = np.argsort(-steps)
+    order = order[: np.count_nonzero(steps)]
+    done = 0
+    while done < len(order):
+        longest = int(steps[order[done]])
+        mine = order[done : done + max(1, _BLOCK // longest)]
+        done += len(mine)
+        count = steps[mine].astype(np.float32)[:, None]
+        # Shorter ways stay in their last cell: to set a cell twice changes nothing.
+        step = np.minimum(np.arange(longest, dtype=np.float32)[None, :], count - 1)
+        columns = _along(step, dx[mine, None] / count, begin[0])
+        rows = _along(step, dy[mine, None] / count, begin[1])
+        yield rows * width + columns
+
+
+def _along(step: Odds, slope: Floats, begin: int) -> Cells:
+    """Return the columns, or rows, at some steps; none of them is below 0."""
+    return (step * slope.astype(np.float32) + np.float32(begin + 0.5)).astype(np.int64)

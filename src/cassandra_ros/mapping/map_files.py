@@ -1,0 +1,74 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Maps as map_server keeps them: an image of three greys, and a YAML file that says what it means."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import Union
+
+import numpy as np
+import yaml
+
+from cassandra_ros.errors import InvalidName
+from cassandra_ros.mapping.occupancy import UNKNOWN, OccupancyMap
+
+OCCUPIED_FROM = 65
+"""Per cent, included, as map_saver has it."""
+FREE_BELOW = 50
+"""Per cent: what was seen through once is free."""
+_OCCUPIED, _UNKNOWN, _FREE = 0, 205, 254
+"""Greys by which map_server and map_saver know them."""
+
+
+def trinary(made: OccupancyMap) -> np.ndarray:  # type: ignore[type-arg]
+    """Return the greys of a map, by rows of an image: the first one has the largest y."""
+    cells = made.cells
+    greys = np.full(cells.shape, _UNKNOWN, np.uint8)
+    greys[(cells != UNKNOWN) & (cells < FREE_BELOW)] = _FREE
+    greys[cells >= OCCUPIED_FROM] = _OCCUPIED
+    return greys[::-1]
+
+
+def save_map(made: OccupancyMap, path: Union[str, Path]) -> tuple[Path, Path]:
+    """Write a map for map_server; return the names of the image and of the YAML file.
+
+    Args:
+        path: NAME.pgm or NAME.yaml: both are written, the image first, each of them at once.
+
+    Raises:
+        InvalidName: It is another name.
+        OSError: A file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix not in (".pgm", ".yaml"):
+        raise InvalidName(f"{str(path)!r} is no name of a map: give NAME.pgm or NAME.yaml")
+    image, description = path.with_suffix(".pgm"), path.with_suffix(".yaml")
+    head = f"P5\n# {made.resolution:g} m a pixel\n{made.width} {made.height}\n255\n"
+    _write(image, head.encode("ascii") + trinary(made).tobytes())
+    # map_server takes a pixel for free when its darkness is below free_thresh; that of the
+    # unknown grey is 0.19608.
+    told = {
+        "image": image.name,
+        "resolution": made.resolution,
+        "origin": [made.x, made.y, made.yaw],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+    }
+    text = yaml.safe_dump(told, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    _write(description, text.encode("utf-8"))
+    return image, description
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Write a file at once: who reads it meanwhile gets the old one or the new one."""
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    finally:
+        with suppress(FileNotFoundError):
+            part.unlink()

@@ -1,0 +1,191 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where a sensor was when it measured: by recorded tf, else by a topic that tells poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Dict, Optional, Sequence
+
+import numpy as np
+
+from cassandra_ros.errors import InvalidOption, TopicNotFound, TransformException
+from cassandra_ros.places.frames import TF, TF_STATIC, Chain, Frames
+from cassandra_ros.places.pose_topic import PoseTopic, tells_poses
+from cassandra_ros.places.poses import LONGEST_GAP_SEC, Poses
+from cassandra_ros.places.rigid import Rigid
+from cassandra_ros.places.samples import Placed, Times
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.runs import Writers
+
+FRAMES = ("map", "odom", "odom_combined", "world")
+"""In which of its frames a robot's map is, the first that there is; else in the topmost one."""
+_TYPES = (
+    "nav_msgs/Odometry",
+    "geometry_msgs/PoseWithCovarianceStamped",
+    "geometry_msgs/PoseStamped",
+)
+"""Whose topics are taken by themselves, these first."""
+
+
+@dataclass(frozen=True)
+class PoseChoice:
+    """From what poses are taken."""
+
+    frame: Optional[str] = None
+    """The map's; None = the best that there is."""
+    odom: Optional[str] = None
+    """A topic that tells poses; None = tf where it knows the sensor, else the best topic."""
+    sensor_offset: Optional[Rigid] = None
+    """Pose of the sensor on the robot whose poses a topic tells; None = as tf has it, else none."""
+    tf: str = TF
+    tf_static: str = TF_STATIC
+    longest_gap_sec: float = LONGEST_GAP_SEC
+
+
+class SensorPoses:
+    """The poses of the sensors of one robot.
+
+    Args:
+        store: Connected to the keyspace.
+        choice: From what they are taken.
+        node, writers: Whose records they are; None = anybody's.
+        times: Some of the row keys at which poses will be asked for, ns.
+
+    Attributes:
+        received: How many poses are those at the times of reception, for by the stamps of the
+            headers none was known.
+    """
+
+    def __init__(
+        self,
+        store: RosCassandra,
+        choice: PoseChoice,
+        node: Optional[str],
+        writers: Writers,
+        times: Sequence[int],
+    ) -> None:
+        self._store, self._choice = store, choice
+        self._node, self._writers, self._times = node, writers, times
+        by_topic = choice.odom or choice.sensor_offset is not None
+        self._frames = None if by_topic else self._recorded_tf()
+        self._known: Dict[str, Poses] = {}
+        self._sources: Dict[str, str] = {}
+        self.received = 0
+
+    def _recorded_tf(self) -> Optional[Frames]:
+        choice = self._choice
+        try:
+            return Frames(
+                self._store.getTopic, self._node, self._writers, choice.tf, choice.tf_static
+            )
+        except TopicNotFound:
+            return None
+
+    def at(self, sensor: str, keys: Times, stamps: Times) -> Placed:
+        """Return the poses of a sensor's frame when messages were measured.
+
+        Args:
+            sensor: The frame in the messages' headers.
+            keys: Their row keys, ns.
+            stamps: Of their headers, ns; where one is 0, or nothing was recorded that has such
+                stamps, the poses are those at the keys.
+
+        Raises:
+            TopicNotFound, TransformException: There is nothing that tells poses; tf does not know
+                the sensor.
+        """
+        poses = self.of(sensor)
+        if (stamps > 0).all():
+            placed = poses.at(keys, stamps)
+            if placed.known.any():
+                return placed
+        placed = poses.at(keys)
+        self.received += int(placed.known.sum())
+        return placed
+
+    def of(self, sensor: str) -> Poses:
+        """Return where a sensor was; raises as at does."""
+        if sensor not in self._known:
+            self._known[sensor] = self._find(sensor)
+        return self._known[sensor]
+
+    @property
+    def sources(self) -> Sequence[str]:
+        """What the poses were taken from, for people."""
+        return list(dict.fromkeys(self._sources.values()))
+
+    def _find(self, sensor: str) -> Poses:
+        choice = self._choice
+        if self._frames is not None:
+            above = self._frames.above(sensor, self._times) if sensor.strip("/") else []
+            frame = choice.frame or self._best(sensor, above)
+            if frame is not None and (above or frame.strip("/") == sensor.strip("/")):
+                self._sources[sensor] = f"tf ({frame.lstrip('/')} to {sensor.lstrip('/')})"
+                return Poses(Chain(self._frames, sensor, frame), choice.longest_gap_sec)
+        topic = choice.odom or self._best_topic(sensor)
+        told = PoseTopic(self._store.getTopic, topic, self._node, self._writers)
+        offset, how = self._offset(topic, sensor)
+        if choice.frame and told.frame and choice.frame.strip("/") != told.frame:
+            raise InvalidOption(
+                f"topic {topic} tells poses in frame {told.frame}, not in {choice.frame}: leave "
+                "the frame out, or leave it to tf"
+            )
+        self._sources[sensor] = f"{topic}, {how}"
+        placed = PoseTopic(self._store.getTopic, topic, self._node, self._writers, offset)
+        placed.frame = (choice.frame or "").strip("/") or told.frame or FRAMES[1]
+        return Poses(placed, choice.longest_gap_sec)
+
+    def _best(self, sensor: str, above: Sequence[str]) -> Optional[str]:
+        """Return the frame of those above a sensor for its map; None where a topic does better."""
+        for wanted in FRAMES:
+            for name in above:
+                if name.split("/")[-1] == wanted:
+                    return name
+        frames = self._frames
+        way = [sensor, *above[:-1]]
+        if above and frames is not None and any(frames.code(n) not in frames.fixed for n in way):
+            return above[-1]
+        return None  # its place on the robot is all that tf tells
+
+    def _best_topic(self, sensor: str) -> str:
+        """Return the topic that tells poses where tf does not; raises where there is none."""
+        kinds = {
+            topic.name: min(_TYPES.index(t.msg_type) for t in topic.tables if t.msg_type in _TYPES)
+            for topic in self._store.getAllTopics()
+            if tells_poses(topic) and any(t.msg_type in _TYPES for t in topic.tables)
+        }
+        if kinds:
+            return min(kinds, key=lambda name: (kinds[name], name))
+        tf, tf_static = self._choice.tf, self._choice.tf_static
+        if self._choice.sensor_offset is not None:
+            what = "a sensor offset is one on the robot of which a topic tells poses"
+        elif self._frames is None:
+            what = f"neither {tf} nor {tf_static} is stored"
+        else:
+            what = f"frame {sensor!r} does not move in {tf} and {tf_static}"
+        raise TransformException(
+            f"nobody knows where the sensor was: {what}, and no topic of Odometry, PoseStamped or "
+            "PoseWithCovarianceStamped is; name what tells poses with odom="
+        )
+
+    def _offset(self, topic: str, sensor: str) -> tuple[Rigid, str]:
+        """Return where the sensor is on the robot whose poses a topic tells, and who says so."""
+        given = self._choice.sensor_offset
+        if given is not None:
+            return given, "sensor offset as given"
+        row = next(self._store.getTopic(topic).rows(nodeID=self._node, limit=1), None)
+        robot = "" if row is None else getattr(row.message(), "child_frame_id", "").lstrip("/")
+        if robot and sensor.strip("/"):
+            tf, tf_static = self._choice.tf, self._choice.tf_static
+            try:
+                found = self._store.lookupTransform(
+                    robot, sensor, 0, nodeID=self._node, tf=tf, tf_static=tf_static, run=self._writers
+                )
+            except (TransformException, TopicNotFound):
+                pass
+            else:
+                moved, turned = found.transform.translation, found.transform.rotation
+                numbers = [moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w]
+                return Rigid.of_numbers(np.array([numbers])), f"sensor on {robot} as tf has it"
+        return Rigid.none(1), "no sensor offset"
