@@ -1,0 +1,251 @@
+// SPDX-FileCopyrightText: 2026 cassandra_ros authors
+// SPDX-License-Identifier: BSD-3-Clause
+// @ts-check
+/** The page of maps: an occupancy grid of scans or clouds, and where the robots were. */
+
+import { ask, get, isAbort } from "./api.js";
+import { MapView, colour, metres } from "./map_view.js";
+import * as page from "./page.js";
+import * as state from "./state.js";
+import * as times from "./times.js";
+
+const MAPPED = ["sensor_msgs/LaserScan", "sensor_msgs/PointCloud2", "nav_msgs/OccupancyGrid"];
+const POSES = ["nav_msgs/Odometry", "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped"];
+const RESOLUTIONS = [0.02, 0.05, 0.1, 0.2, 0.5];
+const SCANS = [200, 1000, 5000, 20000];
+const TRACK_COLOURS = ["--accent", "--run", "--mark", "--loss"];
+const PICK_PIXELS = 12;
+
+/**
+ * Where a robot was, decimated.
+ * @typedef {object} Track
+ * @property {string} node
+ * @property {string} frame
+ * @property {bigint[]} times
+ * @property {number[]} x
+ * @property {number[]} y
+ * @property {boolean[]} joined Whether it goes on from the point before.
+ */
+
+/** @param {string} id */
+const element = (id) => /** @type {any} */ (document.getElementById(id));
+
+page.start("Map");
+export const view = new MapView(element("map"));
+/** @type {Track[]} */
+export let tracks = [];
+/** @type {AbortController | null} */
+let going = null;
+let asked = "";
+
+/** What the map is asked of: the shared state, and what this page keeps. */
+export function question() {
+  const { start, end, nodes, runs, others } = state.read();
+  return { start, end, nodes, runs, topic: others.map ?? "", resolution: others.resolution ?? "", odom: others.odom ?? "", scans: others.scans ?? "" };
+}
+
+/**
+ * @param {HTMLSelectElement} select
+ * @param {[string, string][]} choices Value and text.
+ * @param {string} name In the state; a choice without a value removes it.
+ */
+function fill(select, choices, name) {
+  select.replaceChildren(...choices.map(([value, text]) => page.make("option", { value }, text)));
+  const update = () => {
+    const wanted = state.read().others[name] ?? "";
+    if (wanted && ![...select.options].some((option) => option.value === wanted)) {
+      select.append(page.make("option", { value: wanted }, wanted));
+    }
+    select.value = wanted;
+  };
+  select.addEventListener("change", () => state.write({ [name]: select.value || null }, { push: true }));
+  state.onChange(update);
+  update();
+}
+
+async function begin() {
+  const [{ topics }, { runs }] = await Promise.all([get("/api/topics"), get("/api/runs")]);
+  /** @param {string[]} types */
+  const of = (types) => topics
+    .filter((/** @type {any} */ topic) => topic.types.some((/** @type {string} */ type) => types.includes(type)))
+    .sort((/** @type {any} */ a, /** @type {any} */ b) => types.indexOf(a.types[0]) - types.indexOf(b.types[0]))
+    .map((/** @type {any} */ topic) => topic.topic);
+  const mapped = of(MAPPED);
+  fill(element("map-topic"), [["", "nothing"], ...mapped.map((/** @type {string} */ name) => [name, name])], "map");
+  fill(element("map-resolution"), [["", "5 cm"], ...RESOLUTIONS.filter((n) => n !== 0.05).map((n) => [String(n), metres(n)])], "resolution");
+  fill(element("map-odom"), [["", "tf, or the best"], ...of(POSES).map((/** @type {string} */ name) => [name, name])], "odom");
+  fill(element("map-scans"), [["", "1000 messages"], ...SCANS.filter((n) => n !== 1000).map((n) => [String(n), `${n} messages`])], "scans");
+  const nodes = [...new Set(topics.flatMap((/** @type {any} */ topic) => topic.nodes ?? []))].sort();
+  page.addSelection(element("map-selection"), {
+    nodes: nodes.map((node) => ({ value: node, text: node || "(no name)" })).filter((node) => node.value),
+    runs: runs.map((/** @type {any} */ run) => ({ value: String(run.run) })),
+  });
+  if (!mapped.length) {
+    tell("No topic of LaserScan, PointCloud2 or OccupancyGrid is stored: only the robots' tracks are drawn.");
+  } else if (!("map" in state.read().others)) {
+    state.write({ map: mapped[0] });
+  }
+  state.onChange(refresh);
+  refresh();
+}
+
+/** Ask for what is shown, where it is not what was asked for last. */
+function refresh() {
+  const wanted = question();
+  const text = JSON.stringify(wanted, (_, value) => (typeof value === "bigint" ? String(value) : value));
+  if (text === asked) return;
+  asked = text;
+  going?.abort();
+  going = new AbortController();
+  const { signal } = going;
+  page.clearErrors();
+  view.canvas.dataset.state = "working";
+  Promise.all([loadMap(wanted, signal), loadTracks(wanted, signal)]).then(
+    () => done("drawn"),
+    (error) => {
+      if (isAbort(error)) return;
+      page.showError(error);
+      done("failed");
+    },
+  );
+}
+
+/** @param {string} how */
+function done(how) {
+  showAll();
+  view.canvas.classList.remove("working");
+  // Tests wait for it; it stands there when the picture does.
+  requestAnimationFrame(() => requestAnimationFrame(() => { view.canvas.dataset.state = how; }));
+}
+
+/**
+ * @param {ReturnType<typeof question>} wanted
+ * @param {AbortSignal} signal
+ */
+async function loadMap(wanted, signal) {
+  if (!wanted.topic) {
+    view.image = null;
+    return;
+  }
+  view.canvas.classList.add("working");
+  tell(`Making a map of ${wanted.topic} …`);
+  try {
+    const response = await ask("/api/map", wanted, { signal });
+    const meta = JSON.parse(response.headers.get("X-Map") ?? "{}");
+    view.image = { ...meta, picture: await createImageBitmap(await response.blob()) };
+    tell(described(wanted.topic, meta));
+  } catch (error) {
+    if (!isAbort(error)) {
+      view.image = null;
+      tell("");
+    }
+    throw error;
+  }
+}
+
+/**
+ * @param {string} topic
+ * @param {any} meta
+ */
+function described(topic, meta) {
+  const size = `${(meta.width * meta.resolution).toFixed(1)} × ${(meta.height * meta.resolution).toFixed(1)} m`;
+  const parts = [`${topic} in frame ${meta.frame || "?"}: ${size}, cells of ${metres(Number(meta.resolution.toPrecision(6)))}`];
+  parts.push(`${meta.used} messages, poses by ${meta.sources.join("; ")}`);
+  if (meta.without_pose) parts.push(`${meta.without_pose} left out, for nobody knows where the sensor was`);
+  if (meta.received) parts.push(`${meta.received} placed by when they were received`);
+  if (meta.unreadable) parts.push(`${meta.unreadable} unreadable`);
+  return parts.join(" · ");
+}
+
+/**
+ * @param {ReturnType<typeof question>} wanted
+ * @param {AbortSignal} signal
+ */
+async function loadTracks(wanted, signal) {
+  const { start, end, nodes, runs } = wanted;
+  const found = await get("/api/places", { start, end, nodes, runs }, { signal }).catch((error) => {
+    // A store without poses has no tracks; a stored map can be shown all the same.
+    if (error?.status === 404 || error?.status === 400) return { tracks: [] };
+    throw error;
+  });
+  tracks = found.tracks.map((/** @type {any} */ track) => ({ ...track, times: track.times.map(BigInt) }));
+  view.canvas.dataset.points = String(tracks.reduce((sum, track) => sum + track.x.length, 0));
+}
+
+function showAll() {
+  const bounds = { left: Infinity, right: -Infinity, bottom: Infinity, top: -Infinity };
+  /** @param {number} x @param {number} y */
+  const take = (x, y) => {
+    bounds.left = Math.min(bounds.left, x);
+    bounds.right = Math.max(bounds.right, x);
+    bounds.bottom = Math.min(bounds.bottom, y);
+    bounds.top = Math.max(bounds.top, y);
+  };
+  const { image } = view;
+  if (image) {
+    const [across, up] = [image.width * image.resolution, image.height * image.resolution];
+    const [cos, sin] = [Math.cos(image.yaw), Math.sin(image.yaw)];
+    for (const [u, v] of [[0, 0], [across, 0], [0, up], [across, up]]) {
+      take(image.x + u * cos - v * sin, image.y + u * sin + v * cos);
+    }
+  }
+  for (const track of tracks) track.x.forEach((x, n) => take(x, track.y[n]));
+  if (bounds.left <= bounds.right) view.fit(bounds);
+  else view.draw();
+}
+
+/** @type {import("./map_view.js").Layer} */
+function drawTracks(context) {
+  context.lineWidth = 2;
+  context.lineJoin = "round";
+  for (const [number, track] of tracks.entries()) {
+    context.strokeStyle = colour(TRACK_COLOURS[number % TRACK_COLOURS.length]);
+    context.beginPath();
+    track.x.forEach((x, n) => {
+      const at = view.toScreen(x, track.y[n]);
+      if (n && track.joined?.[n] !== false) context.lineTo(at.x, at.y);
+      else context.moveTo(at.x, at.y);
+    });
+    context.stroke();
+  }
+}
+
+/**
+ * Show which moment of a track was clicked on, and lead to it.
+ * @param {import("./map_view.js").Point} at
+ */
+function pick(at) {
+  let best = { distance: PICK_PIXELS / view.scale, text: "", time: 0n };
+  for (const track of tracks) {
+    track.x.forEach((x, n) => {
+      const distance = Math.hypot(x - at.x, track.y[n] - at.y);
+      if (distance < best.distance) {
+        best = { distance, time: track.times[n], text: `${track.node} ${times.shown(track.times[n])}` };
+      }
+    });
+  }
+  const place = element("map-picked");
+  if (!best.text) {
+    place.replaceChildren();
+    return;
+  }
+  const look = page.make("a", { href: state.link("/look.html", { time: best.time }) }, "Look at this moment");
+  place.replaceChildren(page.make("div", { class: "panel row" }, best.text.trim(), look));
+}
+
+/** @param {string} text */
+function tell(text) {
+  element("map-told").textContent = text;
+}
+
+view.layers.push(drawTracks);
+view.onClick = pick;
+view.onHover = (at) => {
+  element("map-cursor").textContent = at ? `x ${at.x.toFixed(2)}  y ${at.y.toFixed(2)} m` : "";
+};
+view.canvas.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => {
+  if (event.key === "0") showAll();
+});
+element("map-fit").addEventListener("click", showAll);
+element("map-tools").addEventListener("submit", (/** @type {Event} */ event) => event.preventDefault());
+begin().catch(page.showError);
