@@ -23,6 +23,7 @@ from cassandra_ros.cli.verbs import (
     retention,
     roles,
     runs,
+    thumbs,
     truncate,
     verify,
 )
@@ -37,6 +38,7 @@ VERBS = {
     "verify": verify,
     "check": check,
     "query": query,
+    "thumbs": thumbs,
     "cat": cat,
     "index": index,
     "convert": convert,

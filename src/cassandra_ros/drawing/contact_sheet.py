@@ -1,0 +1,71 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A contact sheet: many small pictures in one, each with its time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple, Sequence
+
+from cassandra_ros.installation import optional_module
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+    from PIL.ImageFont import FreeTypeFont, ImageFont
+
+_GAP = 6
+"""Pixels between cells."""
+_TEXT = 12
+_TITLE = 16
+"""Height of letters, pixels."""
+_GROUND, _INK, _FAINT = (255, 255, 255), (20, 20, 20), (235, 235, 235)
+
+
+class Cell(NamedTuple):
+    """A picture of a sheet and what stands below it."""
+
+    caption: str
+    picture: Image | None
+    """None: there is none, the caption says why."""
+
+
+def draw_sheet(cells: Sequence[Cell], columns: int, width: int, title: str) -> Image:
+    """Draw small pictures in rows.
+
+    Args:
+        cells: In their order, at least one; a picture is at most ``width`` wide.
+        columns: Cells of a row, at least 1.
+        width: Of a cell, pixels.
+        title: Stands above.
+
+    Raises:
+        MissingDependency: Pillow is not installed.
+    """
+    image = optional_module("PIL.Image", "a contact sheet")
+    draw = optional_module("PIL.ImageDraw", "a contact sheet")
+    fonts = optional_module("PIL.ImageFont", "a contact sheet")
+    text, large = fonts.load_default(_TEXT), fonts.load_default(_TITLE)
+    height = max([cell.picture.height for cell in cells if cell.picture is not None] or [width])
+    columns = min(columns, len(cells))
+    step_x, step_y = width + _GAP, height + _TEXT + 3 * _GAP
+    top = _TITLE + 3 * _GAP
+    size = (_GAP + columns * step_x, top + -(-len(cells) // columns) * step_y)
+    sheet: Image = image.new("RGB", size, _GROUND)
+    pen = draw.Draw(sheet)
+    pen.text((_GAP, _GAP), fitted(title, large, size[0] - 2 * _GAP), _INK, font=large)
+    for number, cell in enumerate(cells):
+        x, y = _GAP + number % columns * step_x, top + number // columns * step_y
+        pen.rectangle((x, y, x + width - 1, y + height - 1), _FAINT)
+        if cell.picture is not None:
+            inner = x + (width - cell.picture.width) // 2, y + (height - cell.picture.height) // 2
+            sheet.paste(cell.picture, inner)
+        pen.text((x, y + height + _GAP), fitted(cell.caption, text, width), _INK, font=text)
+    return sheet
+
+
+def fitted(text: str, font: FreeTypeFont | ImageFont, width: int) -> str:
+    """Cut a text so that it is at most so many pixels wide."""
+    if font.getlength(text) <= width:
+        return text
+    while text and font.getlength(text + "...") > width:
+        text = text[:-1]
+    return text + "..."

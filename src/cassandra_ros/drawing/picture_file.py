@@ -1,0 +1,52 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A picture that is written to a file, whole or not at all."""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cassandra_ros.errors import InvalidOption
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+ENDINGS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
+"""Ending of a name -> format, as Pillow calls it."""
+
+
+def check_picture_path(path: str | os.PathLike[str], force: bool = False) -> None:
+    """Refuse a name before the work is done.
+
+    Args:
+        force: An existing file is replaced.
+
+    Raises:
+        InvalidOption: Its ending is none of ENDINGS, or the file exists.
+    """
+    if Path(path).suffix.lower() not in ENDINGS:
+        known = ", ".join(ENDINGS)
+        raise InvalidOption(f"{os.fspath(path)} is no name of a picture: known endings are {known}")
+    if os.path.exists(path) and not force:
+        text = f"{os.fspath(path)} exists; choose another name, or replace it with --force"
+        raise InvalidOption(text)
+
+
+def save_picture(picture: Image, path: str | os.PathLike[str]) -> int:
+    """Write a picture in the format of the file's ending; return its size in bytes.
+
+    Raises:
+        InvalidOption: The file cannot be made; one that was there stays.
+    """
+    found, active = io.BytesIO(), Path(f"{os.fspath(path)}.active")
+    picture.save(found, ENDINGS[Path(path).suffix.lower()])
+    try:
+        active.write_bytes(found.getvalue())
+        os.replace(active, path)
+    except OSError as exc:
+        active.unlink(missing_ok=True)
+        raise InvalidOption(f"{os.fspath(path)} cannot be written: {exc.strerror}") from exc
+    return len(found.getvalue())
