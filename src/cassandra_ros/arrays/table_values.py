@@ -102,9 +102,12 @@ class TableValues:
         self._tester = condition if condition.unnested else None
         self._stacked = self._stacked_fields(known)
         """All fields, where they are read out of many messages at once; else none."""
+        self.renew()
+
+    def renew(self) -> None:
+        """Forget what was gathered."""
         self._chunks: list[list[Values]] = [[] for _ in self._outputs]
         self._orders: list[AnyArray] = []
-        self._blocks: list[MessageBlock] = []
         self.places: list[MessageBlock] = []
         """Times, nodes and _seq of what came in blocks."""
         self._clear()
@@ -186,7 +189,7 @@ class TableValues:
         self._raws: list[Sequence[Optional[bytes]]] = []
         self._hits: list[list[bool]] = []
         self._decoded: list[Sequence[object]] = []
-        self._blocks = []
+        self._blocks: list[MessageBlock] = []
         self._bytes = 0
 
     def add(self, row: Row, number: int) -> None:

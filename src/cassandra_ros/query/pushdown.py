@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections import Counter
 from itertools import product
 from typing import (
+    Callable,
     Dict,
     FrozenSet,
     NamedTuple,
@@ -75,6 +76,13 @@ Query = Tuple[Tuple[Term, ...], bool]
 """What the server is to check, all of it, and whether it finds the rows by an index."""
 _ODD: Query = ((("_odd", "=", b"\x01"),), False)
 
+Watch = Callable[[], None]
+"""Is called again and again while something is read; what it raises ends that."""
+
+
+def unwatched() -> None:
+    """Watch nothing."""
+
 
 class _Bucket(Protocol):
     """What one writer notes of a partition in the directory, as the store's BucketRow has it."""
@@ -113,6 +121,7 @@ class Pushdown:
     Args:
         expression: The condition, bound; None is always true.
         plan: One of PLANS.
+        watch: See Watch.
 
     Attributes:
         indexed, filtered, whole, skipped: How many buckets were read by an index, by a filter
@@ -124,11 +133,17 @@ class Pushdown:
             'zones'.
     """
 
-    def __init__(self, expression: Optional[Expression], plan: str = "auto") -> None:
+    def __init__(
+        self,
+        expression: Optional[Expression],
+        plan: str = "auto",
+        watch: Watch = unwatched,
+    ) -> None:
         if plan not in PLANS:
             raise ValueError(f"plan {plan!r} is none of {', '.join(PLANS)}")
         self._expression = expression
         self._plan = plan
+        self._watch = watch
         self._branches: dict[str, Optional[list[Branch]]] = {}
         self._sifts: dict[str, Optional[Sift]] = {}
         self._many: set[str] = set()
@@ -148,6 +163,7 @@ class Pushdown:
 
     def choose(self, table: Table, bucket: Sequence[_Bucket]) -> Optional[Sequence[Query]]:
         """Return the queries whose rows include those that match; None = all rows."""
+        self._watch()
         chosen = self._chosen(table, bucket)
         if table.packed:
             self.held += sum(row.rows for row in bucket)
@@ -190,6 +206,7 @@ class Pushdown:
 
     def opened(self, table: Table, messages: int, kept: int) -> None:
         """Take note of a block that was unpacked, and how many of its messages became rows."""
+        self._watch()
         self._opened[table.name] += messages
         self.blocks += 1
         self.unpacked += messages

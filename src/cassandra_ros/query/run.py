@@ -15,14 +15,21 @@ from typing import Callable, Generator, Iterable, Iterator, NamedTuple, Optional
 
 from cassandra_ros.arguments import check_node
 from cassandra_ros.errors import InvalidKey, InvalidName, InvalidQuery
-from cassandra_ros.keys import MAX_NS, Position, decode_cursor, encode_cursor, is_behind
+from cassandra_ros.keys import (
+    MAX_NS,
+    Position,
+    RowName,
+    decode_cursor,
+    encode_cursor,
+    is_behind,
+)
 from cassandra_ros.messages.stamps import SECONDS_BELOW, Stamp, is_time, iso_time, to_ns
 from cassandra_ros.query.gathered import gather
 from cassandra_ros.query.literals import fit_to_text, fit_to_time
 from cassandra_ros.query.parse import parse_condition
 from cassandra_ros.query.projection import Projections, ResultRow
 from cassandra_ros.query.protocols import Row, Runs, Table
-from cassandra_ros.query.pushdown import Pushdown
+from cassandra_ros.query.pushdown import Pushdown, Watch, unwatched
 from cassandra_ros.query.settle import settle
 from cassandra_ros.query.source import Columns, RowT_co, Source, Writers
 from cassandra_ros.query.syntax import (
@@ -308,6 +315,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         after: ``cursor`` of an earlier result of the same statement: go on behind its last row.
             Groups, distinct rows and those in another order than KEY's are made anew for it.
         plan: What the server may check, one of pushdown.PLANS; the answer is always the same.
+        watch: See pushdown.Watch.
 
     Attributes:
         columns: Names of the columns.
@@ -333,10 +341,11 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         limit: Optional[int] = None,
         after: Cursor = None,
         plan: str = "auto",
+        watch: Watch = unwatched,
     ) -> None:
         tables = source.tables
         self.select = select = settle(select, tables)
-        self._source = source
+        self._source, self._watch = source, watch
         named = any(table.named for table in tables)
         runs = next((table.runs for table in tables), None)
         self._bounds = bounds = bounds_of(select, node, named, run, runs)
@@ -353,7 +362,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         self._projections = Projections(select, tables)
         shown = self._projections.names[: len(select.visible)]
         self.columns = tuple(name for names in shown for name in names)
-        self.pushdown = Pushdown(None if bounds.whole else select.condition, plan)
+        self.pushdown = Pushdown(None if bounds.whole else select.condition, plan, watch)
         unnested = any(projection.unnested for projection in self._projections)
         self.direct = select.gathers or (bounds.whole and not unnested)
         self.read = 0
@@ -376,6 +385,11 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         """Where to go on behind the last row that was taken; '' at the beginning."""
         row = self._row
         return (self._place if row is None else Place(self._given, self._skip, row.position)).text
+
+    @property
+    def key(self) -> Union[Stamp, RowName, None]:
+        """Key of the message that gave the last row; None: several did, or none was taken."""
+        return None if self._row is None else self._row.key
 
     def close(self) -> None:
         """Stop reading. Twice is harmless."""
@@ -441,6 +455,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         )
         for row in rows:
             self.read += 1
+            self._watch()
             yield row
 
     def _gathered(self, given: int) -> _Rows:

@@ -20,6 +20,7 @@ from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.query.explain import Explanation, explain
 from cassandra_ros.query.names import nearest
 from cassandra_ros.query.parse import parse_select, parse_statement
+from cassandra_ros.query.pushdown import Watch, unwatched
 from cassandra_ros.query.run import (
     Condition,
     Cursor,
@@ -40,11 +41,13 @@ from cassandra_ros.query.syntax import (
 from cassandra_ros.store.schema import Schema
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.envelopes import EnvelopeCache
 from cassandra_ros.topics.finding import seconds_meant
 from cassandra_ros.topics.indexes import check_indexable
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.removal import delete_rows
 from cassandra_ros.topics.runs import RunName
+from cassandra_ros.topics.series import Asker, Series, Window, read_series
 
 
 class Statements:
@@ -100,6 +103,7 @@ class Statements:
         after: Cursor = None,
         plan: str = "auto",
         run: RunName = None,
+        watch: Watch = unwatched,
     ) -> QueryResult:
         """Run a SELECT statement, or its parsed tree, lazily; see QueryResult."""
         check_limit(limit)
@@ -107,7 +111,14 @@ class Statements:
         select = statement if isinstance(statement, Select) else parse_select(statement, params)
         topic, writers = self._topic(select), self._keyspace.runs.writers(run)
         return QueryResult(
-            select, topic, node=node, run=writers, limit=limit, after=after, plan=plan
+            select,
+            topic,
+            node=node,
+            run=writers,
+            limit=limit,
+            after=after,
+            plan=plan,
+            watch=watch,
         )
 
     def explain(
@@ -116,10 +127,36 @@ class Statements:
         params: Sequence[Any] = (),
         node: Optional[str] = None,
         run: RunName = None,
+        watch: Watch = unwatched,
     ) -> Explanation:
         """Run a SELECT statement to its end, keeping no row, and say how it was answered."""
-        result = self.select(statement, params, node=node, run=run)
+        result = self.select(statement, params, node=node, run=run, watch=watch)
         return explain(result, self._topic(result.select))
+
+    def series(
+        self,
+        statement: Union[str, Select],
+        params: Sequence[Any] = (),
+        window: Window = Window(),
+        *,
+        node: Optional[str] = None,
+        run: RunName = None,
+        cache: Optional[EnvelopeCache] = None,
+        watch: Watch = unwatched,
+    ) -> Series:
+        """Read the numbers that a SELECT statement gives over time, as a plot shows them.
+
+        Args:
+            window: What of the time, how closely, and how long it may take.
+            cache: Keeps what was read; None = nothing does.
+
+        Raises:
+            InvalidQuery: It is none, names what the topic has not, or nothing in it is a time.
+        """
+        check_nodes(node)
+        select = statement if isinstance(statement, Select) else parse_select(statement, params)
+        asker = Asker(node, self._keyspace.runs.writers(run), cache, watch)
+        return read_series(self._keyspace, self._topic(select), select, window, asker)
 
     def _topic(self, statement: Union[Select, Delete, Truncate]) -> CassandraTopic:
         return self._find(statement.text, statement.topic, statement.topic_position)

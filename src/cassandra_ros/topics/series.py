@@ -1,0 +1,213 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Numbers of a statement over time, as a plot shows them: of each pixel the least and greatest.
+
+The messages of a plain statement are looked at bucket by bucket (see envelopes.py), as many as
+there is time for. Groups, distinct rows and those of a LIMIT are made first, all of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Iterator, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+
+from cassandra_ros.arrays.array_types import AnyArray, column_types
+from cassandra_ros.arrays.envelope import Envelope, Grid, Points
+from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.query.projection import ResultRow
+from cassandra_ros.query.pushdown import Watch, unwatched
+from cassandra_ros.query.run import Bounds, QueryResult, bounds_of
+from cassandra_ros.query.settle import settle
+from cassandra_ros.query.source import Writers
+from cassandra_ros.query.syntax import KeyOperand, Select, Selected
+from cassandra_ros.topics.bucket_envelope import Wanted
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.drawn import Column, Drawn, Undrawn, as_float, drawn_columns
+from cassandra_ros.topics.envelopes import EnvelopeCache, EnvelopeReader, Envelopes
+from cassandra_ros.topics.following import followed
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.topic_table import TopicTable
+
+PIXELS = 1000
+MOST_PIXELS = 20_000
+MOST_ROWS = 2_000_000
+"""So many rows are made for a plot that has to have all of them."""
+_CHUNK_ROWS = 4096
+
+
+class Window(NamedTuple):
+    """What of the time is drawn, and how closely."""
+
+    low: Optional[int] = None
+    """First time, ns; None = that of the first message."""
+    high: Optional[int] = None
+    """Last time, included; None = that of the last message."""
+    pixels: int = PIXELS
+    """At most so many, 1 to MOST_PIXELS."""
+    seconds: Optional[float] = None
+    """Stop about then with what is known; None = read all."""
+
+
+@dataclass(frozen=True)
+class Asker:
+    """Who asks for a series, and how.
+
+    Attributes:
+        node, writers: Only messages of these; None = of all.
+        cache: Keeps what was read for the next time; None = nothing does.
+        watch: See Watch.
+    """
+
+    node: Optional[str] = None
+    writers: Writers = None
+    cache: Optional[EnvelopeCache] = None
+    watch: Watch = unwatched
+
+
+@dataclass(frozen=True)
+class Series:
+    """The numbers of a statement over time."""
+
+    topic: str
+    columns: Tuple[Column, ...]
+    left_out: Tuple[Undrawn, ...]
+    """Columns that cannot be drawn."""
+    grid: Grid
+    """Its pixels: somewhat more than was asked for, whole ones."""
+    points: Points
+    share: float = 1.0
+    """How much of what there is to read was read: below 1.0 points are missing, and others lack
+    a part."""
+    edges: int = 0
+    """Blocks that lie in two pixels or more, and of which only the bounds were read: both of these
+    seem to hold all of their numbers."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether each number is exact."""
+        return self.share == 1.0 and not self.edges
+
+
+def read_series(
+    keyspace: Keyspace,
+    topic: CassandraTopic,
+    select: Select,
+    window: Window,
+    asker: Asker,
+) -> Series:
+    """Read the numbers that a statement gives over time.
+
+    Raises:
+        InvalidQuery: The statement names what the topic has not; or nothing in it is a time.
+    """
+    tables = topic.tables
+    if any(table.named for table in tables):
+        reason = f"the messages of topic {topic.name} lie under names: there is no time to draw "
+        raise InvalidQuery(select.text, select.topic_position, f"{reason}them over")
+    settled = settle(select, tables)
+    drawn = drawn_columns(settled, tables)
+    if settled.gathers or settled.limit is not None:
+        return _of_rows(topic, select, drawn, window, asker)
+    runs = next((table.runs for table in tables), None)
+    bounds = bounds_of(settled, asker.node, False, asker.writers, runs)
+    ends = _extent(topic, bounds, window) if drawn.columns else None
+    if ends is None:
+        return _nothing(topic, drawn, len(drawn.columns))
+    grid = Grid.between(*ends, window.pixels)
+    wanted = Wanted(settled, bounds, drawn.columns)
+
+    def read(now: Sequence[TopicTable]) -> Envelopes:
+        reader = EnvelopeReader(keyspace, now, wanted, asker.cache, asker.watch)
+        return reader.read(grid, window.seconds)
+
+    found = followed(tables, read)
+    points = found.envelope.points()
+    return Series(topic.name, *drawn, grid, points, found.share, found.edges)
+
+
+def _nothing(topic: CassandraTopic, drawn: Drawn, columns: int) -> Series:
+    grid = Grid(0, 0, 1)
+    return Series(topic.name, *drawn, grid, Envelope(grid, columns).points())
+
+
+def _extent(topic: CassandraTopic, bounds: Bounds, window: Window) -> Optional[Tuple[int, int]]:
+    """Return the first and the last time that is drawn; None: there is none."""
+    low, high = window.low, window.high
+    if not topic.tables or bounds.empty:
+        return None
+    if low is None:
+        low = _end(topic, bounds, reverse=False)
+    if high is None:
+        high = _end(topic, bounds, reverse=True)
+    if low is None or high is None or low > high:
+        return None
+    return low, high
+
+
+def _end(topic: CassandraTopic, bounds: Bounds, *, reverse: bool) -> Optional[int]:
+    rows = topic.rows(
+        bounds.low,
+        bounds.high,
+        nodeID=bounds.node,
+        limit=1,
+        reverse=reverse,
+        columns=lambda table: (),
+        run=bounds.writers,
+    )
+    return next((row.t for row in rows), None)
+
+
+# ---------------------------------------------------------------- rows that are made
+
+
+def _of_rows(
+    topic: CassandraTopic, select: Select, drawn: Drawn, window: Window, asker: Asker
+) -> Series:
+    """Draw the rows of a result: all of them are made."""
+    if select.columns is not None and not (
+        select.aggregates or select.group or select.distinct
+    ):
+        select = replace(select, columns=(Selected(KeyOperand(0)), *select.columns))
+    kinds = column_types(select, topic.tables)
+    over = next((n for n, (_, k) in enumerate(kinds) if k.kind == "time" and not k.depth), None)
+    if over is None:
+        reason = "nothing in its rows is a time to draw them over: select KEY, or time(1m) of what "
+        raise InvalidQuery(select.text, 0, f"{reason}is grouped by it")
+    name = kinds[over][0]
+    drawn = drawn._replace(left_out=tuple(u for u in drawn.left_out if u.name != name))
+    places = [[name for name, _ in kinds].index(column.name) for column in drawn.columns]
+    asked = QueryResult(
+        select, topic, node=asker.node, run=asker.writers, watch=asker.watch
+    )
+    with asked as result:
+        times, numbers = _arrays(select, result, over, places)
+    low = times.min(initial=2**63 - 1) if window.low is None else window.low
+    high = times.max(initial=-1) if window.high is None else window.high
+    if low > high:
+        return _nothing(topic, drawn, len(places))
+    grid = Grid.between(int(low), int(high), window.pixels)
+    envelope = Envelope(grid, len(places))
+    envelope.add(times, numbers)
+    return Series(topic.name, *drawn, grid, envelope.points())
+
+
+def _arrays(
+    select: Select, rows: Iterator[ResultRow], over: int, places: Sequence[int]
+) -> Tuple[AnyArray, AnyArray]:
+    """Return times and numbers of rows; those without a time are left out."""
+    times, numbers, count = [np.zeros(0, np.int64)], [np.zeros((len(places), 0))], 0
+    while True:
+        chunk = list(islice(rows, _CHUNK_ROWS))
+        if not chunk:
+            return np.concatenate(times), np.concatenate(numbers, axis=1)
+        count += len(chunk)
+        if count > MOST_ROWS:
+            reason = f"more than {MOST_ROWS} rows are too many to draw; group by a longer time"
+            raise InvalidQuery(select.text, 0, reason)
+        kept = [row for row in chunk if hasattr(row[over], "to_nsec")]
+        times.append(np.array([row[over].to_nsec() for row in kept], np.int64))
+        found = [[as_float(row[place]) for row in kept] for place in places]
+        numbers.append(np.array(found, np.float64).reshape(len(places), len(kept)))
