@@ -232,7 +232,7 @@ def write(columns: Types, rows: Lines, output: str, path: str | None, force: boo
         InvalidOption: The file exists or cannot be made, or a value does not fit into Parquet.
     """
     binary = output == "parquet"
-    with _opened(path, force, binary) as stream:
+    with open_output(path, force, binary) as stream:
         if binary:
             write_parquet(columns, rows, stream)
             return
@@ -242,7 +242,7 @@ def write(columns: Types, rows: Lines, output: str, path: str | None, force: boo
 
 
 @contextmanager
-def _opened(path: str | None, force: bool, binary: bool) -> Iterator[IO[Any]]:
+def open_output(path: str | None, force: bool, binary: bool) -> Iterator[IO[Any]]:
     """Open what is written to: standard output, or a file that is there only when it is complete.
 
     A file is called PATH.active until all is written. What is no regular file (/dev/stdout, a

@@ -72,7 +72,8 @@ _INSTEAD = {
 
 
 @lru_cache(maxsize=1)
-def _grammar() -> Lark:
+def grammar() -> Lark:
+    """Return the grammar of statements and conditions, compiled once."""
     return Lark.open(
         "cql.lark",
         rel_to=__file__,
@@ -153,7 +154,7 @@ def _parse(text: str, start: str) -> Any:
 
 
 def _parsed(text: str, start: str) -> Any:
-    return _grammar().parse(text, start=start)
+    return grammar().parse(text, start=start)
 
 
 _parsed_before = lru_cache(maxsize=256)(_parsed)  # a tree is never changed

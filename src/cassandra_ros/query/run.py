@@ -15,14 +15,7 @@ from typing import Callable, Generator, Iterable, Iterator, NamedTuple, Optional
 
 from cassandra_ros.arguments import check_node
 from cassandra_ros.errors import InvalidKey, InvalidName, InvalidQuery
-from cassandra_ros.keys import (
-    MAX_NS,
-    Position,
-    RowName,
-    decode_cursor,
-    encode_cursor,
-    is_behind,
-)
+from cassandra_ros.keys import MAX_NS, Position, decode_cursor, encode_cursor, is_behind
 from cassandra_ros.messages.stamps import SECONDS_BELOW, Stamp, is_time, iso_time, to_ns
 from cassandra_ros.query.gathered import gather
 from cassandra_ros.query.literals import fit_to_text, fit_to_time
@@ -387,9 +380,9 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         return (self._place if row is None else Place(self._given, self._skip, row.position)).text
 
     @property
-    def key(self) -> Union[Stamp, RowName, None]:
-        """Key of the message that gave the last row; None: several did, or none was taken."""
-        return None if self._row is None else self._row.key
+    def position(self) -> Optional[Position]:
+        """Place of the message that gave the last row; None: several did, or none was taken."""
+        return None if self._row is None else self._row.position
 
     def close(self) -> None:
         """Stop reading. Twice is harmless."""

@@ -51,13 +51,17 @@ class Window(NamedTuple):
     """Stop about then with what is known; None = read all."""
 
 
+WHOLE = Window()
+
+
 @dataclass(frozen=True)
 class Asker:
     """Who asks for a series, and how.
 
     Attributes:
         node, writers: Only messages of these; None = of all.
-        cache: Keeps what was read for the next time; None = nothing does.
+        cache: Keeps what was read for the next time, whole pixels also at the ends of the window;
+            None = nothing does, and nothing is read beside the window.
         watch: See Watch.
     """
 
@@ -113,6 +117,8 @@ def read_series(
         return _of_rows(topic, select, drawn, window, asker)
     runs = next((table.runs for table in tables), None)
     bounds = bounds_of(settled, asker.node, False, asker.writers, runs)
+    if asker.cache is None:
+        bounds = bounds.within(window.low, window.high)
     ends = _extent(topic, bounds, window) if drawn.columns else None
     if ends is None:
         return _nothing(topic, drawn, len(drawn.columns))

@@ -47,7 +47,7 @@ from cassandra_ros.topics.indexes import check_indexable
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.removal import delete_rows
 from cassandra_ros.topics.runs import RunName
-from cassandra_ros.topics.series import Asker, Series, Window, read_series
+from cassandra_ros.topics.series import WHOLE, Asker, Series, Window, read_series
 
 
 class Statements:
@@ -137,7 +137,7 @@ class Statements:
         self,
         statement: Union[str, Select],
         params: Sequence[Any] = (),
-        window: Window = Window(),
+        window: Window = WHOLE,
         *,
         node: Optional[str] = None,
         run: RunName = None,

@@ -4,6 +4,295 @@
 
 from __future__ import annotations
 
-from cassandra_ros.viewing.route import Route
+import math
+from typing import Callable, Sequence
 
-ROUTES: tuple[Route, ...] = ()
+from cassandra_ros.arrays.array_types import column_types
+from cassandra_ros.arrays.envelope import breaks
+from cassandra_ros.errors import CassandraRosError, InvalidOption, TopicNotFound
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.query.complete import Known, complete
+from cassandra_ros.query.parse import parse_select
+from cassandra_ros.query.run import QueryResult
+from cassandra_ros.topics.envelopes import EnvelopeCache
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.series import MOST_PIXELS, PIXELS, Series, Window
+from cassandra_ros.viewing.answers import Json
+from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.cells import Cells
+from cassandra_ros.viewing.route import Parameter, Route
+from cassandra_ros.viewing.settings import ViewerSettings
+
+PAGE_ROWS = 200
+MOST_ROWS = 10_000
+PAGE_BYTES = 8 * 1024 * 1024
+"""A page ends where its values take about so much."""
+BUDGET_SEC = 0.6
+"""So long a plot is read before what is known is answered."""
+
+
+class Gone(CassandraRosError):
+    """Nobody waits for the answer any more."""
+
+
+def _watch(call: Call) -> Callable[[], None]:
+    """Return what ends the reading for a browser that went away."""
+
+    def watch() -> None:
+        if call.gone.is_set():
+            raise Gone("whoever asked does not wait for the answer any more")
+
+    return watch
+
+
+def _node(call: Call) -> str | None:
+    nodes = call.texts("nodes") or ()
+    if len(nodes) > 1:
+        raise InvalidOption("nodes: a statement is asked of one robot, or of all; use NODE IN (…)")
+    return nodes[0] if nodes else None
+
+
+def _run(call: Call) -> str | None:
+    runs = call.texts("runs") or ()
+    if len(runs) > 1:
+        raise InvalidOption("runs: a statement is asked of one run, or of all; use RUN IN (…)")
+    return runs[0] if runs else None
+
+
+# ---------------------------------------------------------------- rows
+
+
+def _query(call: Call) -> Json:
+    """Answer a page of a statement's rows."""
+    limit = min(call.count("limit") or PAGE_ROWS, MOST_ROWS)
+    select = parse_select(call.text("q") or "")
+    result = call.store.statements.select(
+        select, node=_node(call), run=_run(call), after=call.text("after"), watch=_watch(call)
+    )
+    with result:
+        return _page(call, result, limit)
+
+
+def _page(call: Call, result: QueryResult, limit: int) -> Json:
+    cells = Cells(call.count("cut"))
+    rows: list[Json] = []
+    times: list[Json] = []
+    cursor = ""
+    for row in result:
+        rows.append([cells.shown(value) for value in row])
+        at = result.position
+        times.append(cells.time_in(row) if at is None else str(at.t))
+        cursor = result.cursor
+        if len(rows) >= limit or cells.bytes >= PAGE_BYTES:
+            break
+    else:
+        cursor = ""
+    return {
+        "topic": result.select.topic,
+        "columns": list(result.columns),
+        "kinds": _kinds(call, result),
+        "rows": rows,
+        "times": times,
+        "after": cursor,
+        "read": result.read,
+    }
+
+
+def _kinds(call: Call, result: QueryResult) -> Json:
+    """Return of each column what its values are: a type of ROS, with [] for each array."""
+    topic = call.store.getTopic(result.select.topic)
+    kinds = column_types(result.select, topic.tables)
+    return ["int" if kind.kind == "sum" else kind.kind + "[]" * kind.depth for _, kind in kinds]
+
+
+def _explain(call: Call) -> Json:
+    """Run a statement to its end, and say how it was answered."""
+    found = call.store.statements.explain(
+        call.text("q") or "", node=_node(call), run=_run(call), watch=_watch(call)
+    )
+    return {
+        "text": str(found),
+        "topic": found.topic,
+        "buckets": found.buckets,
+        "indexed": found.indexed,
+        "filtered": found.filtered,
+        "whole": found.whole,
+        "skipped": found.skipped,
+        "server": list(found.server),
+        "client": list(found.client),
+        "rows_read": found.rows_read,
+        "rows_returned": found.rows_returned,
+        "blocks": found.blocks,
+        "unpacked": found.unpacked,
+        "sifted": found.sifted,
+        "unread": found.unread,
+        "counted": found.counted,
+    }
+
+
+# ---------------------------------------------------------------- completion
+
+
+def _complete(call: Call) -> Json:
+    """Offer what may stand at a place of a statement."""
+    text, store = call.text("q") or "", call.store
+    cursor = call.count("at")
+
+    def definitions(topic: str) -> Sequence[Definition]:
+        try:
+            tables = store.getTopic(topic).tables
+        except TopicNotFound:
+            return ()
+        return [table.definition for table in tables if table.definition is not None]
+
+    known = Known(
+        lambda: [topic.name for topic in store.getAllTopics()],
+        definitions,
+        lambda: sorted({info.node for info in store.info() if info.node}),
+        lambda: list(dict.fromkeys(run.name for run in store.runs() if run.name)),
+    )
+    found = complete(text, len(text) if cursor is None else cursor, known)
+    offers: Json = [
+        {"text": offer.text, "kind": offer.kind, "note": offer.note} for offer in found.offers
+    ]
+    return {"start": found.start, "offers": offers}
+
+
+# ---------------------------------------------------------------- plots
+
+
+def _cache(store: RosCassandra, settings: ViewerSettings) -> EnvelopeCache:
+    return EnvelopeCache()
+
+
+def _plot(call: Call) -> Json:
+    """Answer the least and the greatest number of each pixel."""
+    pixels = call.count("pixels") or PIXELS
+    if pixels > MOST_PIXELS:
+        raise InvalidOption(f"pixels {pixels}: at most {MOST_PIXELS}")
+    seconds = call.number("seconds")
+    low, high = call.time_ns("start"), call.time_ns("end")
+    if low is not None and high is not None and low > high:
+        raise InvalidOption("start lies behind end")
+    window = Window(low, high, pixels, BUDGET_SEC if seconds is None else max(0.0, seconds))
+    found = call.store.statements.series(
+        call.text("q") or "",
+        window=window,
+        node=_node(call),
+        run=_run(call),
+        cache=call.shared(_cache),
+        watch=_watch(call),
+    )
+    return _shown(found)
+
+
+def _shown(found: Series) -> Json:
+    points = found.points
+    columns: list[Json] = []
+    for n, column in enumerate(found.columns):
+        low, high = points.low[n], points.high[n]
+        shown: dict[str, Json] = {"name": column.name, "unit": column.unit}
+        shown["low"] = [_finite(value) for value in low.tolist()]
+        # What is a line needs one of them only.
+        one = bool(((low == high) | (low != low)).all())
+        shown["high"] = None if one else [_finite(value) for value in high.tolist()]
+        columns.append(shown)
+    left_out: list[Json] = [{"name": name, "reason": reason} for name, reason in found.left_out]
+    return {
+        "topic": found.topic,
+        "times": [str(t) for t in points.times.tolist()],
+        "rows": points.rows.tolist(),
+        "columns": columns,
+        "breaks": breaks(points.times).tolist(),
+        "left_out": left_out,
+        "start": str(found.grid.low),
+        "end": str(found.grid.high),
+        "pixel": str(found.grid.width),
+        "complete": found.complete,
+        "share": found.share,
+        "edges": found.edges,
+        "how": _how(found),
+    }
+
+
+def _finite(value: float) -> Json:
+    return value if math.isfinite(value) else None
+
+
+def _how(found: Series) -> str:
+    """Say in what the answer is not what a complete one would be; '' = it is complete."""
+    if found.share < 1.0:
+        return (
+            f"{found.share:.0%} of what is stored was read, spread over the whole time; "
+            "ask again for more"
+        )
+    if found.edges:
+        return (
+            f"all was read; {found.edges} blocks lie across the edges of pixels, which may seem to "
+            "hold more than they do; ask again to have them unpacked"
+        )
+    return ""
+
+
+_STATEMENT = Parameter("q", "text", "The statement: a SELECT.", required=True)
+_WHOSE = (
+    Parameter("nodes", "texts", "Only messages of this robot; one at most."),
+    Parameter("runs", "texts", "Only messages of this recording or import; one at most."),
+)
+
+ROUTES: tuple[Route, ...] = (
+    Route(
+        "GET",
+        "/api/query",
+        _query,
+        "A page of the rows of a statement: columns, kinds (types of ROS), rows, times (of the "
+        "message of each row), and after, with which the next page is asked for ('' = no more). "
+        "Times and durations are texts of ns, as are integers beyond 2^53; bytes are base64; NaN "
+        "and the infinities the texts 'nan', 'inf', '-inf'.",
+        (
+            _STATEMENT,
+            Parameter("limit", "count", f"Rows of the page, at most {MOST_ROWS}.", False, PAGE_ROWS),
+            Parameter("after", "text", "The after of the page before."),
+            Parameter("cut", "count", "Of arrays, texts and bytes no more than so many elements: "
+                      "longer ones become {first, of}."),
+            *_WHOSE,
+        ),
+    ),
+    Route(
+        "GET",
+        "/api/explain",
+        _explain,
+        "How a statement is answered: it is run to its end, what the server checked and what was "
+        "read is counted, and text says it for people.",
+        (_STATEMENT, *_WHOSE),
+    ),
+    Route(
+        "GET",
+        "/api/complete",
+        _complete,
+        "What may stand at a place of a statement: offers (text, kind, note), each in place of what "
+        "stands from start to the place.",
+        (
+            Parameter("q", "text", "The statement, as far as it is typed.", default=""),
+            Parameter("at", "count", "The place, in characters; without it the end."),
+        ),
+    ),
+    Route(
+        "GET",
+        "/api/plot",
+        _plot,
+        "The numbers of a statement over time: of each pixel in which something lies its time (ns), "
+        "how many rows (0 = unknown), and of each column low and high, its least and greatest number "
+        "(high null: all are the same as low). Answered within about a second: while complete is "
+        "false, how says what is missing, and to ask again gives more. Rows of groups and of LIMIT "
+        "are always complete.",
+        (
+            _STATEMENT,
+            Parameter("start", "time", "The first time; without it that of the first message."),
+            Parameter("end", "time", "The last time; without it that of the last message."),
+            Parameter("pixels", "count", f"At most so many, up to {MOST_PIXELS}.", False, PIXELS),
+            Parameter("seconds", "number", "Answer about then what is known.", False, BUDGET_SEC),
+            *_WHOSE,
+        ),
+    ),
+)

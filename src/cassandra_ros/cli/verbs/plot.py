@@ -1,0 +1,102 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Draw the numbers of statements over time, into a picture.
+
+  cassandra_bag plot "SELECT linear.x, angular.z FROM /cmd_vel" -o speeds.png
+  cassandra_bag plot "SELECT altitude FROM /fix" "SELECT range FROM /sonar" -o both.svg --title Drive
+  cassandra_bag plot "SELECT time(1m), avg(range), max(range) FROM /sonar GROUP BY time(1m)" -o x.pdf
+
+Each column that is a number becomes a line, over KEY or the first time in a row of groups. Columns
+of the same unit share a panel; units are known of ROS's own messages. Of many messages the least
+and the greatest of each pixel are drawn, so nothing that sticks out is lost. A line is broken at
+NaN, and where messages are more than ten times as far apart as they mostly are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from typing import TYPE_CHECKING
+
+from cassandra_ros.cli.options import (
+    add_origin_options,
+    add_store_options,
+    add_time_options,
+    open_store,
+    read_times,
+)
+from cassandra_ros.errors import InvalidOption
+
+if TYPE_CHECKING:
+    from cassandra_ros.topics.ros_cassandra import RosCassandra
+    from cassandra_ros.topics.series import Series
+
+_SIZES = range(100, 20_001)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the statements, the picture and the store."""
+    add = parser.add_argument
+    add("statements", metavar="STATEMENT", nargs="+", help="a SELECT, in quotes")
+    add(
+        "-o",
+        "--output-file",
+        metavar="FILE",
+        required=True,
+        help="the picture: .png, .svg or .pdf",
+    )
+    add("-f", "--force", action="store_true", help="replace FILE if it exists")
+    add(
+        "--size",
+        metavar="WxH",
+        type=_size,
+        default=(1200, 600),
+        help="width and height in pixels, in svg and pdf 1/100 inch (default: 1200x600)",
+    )
+    add("--title", metavar="TEXT", default="", help="what stands above it (default: nothing)")
+    add_time_options(parser)
+    add_origin_options(parser)
+    add_store_options(parser)
+
+
+def _size(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", text)
+    size = (int(found[1]), int(found[2])) if found else (0, 0)
+    if any(side not in _SIZES for side in size):
+        known = f"{_SIZES[0]} to {_SIZES[-1]} pixels a side"
+        raise argparse.ArgumentTypeError(f"{text!r} is no size: write it as 1200x600, {known}")
+    return size
+
+
+def run(options: argparse.Namespace) -> int:
+    """Read what the statements give, and draw it."""
+    from cassandra_ros.cli.results import open_output
+    from cassandra_ros.drawing.plot import ENDINGS, draw_plot
+
+    ending = options.output_file.rpartition(".")[2].lower()
+    if ending not in ENDINGS:
+        known = ", ".join(f".{each}" for each in ENDINGS)
+        raise InvalidOption(f"{options.output_file}: the picture's name ends in one of {known}")
+    with open_store(options) as ros_cas, open_output(
+        options.output_file, options.force, binary=True
+    ) as stream:
+        series = [_read(ros_cas, statement, options) for statement in options.statements]
+        draw_plot(stream, ending, series, options.size, options.title)
+    for each in series:
+        for name, reason in each.left_out:
+            print(f"{each.topic}: {name} is not drawn: {reason}", file=sys.stderr)
+        if not len(each.points.times):
+            print(f"{each.topic}: there is nothing to draw in this time", file=sys.stderr)
+    return 0
+
+
+def _read(ros_cas: RosCassandra, statement: str, options: argparse.Namespace) -> Series:
+    from cassandra_ros.topics.series import Window
+
+    start, end = read_times(options)
+    width, _ = options.size
+    window = Window(None if start is None else start.ns, None if end is None else end.ns, width)
+    return ros_cas.statements.series(
+        statement, window=window, node=options.node_id, run=options.run
+    )
