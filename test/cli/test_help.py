@@ -12,9 +12,16 @@ import sys
 import pytest
 from conftest import ROOT
 
-from cassandra_ros.cli import cassandra_bag, local_cassandra, player, query_server, recorder
+from cassandra_ros.cli import (
+    cassandra_bag,
+    local_cassandra,
+    player,
+    query_server,
+    recorder,
+    viewer,
+)
 
-PROGRAMS = (cassandra_bag, local_cassandra, player, query_server, recorder)
+PROGRAMS = (cassandra_bag, local_cassandra, player, query_server, recorder, viewer)
 UNITS = re.compile(
     r"\b(seconds?|SECONDS|ns|SEC|MB|KB|Hz|bytes|percent|T|hours?|days?)\b|[0-9][smhdGM]\b"
 )

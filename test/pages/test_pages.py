@@ -17,13 +17,20 @@ import pytest
 from conftest import ROOT
 
 import cassandra_ros
-from cassandra_ros.cli import cassandra_bag, local_cassandra, player, query_server, recorder
+from cassandra_ros.cli import (
+    cassandra_bag,
+    local_cassandra,
+    player,
+    query_server,
+    recorder,
+    viewer,
+)
 
 sys.path.insert(0, str(ROOT / "doc"))
 
 import directives  # noqa: E402
 
-PROGRAMS = (cassandra_bag, local_cassandra, player, query_server, recorder)
+PROGRAMS = (cassandra_bag, local_cassandra, player, query_server, recorder, viewer)
 
 
 def page(name):

@@ -65,7 +65,8 @@ def _add_pages(router: web.UrlDispatcher, settings: ViewerSettings) -> None:
     router.add_get("/", _files_of(settings.web, "index.html"))
     router.add_get("/studio/{name:.+}", _files_of(settings.studio))
     router.add_get("/dygraphs/{name:.+}", _files_of(settings.dygraphs))
-    router.add_get("/{name:.+}", _files_of(settings.web))
+    # Of the API what is not there is not found there, or asked by another method.
+    router.add_get("/{name:(?!api/).+}", _files_of(settings.web))
 
 
 def _files_of(folder: Path, only: str = "") -> Handler:

@@ -1,0 +1,129 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""rosrun cassandra_ros viewer, as a person starts and ends it."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+
+import pytest
+from conftest import ROOT
+from nodes.children import Child
+
+from cassandra_ros.cli.viewer import make_parser, read_settings
+from cassandra_ros.viewing.serving import address
+from cassandra_ros.viewing.settings import ViewerSettings
+
+VIEWER = [sys.executable, ROOT / "scripts" / "viewer"]
+
+
+@pytest.fixture
+def env(ros_env, cassandra, tmp_path):
+    """Of a shell, whose temporary folder shows what is left behind."""
+    found = dict(ros_env, PYTHONPATH=f"{ROOT / 'src'}:{ros_env.get('PYTHONPATH', '')}")
+    found.update(
+        CASSANDRA_ROS_HOST=cassandra.host,
+        CASSANDRA_ROS_PORT=str(cassandra.port),
+        CASSANDRA_ROS_CQLSHRC=os.devnull,
+        TMPDIR=str(tmp_path),
+    )
+    return found
+
+
+def read(url):
+    with urllib.request.urlopen(url, timeout=30) as answer:  # noqa: S310 -- our own
+        return answer.read()
+
+
+def test_it_prints_its_address_answers_and_ends_by_ctrl_c(env, new_keyspace, tmp_path):
+    words = ["--port", "0", "--keyspace", new_keyspace, "__name:=viewer", "--token="]
+    child = Child([*VIEWER, *words], env)
+    url = re.search(r"http://127\.0\.0\.1:[0-9]+/", child.await_line("http://"))[0]
+    try:
+        assert f"there is no keyspace '{new_keyspace}'" in child.output
+        assert new_keyspace.encode() in read(url + "api/keyspace")
+        assert b"<html" in read(url)
+        port = url.rstrip("/").rpartition(":")[2]
+        second = subprocess.run(
+            [*VIEWER, "--port", port], env=env, capture_output=True, text=True, timeout=60
+        )
+        assert second.returncode == 1
+        told = second.stderr.splitlines()[-1]
+        assert told.startswith(f"viewer: 127.0.0.1 port {port} is taken by another program")
+        assert f"--port {int(port) + 1}" in told
+    finally:
+        status = child.end(signal.SIGINT)
+    assert status == 0, child.output
+    assert "Traceback" not in child.output
+    with pytest.raises(urllib.error.URLError):
+        read(url)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_for_others_it_makes_a_token_and_prints_it(env, keyspace):
+    child = Child([*VIEWER, "--host", "0.0.0.0", "--port", "0", "--keyspace", keyspace], env)  # noqa: S104
+    try:
+        line = child.await_line("http://")
+        port, token = re.search(rf"http://{socket.gethostname()}:(\d+)/\?token=(\S+)", line).groups()
+        assert len(token) > 20
+        url = f"http://127.0.0.1:{port}/api/keyspace"
+        with pytest.raises(urllib.error.HTTPError, match="401"):
+            read(url)
+        assert keyspace.encode() in read(f"{url}?token={token}")
+    finally:
+        status = child.end(signal.SIGTERM)
+    assert status == 0, child.output
+
+
+def test_what_it_cannot_do_is_told_in_a_line(env, monkeypatch):
+    program = (
+        "import sys\nsys.modules['aiohttp'] = None\n"
+        "from cassandra_ros.cli.script import run_script\nrun_script('cassandra_ros.cli.viewer')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=env, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("viewer: the viewer needs the Python package aiohttp, which is")
+    assert f"-m pip install -r {ROOT / 'requirements-viewer.txt'}" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def settings_of(*words):
+    return read_settings(make_parser().parse_args(words))
+
+
+def test_options_become_settings(monkeypatch):
+    monkeypatch.delenv("CASSANDRA_ROS_TOKEN", raising=False)
+    usual = settings_of()
+    assert usual == ViewerSettings()
+    assert (usual.host, usual.port, usual.token) == ("127.0.0.1", 8080, "")
+    origins = ("--allow-origin", "https://a.b/", "--allow-origin", "http://localhost:3000")
+    found = settings_of(*origins, "--port", "9000", "--spool", "/x", "--spool-size", "2G")
+    assert found.allow_origin == ("https://a.b", "http://localhost:3000")
+    assert (found.port, str(found.spool), found.spool_bytes) == (9000, "/x", 2 << 30)
+    assert settings_of("--token", "t").token == "t"  # noqa: S105
+    assert settings_of("--host", "::1").token == ""
+    first, second = (settings_of("--host", "10.0.0.1").token for _ in range(2))
+    assert first != second
+    monkeypatch.setenv("CASSANDRA_ROS_TOKEN", "kept")
+    assert settings_of("--host", "10.0.0.1").token == settings_of().token == "kept"  # noqa: S105
+    options = make_parser().parse_args(["--store-host", "a,b", "--store-port", "9999"])
+    assert (options.host, options.port) == ("a,b", 9999)
+    for wrong in (("--port", "65536"), ("--port", "-1"), ("--spool-size", "much")):
+        with pytest.raises(SystemExit):
+            make_parser().parse_args(wrong)
+
+
+def test_the_address_is_one_that_a_browser_opens():
+    assert address(ViewerSettings(), 8080) == "http://127.0.0.1:8080/"
+    assert address(ViewerSettings(host="::1"), 1) == "http://[::1]:1/"
+    shown = address(ViewerSettings(host="0.0.0.0", token="a b/ü"), 80)  # noqa: S104, S106
+    assert shown == f"http://{socket.gethostname()}:80/?token=a%20b/%C3%BC"
