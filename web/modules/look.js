@@ -78,12 +78,34 @@ function file(kind) {
   return state.link(`/window.${kind}`, { time: null, q: null, layout: null });
 }
 
+/** Who ticks several boxes of a menu waits once. */
+const CHOOSING_MS = 700;
+let choosing = 0;
+
+function openLater() {
+  window.clearTimeout(choosing);
+  choosing = window.setTimeout(open, CHOOSING_MS);
+}
+
+async function addMenus() {
+  const place = page.make("div", { class: "row" });
+  document.querySelector("#head nav")?.after(place);
+  const [{ topics }, { runs }] = await Promise.all([get("/api/topics", { counts: "0" }), get("/api/runs")]);
+  const nodes = [...new Set(runs.map((/** @type {any} */ run) => run.node).filter(Boolean))].sort();
+  page.addSelection(place, {
+    topics: topics.map((/** @type {any} */ each) => ({ value: each.topic, text: `${each.topic} (${each.types.join(", ")})` })),
+    runs: [...new Set(runs.map((/** @type {any} */ each) => each.run))].map((value) => ({ value })),
+    nodes: nodes.map((value) => ({ value })),
+  });
+}
+
 page.start("Look");
 window.addEventListener("message", told);
+addMenus().catch(page.showError);
 get("/api/studio").then(({ installed }) => {
   if (!installed) explain();
   else {
     open();
-    state.onChange(open);
+    state.onChange(openLater);
   }
 }, page.showError);

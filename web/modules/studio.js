@@ -113,6 +113,8 @@ function boundMemory(player, source) {
 }
 
 let shownTime = 0n;
+/** What was counted last: the same messages may be told again. @type {unknown} */
+let counted = null;
 
 /** @param {any} now The player's state. */
 function follow(now) {
@@ -121,7 +123,10 @@ function follow(now) {
   const { dataset } = document.body;
   dataset.presence = now.presence;
   dataset.playing = String(data.isPlaying);
-  dataset.messages = String(Number(dataset.messages ?? 0) + data.messages.length);
+  if (data.messages !== counted) {
+    counted = data.messages;
+    dataset.messages = String(Number(dataset.messages ?? 0) + data.messages.length);
+  }
   const time = toNs(data.currentTime);
   if (time === shownTime) return;
   shownTime = time;

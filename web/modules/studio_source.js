@@ -90,7 +90,7 @@ export class StoreSource {
    * @returns {AsyncGenerator<{type: "message-event", msgEvent: Event}>}
    */
   async *messageIterator({ topics, start, end, consumptionType }) {
-    if (!topics.length) return;
+    if (!topics.length || (start && end && toNs(start) > toNs(end))) return;
     const abort = new AbortController();
     if (consumptionType !== "full") this.playing = abort;
     const asked = {

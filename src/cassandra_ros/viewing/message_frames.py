@@ -56,9 +56,10 @@ def frames(rows: Iterable[StoredRow], limit_bytes: int | None = None) -> Iterato
     waiting, sent, cursor = bytearray(), 0, None
     for row in rows:
         for part in _message(row, channels):
-            if len(waiting) + len(part) > CHUNK_BYTES:
+            if waiting and len(waiting) + len(part) > CHUNK_BYTES:
                 yield bytes(waiting)
                 waiting.clear()
+            if len(part) > CHUNK_BYTES:
                 yield from _pieces(part)
             else:
                 waiting += part
