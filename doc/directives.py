@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Directives that show what is in the code: command lines, services, messages, parameters.
+"""Directives that show what is in the code: command lines, services, messages, parameters, paths.
 
 Texts become nodes as they are: no star or bar in a help text is taken for markup.
 """
@@ -220,8 +220,33 @@ class NodeParameters(_Shown):
         return [table(("parameter", "as the option"), rows, code=2)]
 
 
+class ApiRoutes(_Shown):
+    """The paths of the viewer's API, with their parameters."""
+
+    required_arguments = 0
+
+    def run(self) -> list[nodes.Node]:
+        """Return a definition for each route."""
+        module = importlib.import_module("cassandra_ros.viewing.routes")
+        for path in (ROOT / "src/cassandra_ros/viewing").glob("*.py"):
+            self.depends_on(path)
+        found = nodes.definition_list()
+        for route in module.ROUTES:
+            term = nodes.term("", "", nodes.literal(text=f"{route.method} {route.path}"))
+            parts = [nodes.paragraph("", "", *spans(f"{route.summary} {route.body}"))]
+            if route.parameters:
+                rows = [
+                    (each.name, each.kind, each.summary + " Required." * each.required)
+                    for each in route.parameters
+                ]
+                parts.append(table(("parameter", "kind", ""), rows))
+            found += nodes.definition_list_item("", term, nodes.definition("", *parts))
+        return [found]
+
+
 def setup(app: object) -> dict[str, bool]:
     """Tell Sphinx of the directives."""
+    app.add_directive("api-routes", ApiRoutes)  # type: ignore[attr-defined]
     app.add_directive("command-line", CommandLine)  # type: ignore[attr-defined]
     app.add_directive("interfaces", Interfaces)  # type: ignore[attr-defined]
     app.add_directive("launch-arguments", LaunchArguments)  # type: ignore[attr-defined]

@@ -47,6 +47,7 @@ def test_cassandra_ros_launch_has_an_argument_for_every_option_of_the_recorder()
     renamed = {"output_name": "name", "labels": "label"}
     wanted = {renamed.get(name, name) for name in options}
     others = {"local", "dir", "nodes", "heap", "secure", "record", "allow_writes"}
+    others |= {"viewer", "viewer_host", "viewer_port"}
     assert arguments_of("cassandra_ros.launch") == wanted | others
 
 

@@ -25,6 +25,7 @@ from cassandra_ros.cli import (
     recorder,
     viewer,
 )
+from cassandra_ros.viewing.routes import ROUTES
 
 sys.path.insert(0, str(ROOT / "doc"))
 
@@ -122,3 +123,20 @@ def test_every_variable_of_the_environment_is_listed():
 def test_every_public_name_is_on_the_page_of_the_python_api():
     for name in cassandra_ros.__all__:
         assert re.search(rf"cassandra_ros\.{name}\b", page("python")), name
+
+
+def test_every_path_of_the_viewer_is_on_its_page():
+    assert "```{api-routes}\n" in page("viewer")
+    (found,) = directives.ApiRoutes.run(Unplaced())
+    shown = found.astext()
+    for route in ROUTES:
+        assert f"{route.method} {route.path}\n" in shown
+        for parameter in route.parameters:
+            assert parameter.summary in shown
+
+
+class Unplaced:
+    """Stands for a directive on no page."""
+
+    def depends_on(self, path):
+        assert path.is_file()
