@@ -4,9 +4,12 @@
 
 from __future__ import annotations
 
+import json
+import re
 import signal
 import struct
 import time
+import urllib.request
 import xml.etree.ElementTree as ElementTree
 import xmlrpc.client
 from concurrent.futures import ThreadPoolExecutor
@@ -83,6 +86,8 @@ def test_cassandra_ros_launch_records_all_at_once(launched, roscore, rosCas):
         where="'/launched/n: data > 1'",
         exclude="/rosout.*",
         ttl=86400,
+        viewer="true",
+        viewer_port=0,
     )
     child.await_line("services under /recorder")
     header = header_of(UInt32, "/numbers")
@@ -99,6 +104,9 @@ def test_cassandra_ros_launch_records_all_at_once(launched, roscore, rosCas):
     assert run.labels == {"site": "the lab", "operator": "ann"}
     assert rosCas.getTopic("/launched/n").getMeta["ttl"] == 86400
     assert "/rosout" not in [topic.name for topic in rosCas.getAllTopics()]
+    address = re.search(r"http://127\.0\.0\.1:\d+", child.await_line("http://127.0.0.1:"))[0]
+    with urllib.request.urlopen(address + "/api/runs", timeout=30) as answer:  # noqa: S310 (our own)
+        assert json.load(answer)["runs"][0]["run"] == "patrol"
 
 
 def test_play_launch_plays(launched, roscore, rosCas):
