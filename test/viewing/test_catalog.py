@@ -146,6 +146,7 @@ def test_marks_of_a_window_a_robot_a_run_a_topic(viewer):
     assert marks(viewer, nodes="blue") == [UNKNOWN]
     assert marks(viewer, runs="walk") == marks(viewer, runs="7") == [LOST, BEGIN, END]
     assert marks(viewer, topics="/gone") == [UNKNOWN, BEGIN, END]
+    assert viewer.fail("/api/marks", runs="wak")[1]["error"] == "RunNotFound"
     assert viewer.get("/api/marks", limit=3)["left_off"] == 1
 
 

@@ -14,6 +14,7 @@ from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.totals import TopicInfo
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.choice import TOPICS
 from cassandra_ros.viewing.route import Parameter, Route
 
 MAX_LISTED = 10_000
@@ -177,7 +178,7 @@ ROUTES: tuple[Route, ...] = (
         _topics,
         "Topics, sorted by name: types, formats, what is stored of them and when.",
         (
-            Parameter("topics", "texts", "Only these topics; without: all."),
+            TOPICS,
             Parameter("counts", "flag", "Count messages, by the directory.", default=True),
         ),
     ),
@@ -187,7 +188,7 @@ ROUTES: tuple[Route, ...] = (
         _runs,
         "Recordings and imports, the latest first: state, labels, what they stored and lost.",
         (
-            Parameter("runs", "texts", "Only runs of these names or ids; without: all."),
+            Parameter("runs", "texts", "Only runs of these names or ids; missing: all."),
             Parameter("limit", "count", f"So many at most, to {MAX_LISTED}.", default=_USUAL_RUNS),
             Parameter("by_topic", "flag", "Tell stored_of and lost_of, messages by topic, too."),
         ),

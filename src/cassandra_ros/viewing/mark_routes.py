@@ -13,9 +13,11 @@ from typing import Dict, Iterator, List, Mapping, Optional, Tuple
 
 from cassandra_ros.messages.stamps import to_ns
 from cassandra_ros.store.registry import Loss, Run
+from cassandra_ros.topics.selection import LAST_NS, Stretch
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most
+from cassandra_ros.viewing.choice import END, NODES, RUNS, START, whose_chosen
 from cassandra_ros.viewing.route import Parameter, Route
 
 _USUAL_MARKS = 2000
@@ -33,7 +35,6 @@ class Mark:
     node: str
     run: str
     """Its name, or its id where it has none."""
-    writer: int
     text: str
     """Labels of a recording; why messages were lost."""
     topic: str = ""
@@ -57,21 +58,19 @@ class Mark:
 
 def _marks(call: Call) -> Json:
     start, end = call.time_ns("start"), call.time_ns("end")
-    nodes, names, limit = call.texts("nodes"), call.texts("runs"), listed_at_most(call)
+    stretch = Stretch(start or 0, LAST_NS if end is None else end)
+    whose, limit, parts = whose_chosen(call), listed_at_most(call), call.store.parts
     runs = {(run.writer, run.node): run for run in call.store.runs()}
-    losses = call.store.losses(call.texts("topics") or None, start, end)
+    losses = parts.runs.losses(call.texts("topics") or None, stretch, whose)
     found = [_of_loss(loss, runs) for loss in losses]
-    found += [mark for run in runs.values() for mark in _of_run(run)]
-    chosen = [
-        mark
-        for mark in found
-        if (start is None or mark.last_ns >= start) and (end is None or mark.first_ns <= end)
-        if not nodes or mark.node in nodes
-        if not names or mark.run in names or str(mark.writer) in names
-    ]
-    chosen.sort(key=lambda mark: (mark.first_ns, mark.kind, mark.topic))
-    listed: List[Json] = [mark.answer() for mark in chosen[:limit]]
-    return {"marks": listed, "left_off": max(len(chosen) - limit, 0)}
+    for run in runs.values():
+        if (whose.nodes is None or run.node in whose.nodes) and (
+            whose.writers is None or run.writer in whose.writers
+        ):
+            found += [mark for mark in _of_run(run) if stretch.low <= mark.first_ns <= stretch.high]
+    found.sort(key=lambda mark: (mark.first_ns, mark.kind, mark.topic))
+    listed: List[Json] = [mark.answer() for mark in found[:limit]]
+    return {"marks": listed, "left_off": max(len(found) - limit, 0)}
 
 
 def _of_loss(loss: Loss, runs: Mapping[Tuple[int, str], Run]) -> Mark:
@@ -82,7 +81,6 @@ def _of_loss(loss: Loss, runs: Mapping[Tuple[int, str], Run]) -> Mark:
         last_ns=loss.last_ns,
         node=loss.node,
         run=run.name if run is not None and run.name else str(loss.writer),
-        writer=loss.writer,
         text=loss.kind.value,
         topic=loss.topic,
         count=loss.count or None,
@@ -98,7 +96,7 @@ def _of_run(run: Run) -> Iterator[Mark]:
     for kind, time in (("begin", run.started), ("end", run.ended)):
         if time is not None:
             ns = to_ns(time)
-            yield Mark(kind, ns, ns, run.node, name, run.writer, text)
+            yield Mark(kind, ns, ns, run.node, name, text)
 
 
 ROUTES: tuple[Route, ...] = (
@@ -108,11 +106,11 @@ ROUTES: tuple[Route, ...] = (
         _marks,
         "What happened when: recordings that began and ended, and losses, the earliest first.",
         (
-            Parameter("start", "time", "First time, included."),
-            Parameter("end", "time", "Last time, included."),
-            Parameter("topics", "texts", "Losses of these topics only; without: of all."),
-            Parameter("nodes", "texts", "Only of these robots (nodeIDs); without: of all."),
-            Parameter("runs", "texts", "Only of runs of these names or ids; without: of all."),
+            START,
+            END,
+            Parameter("topics", "texts", "Losses of these topics only; missing: of all."),
+            NODES,
+            RUNS,
             Parameter("limit", "count", f"So many at most, to {MAX_LISTED}.", default=_USUAL_MARKS),
         ),
     ),
