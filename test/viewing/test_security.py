@@ -123,6 +123,7 @@ def test_the_token_goes_from_the_address_into_a_cookie(closed_viewer):
     assert "HttpOnly" in cookie
     assert "SameSite=Strict" in cookie
     kept = cookie.split(";")[0]
+    assert SECRET not in cookie
     assert closed_viewer.ask("/look.html", Cookie=kept).text == "<p>look"
     assert closed_viewer.ask("/api/one", Cookie=kept).data == b"1"
     assert closed_viewer.ask("/api/one", Cookie=kept.replace("=", "x=")).status == 401

@@ -11,6 +11,7 @@ from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.stamps import to_ns
 from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.totals import TopicInfo
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.call import Call
@@ -121,10 +122,13 @@ def shown_time(time: Optional[datetime]) -> Optional[str]:
 
 
 def _runs(call: Call) -> Json:
-    wanted, limit, by_topic = call.texts("runs"), listed_at_most(call), call.flag("by_topic")
-    every = [run for run in call.store.runs() if not wanted or _names(run, wanted)]
+    wanted, limit = call.texts("runs"), listed_at_most(call)
+    by_topic, counts = call.flag("by_topic"), call.flag("counts")
+    # Those of runs that did not end are counted in all tables of the keyspace.
+    known = call.store.runs() if counts else list_runs(call.store.parts, ())
+    every = [run for run in known if not wanted or _names(run, wanted)]
     every.sort(key=lambda run: str(run.started), reverse=True)
-    listed: List[Json] = [_run(run, by_topic) for run in every[:limit]]
+    listed: List[Json] = [_run(run, by_topic, counts) for run in every[:limit]]
     return {"runs": listed, "left_off": max(len(every) - limit, 0)}
 
 
@@ -144,7 +148,8 @@ def listed_at_most(call: Call) -> int:
     return limit
 
 
-def _run(run: Run, by_topic: bool) -> Dict[str, Json]:
+def _run(run: Run, by_topic: bool, counts: bool) -> Dict[str, Json]:
+    known = counts or run.ended is not None
     found: Dict[str, Json] = {
         "run": run.name or str(run.writer),
         "id": run.writer,
@@ -157,7 +162,7 @@ def _run(run: Run, by_topic: bool) -> Dict[str, Json]:
         "host": run.host,
         "format": run.format,
         "labels": dict(run.public_labels),
-        "messages": sum(run.stored.values()),
+        "messages": sum(run.stored.values()) if known else None,
         "lost": sum(run.lost.values()),
     }
     if by_topic:
@@ -191,6 +196,12 @@ ROUTES: tuple[Route, ...] = (
             Parameter("runs", "texts", "Only runs of these names or ids; missing: all."),
             Parameter("limit", "count", f"So many at most, to {MAX_LISTED}.", default=_USUAL_RUNS),
             Parameter("by_topic", "flag", "Tell stored_of and lost_of, messages by topic, too."),
+            Parameter(
+                "counts",
+                "flag",
+                "Count messages of runs that did not end, too, by the directory.",
+                default=True,
+            ),
         ),
     ),
 )

@@ -60,7 +60,7 @@ def _marks(call: Call) -> Json:
     start, end = call.time_ns("start"), call.time_ns("end")
     stretch = Stretch(start or 0, LAST_NS if end is None else end)
     whose, limit, parts = whose_chosen(call), listed_at_most(call), call.store.parts
-    runs = {(run.writer, run.node): run for run in call.store.runs()}
+    runs = {(run.writer, run.node): run for run in parts.registry.runs()}
     losses = parts.runs.losses(call.texts("topics") or None, stretch, whose)
     found = [_of_loss(loss, runs) for loss in losses]
     for run in runs.values():

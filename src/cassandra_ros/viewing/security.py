@@ -10,7 +10,6 @@ read nothing, but of those that ``allow_origin`` names.
 
 from __future__ import annotations
 
-import hashlib
 import hmac
 import ipaddress
 from urllib.parse import urlencode, urlsplit
@@ -84,8 +83,10 @@ class Guard:
         self._loopback = is_loopback(settings.host)
         self._token = settings.token
         self._origins = settings.allow_origin
-        # Browsers know no ports of cookies: those of two viewers have two names.
-        self._cookie = f"cassandra_ros_{hashlib.sha256(self._token.encode()).hexdigest()[:8]}"
+        # What a browser keeps is made of the token and does not tell it. Cookies know no ports:
+        # those of two viewers have two names.
+        self._kept = hmac.new(self._token.encode(), b"cookie", "sha256").hexdigest()
+        self._cookie = f"cassandra_ros_{self._kept[:8]}"
 
     @web.middleware
     async def check(self, request: web.Request, handler: Handler) -> web.StreamResponse:
@@ -152,12 +153,11 @@ class Guard:
     def _knows_token(self, request: web.Request) -> bool:
         scheme, _, bearer = request.headers.get("Authorization", "").partition(" ")
         given = (
-            request.query.get("token", ""),
-            request.cookies.get(self._cookie, ""),
-            bearer if scheme.lower() == "bearer" else "",
+            (request.query.get("token", ""), self._token),
+            (bearer if scheme.lower() == "bearer" else "", self._token),
+            (request.cookies.get(self._cookie, ""), self._kept),
         )
-        wanted = self._token.encode()
-        return any(hmac.compare_digest(_bytes(text), wanted) for text in given)
+        return any(hmac.compare_digest(_bytes(text), _bytes(wanted)) for text, wanted in given)
 
     def _keep_token(self, request: web.Request) -> web.Response:
         """Put the token into a cookie, and send the browser to the address without it."""
@@ -167,7 +167,7 @@ class Guard:
         there = f"./{request.rel_url.raw_name}{query}"
         response = web.Response(status=303, headers={"Location": there})
         response.set_cookie(
-            self._cookie, self._token, max_age=_COOKIE_SEC, httponly=True, samesite="Strict"
+            self._cookie, self._kept, max_age=_COOKIE_SEC, httponly=True, samesite="Strict"
         )
         return response
 
