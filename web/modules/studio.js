@@ -22,9 +22,6 @@ const BLOCK_BYTES = 8 * 1024 * 1024;
 /** So much it may read ahead, of its 10 s. */
 const AHEAD_BYTES = 64 * 1024 * 1024;
 const MOST_AHEAD_SEC = 10;
-/** Up to here curves are drawn of the whole window, for which all of it is read. */
-const PRELOAD_BYTES = 24 * 1024 * 1024;
-const PRELOAD_MESSAGES = 200_000;
 
 /** What the Studio's scripts leave behind. @type {any} */
 const globals = window;
@@ -68,11 +65,10 @@ async function loadStudio() {
 function makePlayer(source, time) {
   const url = `${location.origin}/none.mcap`;
   const IterablePlayer = new globals.RemoteDataSourceFactory().initialize({ params: { url } }).constructor;
-  const { bytes, messages: count } = source.found;
   const player = new IterablePlayer({
     source,
     sourceId: SOURCE,
-    enablePreload: bytes <= PRELOAD_BYTES && count <= PRELOAD_MESSAGES,
+    enablePreload: source.isSmall,
   });
   boundMemory(player, source);
   player.seekPlayback(toTime(time));
@@ -92,8 +88,8 @@ function makePlayer(source, time) {
 function boundMemory(player, source) {
   const buffered = player._bufferedSource;
   const cache = buffered.source;
-  cache.maxTotalSizeBytes = CACHE_BYTES;
   cache.maxBlockSizeBytes = BLOCK_BYTES;
+  cache.maybePurgeCache = makeRoom.bind(null, cache.cache);
   const seconds = Math.max(1, Number((source.end - source.start) / 1_000_000_000n));
   const ahead = Math.floor(AHEAD_BYTES / (source.found.bytes / seconds + 1));
   buffered.readAheadDuration = { sec: Math.min(MOST_AHEAD_SEC, Math.max(1, ahead)), nsec: 0 };
@@ -110,6 +106,22 @@ function boundMemory(player, source) {
       buffered.producer = undefined;
     }
   };
+}
+
+/**
+ * Forget what was looked at longest ago, for a message to come. The Studio's own counts what a reading
+ * that was broken off had not kept, and gives up where only the block is left that is being filled.
+ * @param {{size: number, lastAccess: number}[]} blocks
+ * @param {{activeBlock?: object, sizeInBytes: number}} coming
+ * @returns {boolean} Whether something was forgotten.
+ */
+function makeRoom(blocks, { activeBlock, sizeInBytes }) {
+  const held = blocks.reduce((sum, block) => sum + block.size, sizeInBytes);
+  const others = blocks.filter((block) => block !== activeBlock);
+  if (held <= CACHE_BYTES || !others.length) return false;
+  const oldest = others.reduce((one, other) => (one.lastAccess <= other.lastAccess ? one : other));
+  blocks.splice(blocks.indexOf(oldest), 1);
+  return true;
 }
 
 let shownTime = 0n;
@@ -134,14 +146,16 @@ function follow(now) {
   tell({ time });
 }
 
-/** @param {string} text @param {any[]} topics */
-async function chooseLayout(text, topics) {
-  if (!/^[A-Za-z0-9_-]{20,}$/.test(text)) return layoutOf(topics, text);
+/** @param {string} text @param {StoreSource} source */
+async function chooseLayout(text, source) {
+  const { topics } = source.found;
+  const options = { name: text, following: !source.isSmall };
+  if (!/^[A-Za-z0-9_-]{20,}$/.test(text)) return layoutOf(topics, options);
   try {
     return await unpack(text);
   } catch (error) {
     showError(error);
-    return layoutOf(topics);
+    return layoutOf(topics, { ...options, name: "" });
   }
 }
 
@@ -157,7 +171,7 @@ async function start() {
   const [found] = await Promise.all([source.open(), loadStudio()]);
   if (!found.topics.length) throw new Error("There is no message in this window that could be shown.");
   const time = asked.time ?? source.start;
-  const layouts = new Layouts(await chooseLayout(asked.layout, found.topics), keepLayout);
+  const layouts = new Layouts(await chooseLayout(asked.layout, source), keepLayout);
   const factory = {
     id: SOURCE,
     type: "connection",

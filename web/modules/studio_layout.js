@@ -30,6 +30,7 @@ const CURVES = new Map([
 ]);
 const MOST_IMAGES = 3;
 const MOST_CURVES = 4;
+const FOLLOWED_SEC = 30;
 const MOST_CLOUDS = 6;
 /** What a link may carry: servers refuse lines of over 8 KB. */
 const MOST_PACKED = 5000;
@@ -39,17 +40,18 @@ const OVERHEAD = { perspective: false, phi: 0, thetaOffset: 0, distance: 40 };
 /**
  * Make the layout that a person would: of what can be drawn in space, cameras, curves, and a text.
  * @param {Topic[]} topics
- * @param {string} [name] `overhead`: only what lies in space, from above.
+ * @param {{name?: string, following?: boolean}} [options] name `overhead`: only what lies in space, from
+ *   above; following: curves of what was played last, for the whole is too much to hold.
  * @returns {Layout}
  */
-export function layoutOf(topics, name = "") {
+export function layoutOf(topics, { name = "", following = false } = {}) {
   const present = topics.filter((topic) => topic.messages > 0 || [...MAPS, ...TRANSFORMS].includes(topic.type));
   /** @type {Record<string, any>} */
   const configById = {};
   const space = addSpace(present, configById, name === "overhead");
   if (name === "overhead" && space) return whole(space, configById);
   const cameras = addCameras(present, configById);
-  const texts = [...addCurves(present, configById), ...addTexts(present, configById)];
+  const texts = [...addCurves(present, configById, following), ...addTexts(present, configById)];
   const above = split("row", [space, split("column", cameras)], 68);
   return whole(split("column", [above, split("row", texts)], 68), configById);
 }
@@ -127,8 +129,8 @@ function addCameras(topics, configById) {
   });
 }
 
-/** @param {Topic[]} topics @param {Record<string, any>} configById @returns {Node[]} */
-function addCurves(topics, configById) {
+/** @param {Topic[]} topics @param {Record<string, any>} configById @param {boolean} following @returns {Node[]} */
+function addCurves(topics, configById, following) {
   const paths = [...CURVES].flatMap(([type, fields]) =>
     ofTypes(topics, [String(type)]).flatMap((topic) => fields.map((field) => `${topic.name}.${field}`)));
   if (!paths.length) return [];
@@ -136,6 +138,7 @@ function addCurves(topics, configById) {
     paths: paths.slice(0, MOST_CURVES).map((value) => ({ value, enabled: true, timestampMethod: "receiveTime" })),
     showXAxisLabels: true, showYAxisLabels: true, showLegend: true, legendDisplay: "floating",
     showPlotValuesInLegend: false, isSynced: true, xAxisVal: "timestamp", sidebarDimension: 240,
+    ...(following && { followingViewWidth: FOLLOWED_SEC }),
   };
   return ["Plot!curves"];
 }

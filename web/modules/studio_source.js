@@ -11,6 +11,8 @@ import { messages } from "./frames.js";
 import * as times from "./times.js";
 
 const PAGE_BYTES = 4 * 1024 * 1024;
+const SMALL_BYTES = 24 * 1024 * 1024;
+const SMALL_MESSAGES = 200_000;
 const FIRST_PAUSE_MS = 500;
 const LONGEST_PAUSE_MS = 10_000;
 
@@ -37,6 +39,8 @@ export class StoreSource {
     this.state = state;
     this.showError = showError;
     this.chosen = { nodes: state.nodes, runs: state.runs };
+    /** What /api/connections answered. @type {any} */
+    this.found = null;
     this.start = 0n;
     this.end = 0n;
     /** @type {AbortController | null} Of the messages that are being played. */
@@ -48,12 +52,16 @@ export class StoreSource {
   /** Ask what there is; do it once before the Studio does, for its layout depends on it. */
   async open() {
     const { start, end, time, topics } = this.state;
-    const found = await get("/api/connections", { topics, start, end, time, ...this.chosen });
-    this.found = found;
-    this.start = BigInt(found.start);
-    this.end = BigInt(found.end);
-    for (const problem of found.problems) this.tell(problem);
-    return found;
+    this.found = await get("/api/connections", { topics, start, end, time, ...this.chosen });
+    this.start = BigInt(this.found.start);
+    this.end = BigInt(this.found.end);
+    for (const problem of this.found.problems) this.tell(problem);
+    return this.found;
+  }
+
+  /** Whether all of the window may be read at once, for curves of the whole of it. */
+  get isSmall() {
+    return this.found.bytes <= SMALL_BYTES && this.found.messages <= SMALL_MESSAGES;
   }
 
   /** @returns {Promise<any>} The Studio's Initalization. */
