@@ -12,11 +12,13 @@ export class ApiError extends Error {
    * @param {string} kind Name of the server's error, as `TopicNotFound`.
    * @param {string} text What happened, to what, and what to do.
    * @param {number} status Of HTTP; 0 where no answer came.
+   * @param {number} [position] Of a statement: where in it, in characters.
    */
-  constructor(kind, text, status) {
+  constructor(kind, text, status, position) {
     super(text);
     this.name = kind;
     this.status = status;
+    this.position = position;
   }
 }
 
@@ -111,7 +113,9 @@ async function failure(response) {
   const text = await response.text();
   try {
     const said = JSON.parse(text);
-    if (typeof said.text === "string") return new ApiError(said.error, said.text, response.status);
+    if (typeof said.text === "string") {
+      return new ApiError(said.error, said.text, response.status, said.position);
+    }
   } catch (error) {
     if (!(error instanceof SyntaxError)) throw error;
   }

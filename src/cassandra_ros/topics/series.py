@@ -104,15 +104,16 @@ def read_series(
 ) -> Series:
     """Read the numbers that a statement gives over time.
 
+    Where there is no time to draw them over, each column is left out.
+
     Raises:
-        InvalidQuery: The statement names what the topic has not; or nothing in it is a time.
+        InvalidQuery: The statement names what the topic has not.
     """
     tables = topic.tables
-    if any(table.named for table in tables):
-        reason = f"the messages of topic {topic.name} lie under names: there is no time to draw "
-        raise InvalidQuery(select.text, select.topic_position, f"{reason}them over")
     settled = settle(select, tables)
     drawn = drawn_columns(settled, tables)
+    if any(table.named for table in tables):
+        return _nothing(topic, _without(drawn, "of messages that lie under names, not at a time"))
     if settled.gathers or settled.limit is not None:
         return _of_rows(topic, select, drawn, window, asker)
     runs = next((table.runs for table in tables), None)
@@ -121,7 +122,7 @@ def read_series(
         bounds = bounds.within(window.low, window.high)
     ends = _extent(topic, bounds, window) if drawn.columns else None
     if ends is None:
-        return _nothing(topic, drawn, len(drawn.columns))
+        return _nothing(topic, drawn)
     grid = Grid.between(*ends, window.pixels)
     wanted = Wanted(settled, bounds, drawn.columns)
 
@@ -134,9 +135,15 @@ def read_series(
     return Series(topic.name, *drawn, grid, points, found.share, found.edges)
 
 
-def _nothing(topic: CassandraTopic, drawn: Drawn, columns: int) -> Series:
+def _nothing(topic: CassandraTopic, drawn: Drawn) -> Series:
     grid = Grid(0, 0, 1)
-    return Series(topic.name, *drawn, grid, Envelope(grid, columns).points())
+    return Series(topic.name, *drawn, grid, Envelope(grid, len(drawn.columns)).points())
+
+
+def _without(drawn: Drawn, reason: str) -> Drawn:
+    """Leave out every column, for one reason."""
+    left_out = (Undrawn(column.name, reason) for column in drawn.columns)
+    return Drawn((), (*left_out, *drawn.left_out))
 
 
 def _extent(topic: CassandraTopic, bounds: Bounds, window: Window) -> Optional[Tuple[int, int]]:
@@ -180,8 +187,8 @@ def _of_rows(
     kinds = column_types(select, topic.tables)
     over = next((n for n, (_, k) in enumerate(kinds) if k.kind == "time" and not k.depth), None)
     if over is None:
-        reason = "nothing in its rows is a time to draw them over: select KEY, or time(1m) of what "
-        raise InvalidQuery(select.text, 0, f"{reason}is grouped by it")
+        reason = "in rows without a time to draw it over: group by time(1m), and select that, too"
+        return _nothing(topic, _without(drawn, reason))
     name = kinds[over][0]
     drawn = drawn._replace(left_out=tuple(u for u in drawn.left_out if u.name != name))
     places = [[name for name, _ in kinds].index(column.name) for column in drawn.columns]
@@ -193,7 +200,7 @@ def _of_rows(
     low = times.min(initial=2**63 - 1) if window.low is None else window.low
     high = times.max(initial=-1) if window.high is None else window.high
     if low > high:
-        return _nothing(topic, drawn, len(places))
+        return _nothing(topic, drawn)
     grid = Grid.between(int(low), int(high), window.pixels)
     envelope = Envelope(grid, len(places))
     envelope.add(times, numbers)

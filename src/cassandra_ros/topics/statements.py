@@ -151,7 +151,7 @@ class Statements:
             cache: Keeps what was read; None = nothing does.
 
         Raises:
-            InvalidQuery: It is none, names what the topic has not, or nothing in it is a time.
+            InvalidQuery: It is none, or names what the topic has not.
         """
         check_nodes(node)
         select = statement if isinstance(statement, Select) else parse_select(statement, params)

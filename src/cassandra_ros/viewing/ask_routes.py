@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Callable, Sequence
 
 from cassandra_ros.arrays.array_types import column_types
@@ -14,6 +15,16 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.complete import Known, complete
 from cassandra_ros.query.parse import parse_select
 from cassandra_ros.query.run import QueryResult
+from cassandra_ros.query.settle import settle
+from cassandra_ros.query.syntax import (
+    All,
+    Compare,
+    Expression,
+    KeyOperand,
+    Literal,
+    Select,
+    TimeNs,
+)
 from cassandra_ros.topics.envelopes import EnvelopeCache
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.series import MOST_PIXELS, PIXELS, Series, Window
@@ -65,12 +76,29 @@ def _run(call: Call) -> str | None:
 def _query(call: Call) -> Json:
     """Answer a page of a statement's rows."""
     limit = min(call.count("limit") or PAGE_ROWS, MOST_ROWS)
-    select = parse_select(call.text("q") or "")
     result = call.store.statements.select(
-        select, node=_node(call), run=_run(call), after=call.text("after"), watch=_watch(call)
+        _windowed(call), node=_node(call), run=_run(call), after=call.text("after"), watch=_watch(call)
     )
     with result:
         return _page(call, result, limit)
+
+
+def _windowed(call: Call) -> Select:
+    """Return the statement, asked of the messages of a window alone; rows made of several stay."""
+    select = parse_select(call.text("q") or "")
+    tables = call.store.getTopic(select.topic).tables
+    low, high = call.time_ns("start"), call.time_ns("end")
+    if settle(select, tables).gathers or any(table.named for table in tables):
+        return select
+    ends = {">=": low, "<=": high}
+    terms: list[Expression] = [
+        Compare(KeyOperand(0), operator, Literal(TimeNs(ns), 0))
+        for operator, ns in ends.items()
+        if ns is not None
+    ]
+    if select.condition is not None:
+        terms.append(select.condition)
+    return replace(select, condition=All(tuple(terms)) if terms else None)
 
 
 def _page(call: Call, result: QueryResult, limit: int) -> Json:
@@ -253,6 +281,8 @@ ROUTES: tuple[Route, ...] = (
             _STATEMENT,
             Parameter("limit", "count", f"Rows of the page, at most {MOST_ROWS}.", False, PAGE_ROWS),
             Parameter("after", "text", "The after of the page before."),
+            Parameter("start", "time", "Only messages from here on; not of groups and the like."),
+            Parameter("end", "time", "Only messages up to here, included; not of groups either."),
             Parameter("cut", "count", "Of arrays, texts and bytes no more than so many elements: "
                       "longer ones become {first, of}."),
             *_WHOSE,

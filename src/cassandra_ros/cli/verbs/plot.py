@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("statements", metavar="STATEMENT", nargs="+", help="a SELECT, in quotes")
     add(
         "-o",
-        "--output-file",
+        "--output",
         metavar="FILE",
         required=True,
         help="the picture: .png, .svg or .pdf",
@@ -74,12 +74,12 @@ def run(options: argparse.Namespace) -> int:
     from cassandra_ros.cli.results import open_output
     from cassandra_ros.drawing.plot import ENDINGS, draw_plot
 
-    ending = options.output_file.rpartition(".")[2].lower()
+    ending = options.output.rpartition(".")[2].lower()
     if ending not in ENDINGS:
         known = ", ".join(f".{each}" for each in ENDINGS)
-        raise InvalidOption(f"{options.output_file}: the picture's name ends in one of {known}")
+        raise InvalidOption(f"{options.output}: the picture's name ends in one of {known}")
     with open_store(options) as ros_cas, open_output(
-        options.output_file, options.force, binary=True
+        options.output, options.force, binary=True
     ) as stream:
         series = [_read(ros_cas, statement, options) for statement in options.statements]
         draw_plot(stream, ending, series, options.size, options.title)

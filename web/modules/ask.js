@@ -1,0 +1,173 @@
+// SPDX-FileCopyrightText: 2026 cassandra_ros authors
+// SPDX-License-Identifier: BSD-3-Clause
+// @ts-check
+/** Ask: a statement, its plot, its rows and its plan. The address holds the statement and the window. */
+
+import { get, isAbort } from "./api.js";
+import { Box } from "./ask_box.js";
+import { Plot } from "./ask_plot.js";
+import { Rows } from "./ask_rows.js";
+import * as page from "./page.js";
+import * as state from "./state.js";
+
+const form = /** @type {HTMLFormElement} */ (document.getElementById("ask-form"));
+const run = /** @type {HTMLButtonElement} */ (document.getElementById("ask-run"));
+const cancel = /** @type {HTMLButtonElement} */ (document.getElementById("ask-cancel"));
+const told = /** @type {HTMLElement} */ (document.getElementById("ask-told"));
+const error = /** @type {HTMLElement} */ (document.getElementById("ask-error"));
+const examples = /** @type {HTMLElement} */ (document.getElementById("ask-examples"));
+const plan = /** @type {HTMLDetailsElement} */ (document.getElementById("ask-plan"));
+
+const TURN_MS = 800;
+
+page.start("Ask");
+const box = new Box(ask);
+const plot = new Plot(moveTo);
+const rows = new Rows(fail);
+
+let asking = new AbortController();
+let asked = "";
+let working = 0;
+let moved = -Infinity;
+
+/** Ask what stands in the box: of all of the time, if it is another statement than before. */
+function ask() {
+  const statement = box.text.trim();
+  const window = statement === state.read().q.trim() ? {} : { start: null, end: null };
+  state.write({ q: statement || null, ...window }, { push: true });
+  show(true);
+}
+
+/**
+ * Show what the address says.
+ * @param {boolean} [again] Also where nothing in it has changed.
+ */
+function show(again = false) {
+  const now = state.read();
+  const key = JSON.stringify([now.q, now.nodes, now.runs]);
+  const window = { start: now.start, end: now.end };
+  if (!now.q) return showNothing();
+  examples.hidden = true;
+  if (!again && key === asked && plot.shows(window) && rows.shows(window)) return;
+  const other = again || key !== asked;
+  if (other) box.text = now.q;
+  asked = key;
+  asking.abort();
+  asking = new AbortController();
+  error.hidden = true;
+  const { signal } = asking;
+  const parameters = { q: now.q, nodes: now.nodes, runs: now.runs };
+  plan.hidden = false;
+  if (other) clearPlan();
+  work(signal, rows.load(parameters, window, signal), plot.load(parameters, window, signal, other));
+}
+
+/**
+ * Wait for work, and say that it goes on; the first thing that fails is shown.
+ * @param {AbortSignal} signal
+ * @param {...Promise<void>} all
+ */
+function work(signal, ...all) {
+  working = all.length;
+  cancel.disabled = false;
+  document.body.dataset.state = "working";
+  told.textContent = "working …";
+  for (const each of all) {
+    each.catch((problem) => fail(problem, signal)).finally(() => {
+      if (signal.aborted) return;
+      working -= 1;
+      if (working === 0) rest(error.hidden ? "done" : "failed");
+    });
+  }
+}
+
+/** @param {"done" | "failed" | "cancelled"} how */
+function rest(how) {
+  cancel.disabled = true;
+  document.body.dataset.state = how;
+  told.textContent = how === "cancelled" ? "cancelled" : "";
+}
+
+/**
+ * @param {unknown} problem
+ * @param {AbortSignal} [signal]
+ */
+function fail(problem, signal) {
+  if (isAbort(problem) || signal?.aborted) return;
+  const text = problem instanceof Error ? problem.message : String(problem);
+  if (!error.hidden && error.textContent === text) return;
+  error.textContent = text;
+  error.hidden = false;
+  const place = /** @type {any} */ (problem).position;
+  if (typeof place === "number") box.point(place);
+}
+
+/** Show what there is to ask of. */
+async function showNothing() {
+  asked = "";
+  plot.clear();
+  rows.clear();
+  plan.hidden = true;
+  const begin = "SELECT * FROM ";
+  const { offers } = await get("/api/complete", { q: begin });
+  const topics = offers.filter((/** @type {any} */ offer) => offer.kind === "topic");
+  examples.hidden = topics.length === 0;
+  examples.querySelector(".content")?.replaceChildren(
+    ...topics.slice(0, 60).map((/** @type {any} */ offer) =>
+      page.make("button", { type: "button", onclick: () => choose(begin + offer.text) }, offer.text)),
+  );
+  if (!topics.length) told.textContent = "There is no topic in this keyspace yet.";
+}
+
+/** @param {string} statement */
+function choose(statement) {
+  box.text = statement;
+  ask();
+}
+
+/**
+ * Look at another window, null = all.
+ * @param {{start: bigint | null, end: bigint | null}} window
+ */
+function moveTo(window) {
+  // The back button goes over a whole turn of the wheel at once.
+  state.write(window, { push: performance.now() - moved > TURN_MS });
+  moved = performance.now();
+  show();
+}
+
+function clearPlan() {
+  plan.querySelector("pre")?.replaceChildren();
+  if (plan.open) loadPlan();
+}
+
+async function loadPlan() {
+  const place = plan.querySelector("pre");
+  const { q, nodes, runs } = state.read();
+  if (!place || place.textContent || !q) return;
+  place.textContent = "the statement is run to its end …";
+  try {
+    const found = await get("/api/explain", { q, nodes, runs }, { signal: asking.signal });
+    place.textContent = found.text;
+  } catch (problem) {
+    place.textContent = "";
+    fail(problem);
+  }
+}
+
+form.addEventListener("submit", (event) => {
+  event.preventDefault();
+  ask();
+});
+cancel.addEventListener("click", () => {
+  asking.abort();
+  rest("cancelled");
+});
+plan.addEventListener("toggle", () => {
+  if (plan.open) loadPlan();
+});
+window.addEventListener("popstate", () => show());
+run.title = "Ctrl+Enter";
+box.text = state.read().q;
+show(true);
+if (!state.read().q) box.focus();

@@ -1,0 +1,390 @@
+// SPDX-FileCopyrightText: 2026 cassandra_ros authors
+// SPDX-License-Identifier: BSD-3-Clause
+// @ts-check
+/**
+ * The plot of a statement: of each pixel the least and the greatest number, as the server knows them.
+ * A panel for each unit, all over the same time. Whoever looks closer asks the server again.
+ */
+
+import { get } from "./api.js";
+import { lookAt } from "./ask_rows.js";
+import { make } from "./page.js";
+import { length, shown, ticks } from "./times.js";
+
+/** Debian's libjs-dygraphs, where it is installed. */
+const SCRIPT = "/dygraphs/dygraph.min.js";
+const STYLE = "/dygraphs/dygraph.min.css";
+const COLOURS = ["#2f7fe6", "#e0702f", "#1d9a80", "#b558c4", "#b8920a", "#d8453f", "#6b8bb0", "#6a9a2f"];
+const MOST_PIXELS = 4000;
+const FEW_POINTS = 60;
+const LEAST_NS = 1000n;
+
+/** @typedef {{start: bigint | null, end: bigint | null}} Window */
+
+export class Plot {
+  /** @param {(window: Window) => void} move Looks at another window. */
+  constructor(move) {
+    this._place = /** @type {HTMLElement} */ (document.getElementById("ask-plot"));
+    this._panels = /** @type {HTMLElement} */ (document.getElementById("plot-panels"));
+    this._legend = /** @type {HTMLElement} */ (document.getElementById("plot-legend"));
+    this._told = /** @type {HTMLElement} */ (document.getElementById("plot-told"));
+    this._moment = /** @type {HTMLElement} */ (document.getElementById("plot-moment"));
+    this._move = move;
+    /** @type {any[]} One of dygraphs for each panel. */
+    this._graphs = [];
+    /** @type {any} */
+    this._found = null;
+    /** @type {bigint[]} */
+    this._times = [];
+    this._base = 0n;
+    this._window = "";
+    /** @type {{start: bigint, end: bigint}} What is in sight. */
+    this._sight = { start: 0n, end: 1n };
+    /** @type {Set<number>} Places of columns that are hidden. */
+    this._hidden = new Set();
+    this._wheel = 0;
+    this._addKeys();
+  }
+
+  /** @param {Window} window */
+  shows(window) {
+    return this._window === String([window.start, window.end]);
+  }
+
+  clear() {
+    this._place.hidden = true;
+    this._window = "";
+    for (const graph of this._graphs) graph.destroy();
+    this._graphs = [];
+    this._panels.replaceChildren();
+  }
+
+  /**
+   * Load the plot of a window, and draw it, ever more complete.
+   * @param {Record<string, any>} parameters
+   * @param {Window} window
+   * @param {AbortSignal} signal
+   * @param {boolean} other It is another statement than before.
+   */
+  async load(parameters, window, signal, other) {
+    this._window = String([window.start, window.end]);
+    if (other) this._hidden.clear();
+    const ready = dygraphs();
+    const pixels = Math.min(MOST_PIXELS, Math.round(this._width() * devicePixelRatio));
+    for (let first = true; ; first = false) {
+      const found = await get("/api/plot", { ...parameters, ...window, pixels }, { signal });
+      const present = await ready;
+      if (signal.aborted) return;
+      this._show(found, window, first && other, present);
+      if (found.complete) return;
+    }
+  }
+
+  _width() {
+    return this._panels.clientWidth || document.body.clientWidth - 80;
+  }
+
+  /**
+   * @param {any} found
+   * @param {Window} window
+   * @param {boolean} anew
+   * @param {boolean} present Whether there is what draws.
+   */
+  _show(found, window, anew, present) {
+    if (found.columns.length === 0) return this.clear();
+    this._place.hidden = false;
+    this._place.dataset.complete = String(found.complete);
+    this._place.dataset.points = String(found.times.length);
+    const left = found.left_out.map((/** @type {any} */ each) => `${each.name} is ${each.reason}`);
+    this._told.textContent = [found.how, ...left.map((/** @type {string} */ t) => `not drawn: ${t}`)]
+      .filter(Boolean).join("; ");
+    if (!found.times.length) this._told.textContent = "nothing lies in this time";
+    this._found = found;
+    this._times = found.times.map(BigInt);
+    this._base = BigInt(found.start);
+    this._sight = { start: window.start ?? BigInt(found.start), end: window.end ?? BigInt(found.end) };
+    if (!present) {
+      this._panels.replaceChildren(make("p", { class: "note" },
+        "Plots are drawn by dygraphs, which is not installed here: sudo apt install libjs-dygraphs"));
+      return;
+    }
+    this._draw(anew);
+    this._showLegend(null);
+  }
+
+  /** @param {boolean} anew */
+  _draw(anew) {
+    const units = [...new Set(this._found.columns.map((/** @type {any} */ column) => column.unit))];
+    const same = !anew && this._graphs.length === units.length;
+    if (!same) {
+      for (const graph of this._graphs) graph.destroy();
+      this._graphs = [];
+      this._panels.replaceChildren();
+    }
+    for (const [n, unit] of units.entries()) {
+      const places = [...this._found.columns.keys()].filter((p) => this._found.columns[p].unit === unit);
+      const options = this._options(places);
+      if (same) {
+        this._graphs[n].updateOptions(options);
+        continue;
+      }
+      const graph = make("div", { class: "graph" });
+      this._panels.append(...(unit ? [make("h3", {}, `in ${unit}`)] : []), graph);
+      this._graphs.push(new (/** @type {any} */ (window)).Dygraph(graph, options.file, options));
+    }
+  }
+
+  /** @param {number[]} places Of the columns in a panel. */
+  _options(places) {
+    const style = getComputedStyle(document.documentElement);
+    const [line, muted] = ["--line", "--muted"].map((name) => style.getPropertyValue(name).trim());
+    return {
+      file: this._lines(places),
+      // Numbered: what a store says is never markup.
+      labels: ["t", ...places.map(String)],
+      colors: places.map((place) => COLOURS[place % COLOURS.length]),
+      visibility: places.map((place) => !this._hidden.has(place)),
+      customBars: true,
+      fillAlpha: 0.5,
+      strokeWidth: 1,
+      drawPoints: this._times.length <= FEW_POINTS,
+      drawGapEdgePoints: true,
+      pointSize: 2,
+      legend: "never",
+      dateWindow: [this._x(this._sight.start), this._x(this._sight.end)],
+      gridLineColor: line,
+      axisLineColor: muted,
+      axisLabelWidth: 64,
+      animatedZooms: false,
+      axes: { x: { ticker: this._ticker.bind(this), axisLabelFormatter: String } },
+      zoomCallback: (/** @type {number} */ low, /** @type {number} */ high) => this._zoomed(low, high),
+      highlightCallback: (/** @type {any} */ event, /** @type {number} */ x) => this._point(x),
+      unhighlightCallback: () => this._showLegend(null),
+      clickCallback: (/** @type {any} */ event, /** @type {number} */ x) => this._mark(x),
+      interactionModel: this._interactions(),
+    };
+  }
+
+  /** @param {number[]} places */
+  _lines(places) {
+    const columns = places.map((place) => this._found.columns[place]);
+    const broken = new Set(this._found.breaks);
+    /** @type {any[]} */
+    const lines = [];
+    for (const [n, time] of this._times.entries()) {
+      const x = this._x(time);
+      lines.push([x, ...columns.map((column) => bar(column.low[n], column.high ? column.high[n] : column.low[n]))]);
+      if (broken.has(n)) lines.push([(x + this._x(this._times[n + 1])) / 2, ...columns.map(() => null)]);
+    }
+    // dygraphs wants a line.
+    return lines.length ? lines : [[0, ...columns.map(() => null)]];
+  }
+
+  /** Milliseconds behind the first pixel: so a number has room for nanoseconds. @param {bigint} ns */
+  _x(ns) {
+    return Number(ns - this._base) / 1e6;
+  }
+
+  /** @param {number} x */
+  _ns(x) {
+    return this._base + BigInt(Math.round(x * 1e6));
+  }
+
+  /**
+   * @param {number} low
+   * @param {number} high
+   * @param {number} width
+   */
+  _ticker(low, high, width) {
+    const found = ticks(this._ns(low), this._ns(high), Math.max(2, width / 90));
+    return found.ticks.map((tick) => ({ v: this._x(tick.ns), label: tick.text }));
+  }
+
+  /** @param {number} x */
+  _nearest(x) {
+    const at = this._ns(x);
+    let [low, high] = [0, this._times.length - 1];
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this._times[middle] < at) low = middle + 1;
+      else high = middle;
+    }
+    const before = this._times[low - 1];
+    return before !== undefined && at - before < this._times[low] - at ? low - 1 : low;
+  }
+
+  /** @param {number} x */
+  _point(x) {
+    this._showLegend(this._nearest(x));
+  }
+
+  /** @param {number | null} n Which point is looked at. */
+  _showLegend(n) {
+    const items = this._found.columns.map((/** @type {any} */ column, /** @type {number} */ place) => {
+      const colour = make("span", { class: "colour" });
+      colour.style.background = COLOURS[place % COLOURS.length];
+      const value = n === null ? "" : ` ${range(column, n)}${column.unit ? ` ${column.unit}` : ""}`;
+      const pressed = String(!this._hidden.has(place));
+      return make("li", {}, make(
+        "button",
+        { type: "button", "aria-pressed": pressed, title: "Show or hide", onclick: () => this._toggle(place) },
+        colour, column.name, value,
+      ));
+    });
+    this._legend.replaceChildren(...items);
+    if (n !== null) this._moment.textContent = this._at(n);
+  }
+
+  /** @param {number} n */
+  _at(n) {
+    const rows = this._found.rows[n];
+    const time = shown(this._times[n], BigInt(this._found.pixel));
+    return rows === 1 ? time : `${time}${rows ? `, ${rows} messages` : ""} in ${length(BigInt(this._found.pixel))}`;
+  }
+
+  /** @param {number} x */
+  _mark(x) {
+    if (!this._times.length) return;
+    const time = String(this._times[this._nearest(x)]);
+    const link = make("a", { href: lookAt(time) }, `Look at ${shown(BigInt(time), 1_000_000n)}`);
+    this._moment.replaceChildren(link);
+  }
+
+  /** @param {number} place */
+  _toggle(place) {
+    if (!this._hidden.delete(place)) this._hidden.add(place);
+    this._draw(false);
+    this._showLegend(null);
+  }
+
+  // ---------------------------------------------------------------- another window
+
+  /**
+   * @param {number} low
+   * @param {number} high
+   */
+  _zoomed(low, high) {
+    // Upwards alone is no other window.
+    if (low === this._x(this._sight.start) && high === this._x(this._sight.end)) return;
+    this._go(this._ns(low), this._ns(high));
+  }
+
+  /**
+   * @param {bigint} start
+   * @param {bigint} end
+   */
+  _go(start, end) {
+    if (end - start < LEAST_NS) end = start + LEAST_NS;
+    if (start < 0n) [start, end] = [0n, end - start];
+    this._sight = { start, end };
+    for (const graph of this._graphs) {
+      graph.updateOptions({ dateWindow: [this._x(start), this._x(end)] });
+    }
+    this._move({ start, end });
+  }
+
+  _all() {
+    this._move({ start: null, end: null });
+  }
+
+  /**
+   * @param {number} factor Of the length.
+   * @param {number} [at] Which part of it stays where it is, 0 to 1.
+   */
+  _zoom(factor, at = 0.5) {
+    const { start, end } = this._sight;
+    const before = Number(end - start);
+    const after = before * factor;
+    const first = start + BigInt(Math.round((before - after) * at));
+    this._go(first, first + BigInt(Math.round(after)));
+  }
+
+  /** @param {number} part Of the length. */
+  _pan(part) {
+    const { start, end } = this._sight;
+    const by = BigInt(Math.round(Number(end - start) * part));
+    this._go(start + by, end + by);
+  }
+
+  _interactions() {
+    const own = /** @type {any} */ (window).Dygraph.defaultInteractionModel;
+    return {
+      ...own,
+      dblclick: () => this._all(),
+      mousedown: (/** @type {any} */ event, /** @type {any} */ graph, /** @type {any} */ context) => {
+        own.mousedown(event, graph, context);
+        if (!context.isPanning) return;
+        const panned = () => setTimeout(() => this._zoomed(...graph.xAxisRange()));
+        document.addEventListener("mouseup", panned, { once: true });
+      },
+      wheel: (/** @type {WheelEvent} */ event, /** @type {any} */ graph) => {
+        if (!event.ctrlKey && !event.shiftKey && !this._panels.contains(document.activeElement)) return;
+        event.preventDefault();
+        const [left, width] = [graph.getArea().x, graph.getArea().w];
+        const at = Math.min(1, Math.max(0, (graph.eventToDomCoords(event)[0] - left) / width));
+        cancelAnimationFrame(this._wheel);
+        this._wheel = requestAnimationFrame(() => this._zoom(1.3 ** Math.sign(event.deltaY), at));
+      },
+    };
+  }
+
+  _addKeys() {
+    /** @type {Record<string, () => void>} */
+    const actions = {
+      "plot-back": () => this._pan(-0.5),
+      "plot-on": () => this._pan(0.5),
+      "plot-out": () => this._zoom(2),
+      "plot-in": () => this._zoom(0.5),
+      "plot-all": () => this._all(),
+    };
+    for (const [id, action] of Object.entries(actions)) {
+      document.getElementById(id)?.addEventListener("click", action);
+    }
+    /** @type {Record<string, string>} */
+    const keys = {
+      ArrowLeft: "plot-back", ArrowRight: "plot-on",
+      "-": "plot-out", "+": "plot-in", "=": "plot-in", 0: "plot-all",
+    };
+    this._panels.addEventListener("keydown", (event) => {
+      const action = actions[keys[event.key]];
+      if (!action || event.ctrlKey || event.metaKey || event.altKey) return;
+      event.preventDefault();
+      action();
+    });
+  }
+}
+
+/**
+ * @param {number | null} low
+ * @param {number | null} high
+ */
+function bar(low, high) {
+  return low === null || high === null ? null : [low, (low + high) / 2, high];
+}
+
+/**
+ * @param {any} column
+ * @param {number} n
+ */
+function range(column, n) {
+  const low = column.low[n];
+  const high = column.high ? column.high[n] : low;
+  if (low === null) return "–";
+  return low === high ? String(low) : `${low} … ${high}`;
+}
+
+/** @type {Promise<boolean> | null} */
+let loaded = null;
+
+/** Load what draws, once; whether it is there. */
+function dygraphs() {
+  loaded ??= new Promise((resolve) => {
+    document.head.append(make("link", { rel: "stylesheet", href: STYLE }));
+    document.head.append(make("script", {
+      src: SCRIPT,
+      onload: () => resolve(true),
+      onerror: () => resolve(false),
+    }));
+  });
+  return loaded;
+}

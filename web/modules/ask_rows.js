@@ -1,0 +1,137 @@
+// SPDX-FileCopyrightText: 2026 cassandra_ros authors
+// SPDX-License-Identifier: BSD-3-Clause
+// @ts-check
+/** The rows of a statement, page by page; each leads to its moment. */
+
+import { get } from "./api.js";
+import { make } from "./page.js";
+import * as state from "./state.js";
+import { iso, length } from "./times.js";
+
+const CUT = 60;
+const NUMBERS = /^(u?int|float|sum)/;
+
+export class Rows {
+  /** @param {(problem: unknown, signal: AbortSignal) => void} fail Shows what went wrong with a further page. */
+  constructor(fail) {
+    this._place = /** @type {HTMLElement} */ (document.getElementById("ask-rows"));
+    this._told = /** @type {HTMLElement} */ (document.getElementById("rows-told"));
+    this._more = /** @type {HTMLButtonElement} */ (document.getElementById("rows-more"));
+    this._head = /** @type {HTMLElement} */ (this._place.querySelector("thead"));
+    this._body = /** @type {HTMLElement} */ (this._place.querySelector("tbody"));
+    this._fail = fail;
+    /** @type {Record<string, any>} */
+    this._parameters = {};
+    this._window = "";
+    this._after = "";
+    this._signal = new AbortController().signal;
+    this._more.addEventListener("click", () => this._next());
+    this._body.addEventListener("click", (event) => this._open(event));
+  }
+
+  /** @param {{start: bigint | null, end: bigint | null}} window */
+  shows(window) {
+    return this._window === String([window.start, window.end]);
+  }
+
+  clear() {
+    this._place.hidden = true;
+    this._body.replaceChildren();
+    this._window = "";
+  }
+
+  /**
+   * Load the first page of the rows of a window.
+   * @param {Record<string, any>} parameters
+   * @param {{start: bigint | null, end: bigint | null}} window
+   * @param {AbortSignal} signal
+   */
+  async load(parameters, window, signal) {
+    this._parameters = { ...parameters, ...window, cut: CUT };
+    this._window = String([window.start, window.end]);
+    this._signal = signal;
+    const page = await get("/api/query", this._parameters, { signal });
+    const headings = page.columns.map((/** @type {string} */ name, /** @type {number} */ n) =>
+      make("th", { class: NUMBERS.test(page.kinds[n]) ? "number" : "", title: page.kinds[n] }, name));
+    this._head.replaceChildren(make("tr", {}, make("th", {}, ""), ...headings));
+    this._body.replaceChildren();
+    this._place.hidden = false;
+    this._add(page);
+  }
+
+  async _next() {
+    this._more.disabled = true;
+    try {
+      const parameters = { ...this._parameters, after: this._after };
+      this._add(await get("/api/query", parameters, { signal: this._signal }));
+    } catch (problem) {
+      this._fail(problem, this._signal);
+    } finally {
+      this._more.disabled = false;
+    }
+  }
+
+  /** @param {any} page */
+  _add(page) {
+    const lines = page.rows.map((/** @type {any[]} */ row, /** @type {number} */ n) => {
+      const time = page.times[n];
+      const line = make("tr", { "data-time": time ?? false });
+      const title = "Look at this moment";
+      line.append(make("td", {}, ...(time ? [make("a", { href: lookAt(time), title }, "look")] : [])));
+      for (const [place, value] of row.entries()) line.append(cell(value, page.kinds[place]));
+      return line;
+    });
+    this._body.append(...lines);
+    this._after = page.after;
+    this._more.hidden = page.after === "";
+    const count = this._body.childElementCount;
+    const rows = count === 1 ? "1 row" : `${count} rows`;
+    this._told.textContent = page.after ? `the first ${rows}` : count ? rows : "no row matches";
+    this._place.dataset.rows = String(count);
+  }
+
+  /** @param {MouseEvent} event */
+  _open(event) {
+    const target = event.target instanceof Element ? event.target : null;
+    const line = target?.closest("tr");
+    // Whoever marks text, or presses the link itself, has something else in mind.
+    if (!line?.dataset.time || target?.closest("a") || String(getSelection())) return;
+    if (event.ctrlKey || event.metaKey) window.open(lookAt(line.dataset.time), "_blank");
+    else location.assign(lookAt(line.dataset.time));
+  }
+}
+
+/** @param {string} time */
+export function lookAt(time) {
+  return state.link("/look.html", { time });
+}
+
+/**
+ * @param {any} value
+ * @param {string} kind
+ */
+function cell(value, kind) {
+  const text = shown(value, kind);
+  const number = NUMBERS.test(kind) && !kind.endsWith("[]");
+  const names = value === null ? "missing" : number ? "number" : "";
+  return make("td", { class: names, title: text.length > 40 ? text : false }, text);
+}
+
+/**
+ * @param {any} value
+ * @param {string} kind
+ * @returns {string}
+ */
+function shown(value, kind) {
+  if (value === null) return "–";
+  if (typeof value === "object" && "of" in value) {
+    return `${shown(value.first, kind)} … ${value.of} ${Array.isArray(value.first) ? "elements" : "in all"}`;
+  }
+  if (Array.isArray(value)) {
+    const inner = kind.replace(/\[\]$/, "");
+    return `[${value.map((each) => shown(each, inner)).join(", ")}]`;
+  }
+  if (kind === "time" && typeof value === "string") return iso(BigInt(value));
+  if (kind === "duration" && typeof value === "string") return length(BigInt(value));
+  return String(value);
+}
