@@ -86,7 +86,7 @@ class Statements:
             reason += "DELETE with NODE = '…' or RUN = '…' removes those of one"
             raise InvalidQuery(text, start, reason)
         if isinstance(parsed, Truncate):
-            self._catalog.remove(self._topic(parsed).name, renew=True)
+            self._catalog.remove(self.topic_of(parsed).name, renew=True)
         elif isinstance(parsed, CreateIndex):
             self._create_index(parsed)
         else:
@@ -109,7 +109,7 @@ class Statements:
         check_limit(limit)
         check_nodes(node)
         select = statement if isinstance(statement, Select) else parse_select(statement, params)
-        topic, writers = self._topic(select), self._keyspace.runs.writers(run)
+        topic, writers = self.topic_of(select), self._keyspace.runs.writers(run)
         return QueryResult(
             select,
             topic,
@@ -131,7 +131,7 @@ class Statements:
     ) -> Explanation:
         """Run a SELECT statement to its end, keeping no row, and say how it was answered."""
         result = self.select(statement, params, node=node, run=run, watch=watch)
-        return explain(result, self._topic(result.select))
+        return explain(result, self.topic_of(result.select))
 
     def series(
         self,
@@ -156,9 +156,10 @@ class Statements:
         check_nodes(node)
         select = statement if isinstance(statement, Select) else parse_select(statement, params)
         asker = Asker(node, self._keyspace.runs.writers(run), cache, watch)
-        return read_series(self._keyspace, self._topic(select), select, window, asker)
+        return read_series(self._keyspace, self.topic_of(select), select, window, asker)
 
-    def _topic(self, statement: Union[Select, Delete, Truncate]) -> CassandraTopic:
+    def topic_of(self, statement: Union[Select, Delete, Truncate]) -> CassandraTopic:
+        """Return the topic that a statement names; InvalidQuery: it is not stored."""
         return self._find(statement.text, statement.topic, statement.topic_position)
 
     def _find(self, text: str, topic: str, position: int) -> CassandraTopic:
@@ -167,7 +168,7 @@ class Statements:
             return self._catalog.get(topic)
 
     def _delete(self, statement: Delete, node: Optional[str], run: RunName) -> int:
-        topic = self._topic(statement)
+        topic = self.topic_of(statement)
         named = any(table.named for table in topic.tables)
         condition = Condition(statement, node=node, run=self._keyspace.runs.writers(run))
         bounds = condition.bounds(topic.tables)

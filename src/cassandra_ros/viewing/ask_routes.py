@@ -86,7 +86,7 @@ def _query(call: Call) -> Json:
 def _windowed(call: Call) -> Select:
     """Return the statement, asked of the messages of a window alone; rows made of several stay."""
     select = parse_select(call.text("q") or "")
-    tables = call.store.getTopic(select.topic).tables
+    tables = call.store.statements.topic_of(select).tables
     low, high = call.time_ns("start"), call.time_ns("end")
     if settle(select, tables).gathers or any(table.named for table in tables):
         return select
@@ -128,8 +128,8 @@ def _page(call: Call, result: QueryResult, limit: int) -> Json:
 
 def _kinds(call: Call, result: QueryResult) -> Json:
     """Return of each column what its values are: a type of ROS, with [] for each array."""
-    topic = call.store.getTopic(result.select.topic)
-    kinds = column_types(result.select, topic.tables)
+    tables = call.store.statements.topic_of(result.select).tables
+    kinds = column_types(result.select, tables)
     return ["int" if kind.kind == "sum" else kind.kind + "[]" * kind.depth for _, kind in kinds]
 
 
