@@ -29,6 +29,7 @@ from typing import (
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.store.blocks.limits import MAX_BYTES, MAX_MESSAGES
+from cassandra_ros.store.bucket_columns import BucketColumns, Wanted, read_columns
 from cassandra_ros.store.connection import AT_ONCE, Cassandra, CqlRow
 from cassandra_ros.store.paging import Seconds, sent_ahead
 from cassandra_ros.store.row_table import RowTable
@@ -271,6 +272,15 @@ class Directory:
         for each in params:
             asked = self._cassandra.begin(cql, (*each, limit), what=what, retry_sec=retry_sec)
             yield partial(_bucket_rows, each[1], asked)
+
+    def columns(
+        self, wanted: Iterable[Wanted], *, single: bool = False
+    ) -> Iterator[BucketColumns]:
+        """Read buckets by the hundred thousand, some partitions at once; see read_columns."""
+        if not self._tables.has("cr_bucket"):
+            return iter(())
+        table = self._tables.qualified("cr_bucket")
+        return read_columns(self._cassandra, table, wanted, single=single)
 
     def add_node(self, table: str, slot: int, node: str, ttl: int = 0) -> None:
         """Note, before its first, that a node has buckets in a slot; for ttl seconds, 0 = ever."""

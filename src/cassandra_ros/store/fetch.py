@@ -252,6 +252,17 @@ def list_names(table: RowTable, nodes: Sequence[str] | None) -> list[NamedKey]:
     return table.collect(statement, keys, "listing the names of")
 
 
+def some_names(table: RowTable, count: int) -> tuple[list[NamedKey], bool]:
+    """Return the keys of some rows of a table whose rows are found by name, and whether all.
+
+    Args:
+        count: At most so many, from 1.
+    """
+    asked = table.send(bind(table.select_names(), (), count), "listing some names of")
+    rows = asked.page()
+    return [_named_key(values, table.name) for values in rows], not asked.more
+
+
 def _named_key(values: RawRow, table: str) -> NamedKey:
     node, name, t, seq, size, nchunks, odd, *received = values
     t, seq = received or (t, seq)
