@@ -1,8 +1,303 @@
 // SPDX-FileCopyrightText: 2026 cassandra_ros authors
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
-/** Home: what is stored, and when. */
+/** Home: what is stored and when; a window of it goes on to Look, Ask, or into a file. */
 
+import * as api from "./api.js";
+import { showRuns, showTopics } from "./home_tables.js";
 import * as page from "./page.js";
+import * as state from "./state.js";
+import { Timeline } from "./timeline.js";
+import { length, shown } from "./times.js";
+
+const SETTLED_MS = 120;
+const DETAIL_MS = 250;
+const AGAIN_MS = 5000;
+const MOST_CELLS = 4000;
+/** Of more lanes only those are asked for that are seen. */
+const MANY_LANES = 60;
+const MOST_RUNS = 1000;
+
+const { make } = page;
 
 page.start("Home");
+
+const selection = make("div", { class: "row", id: "selection" });
+const summary = make("span", { class: "muted", id: "summary", role: "status" });
+const chosen = make("span", { class: "mono", id: "chosen" });
+const links = make("div", { class: "row", id: "links" });
+const canvas = make("canvas", { class: "timeline", tabindex: "0", role: "application", id: "timeline" });
+const tip = make("div", { class: "tip", hidden: true });
+const box = make("div", { class: "timeline-box grow" }, canvas, tip);
+const tables = make("section", { class: "panel tables", id: "tables" });
+const panel = make("section", { class: "panel timeline-panel grow" },
+  make("header", {}, selection, zoomButtons(), summary, make("div", { class: "row push" }, chosen, links)),
+  box,
+  make("p", { class: "keys muted" }, "Wheel: zoom · drag: select · Shift and drag, or drag the axis: move · keys ",
+    ...["+", "−", "←", "→", "Home", "Enter", "Esc"].flatMap((key) => [make("kbd", {}, key), " "])),
+);
+const empty = make("section", { class: "panel note grow", id: "empty", hidden: true });
+document.getElementById("home")?.replaceChildren(panel, empty, tables);
+
+const timeline = new Timeline(canvas, tip);
+/** What a program that tests the page asks: the timeline itself. */
+Object.assign(canvas, { timeline });
+
+/** @type {any} The last answer for all time. */
+let whole = null;
+/** @type {any[]} */
+let runs = [];
+let following = true;
+let loading = new AbortController();
+let asking = new AbortController();
+/** @type {number | undefined} */
+let later;
+
+// -------------------------------------------------------------------- what is asked of the server
+
+/** Ask for all there is, and for what the address wants of it. */
+async function load() {
+  canvas.dataset.state = "busy";
+  loading.abort();
+  loading = new AbortController();
+  const { signal } = loading;
+  const choice = chosenParameters();
+  const [answer, marks, listed] = await Promise.all([
+    api.get("/api/timeline", { ...choice, pixels: cellsOf(1) }, { signal }),
+    api.get("/api/marks", choice, { signal }),
+    api.get("/api/runs", { runs: choice.runs, limit: MOST_RUNS }, { signal }),
+  ]);
+  whole = answer;
+  runs = listed.runs;
+  timeline.picture.take(answer, { all: true, whole: true });
+  timeline.picture.takeMarks(marks.marks);
+  timeline.update();
+  const nothing = !timeline.picture.lanes.length;
+  panel.hidden = tables.hidden = nothing;
+  empty.hidden = !nothing;
+  if (nothing) await explain();
+  showWindow();
+  tell();
+  ask();
+  again();
+}
+
+/** Ask for the window, when a person has settled on it. */
+function ask() {
+  if (!whole) return;
+  stop();
+  if (whole.first === null) return settled();
+  canvas.dataset.state = "busy";
+  later = window.setTimeout(() => askWindow(false).catch(failed), SETTLED_MS);
+}
+
+/** @param {boolean} detail */
+async function askWindow(detail) {
+  const { signal } = asking;
+  const { start, end } = timeline.view;
+  const room = detail ? 0n : (end - start) / 2n;
+  const all = timeline.whole;
+  const from = start - room > all.start ? start - room : all.start;
+  const to = end + room < all.end ? end + room : all.end;
+  if (from > to) return settled();
+  const parts = Number(to - from + 1n) / Number(end - start + 1n);
+  const many = timeline.picture.lanes.length > MANY_LANES;
+  const names = [...new Set(timeline.seen.map((lane) => lane.topic))];
+  const choice = { ...chosenParameters(), ...(many && names.length ? { topics: names } : {}) };
+  const asked = { ...choice, start: from, end: to, pixels: cellsOf(parts), detail };
+  const answer = await api.get("/api/timeline", asked, { signal });
+  const { runs: known } = timeline.picture;
+  timeline.picture.take(answer, { all: false, whole: false });
+  timeline.picture.runs = known;
+  timeline.redraw();
+  canvas.setAttribute("aria-label", timeline.describe());
+  const coarse = answer.lanes.some((/** @type {any} */ lane) => lane.even.length || lane.unknown.length || !lane.exact);
+  if (detail || !coarse) return settled();
+  later = window.setTimeout(() => askWindow(true).catch(failed), DETAIL_MS);
+}
+
+function stop() {
+  clearTimeout(later);
+  asking.abort();
+  asking = new AbortController();
+}
+
+function settled() {
+  canvas.dataset.state = "ready";
+}
+
+/** @param {unknown} error */
+function failed(error) {
+  if (!api.isAbort(error)) settled();
+  page.showError(error);
+}
+
+/** What is written now, or not yet, is asked for again. */
+function again() {
+  const live = timeline.picture.writing || !timeline.picture.lanes.length;
+  if (live) setTimeout(() => (document.hidden ? again() : load().catch(failed)), AGAIN_MS);
+}
+
+function chosenParameters() {
+  const { topics, nodes, runs: names } = state.read();
+  return { topics, nodes, runs: names };
+}
+
+/** @param {number} windows How many windows wide. */
+function cellsOf(windows) {
+  const plot = Math.max(200, timeline.size.width - timeline.size.names);
+  return Math.min(MOST_CELLS, Math.ceil(plot * windows));
+}
+
+// -------------------------------------------------------------------- the window and the address
+
+/** Show the window that the address names, or all time. */
+function showWindow() {
+  const { start, end, time, others } = state.read();
+  following = start === null && end === null;
+  const all = timeline.whole;
+  timeline.show({ start: start ?? all.start, end: end ?? all.end });
+  timeline.moment = time;
+  timeline.selection = selectionOf(others.selection);
+}
+
+/** @param {string | undefined} text @returns {import("./timeline.js").Span | null} */
+function selectionOf(text) {
+  const ends = /^(\d+),(\d+)$/.exec(text ?? "");
+  return ends ? { start: BigInt(ends[1]), end: BigInt(ends[2]) } : null;
+}
+
+let writing = 0;
+
+/** Note in the address what is seen, a little later: browsers refuse it a hundred times a second. */
+function note() {
+  clearTimeout(writing);
+  writing = window.setTimeout(() => {
+    const { view, selection: span, moment } = timeline;
+    const window_ = following ? { start: null, end: null } : view;
+    state.write({ ...window_, selection: span ? `${span.start},${span.end}` : null, time: moment });
+    timeline.redraw();
+  }, 200);
+  tell();
+}
+
+timeline.addEventListener("view", () => {
+  const all = timeline.whole;
+  following = timeline.view.start <= all.start && timeline.view.end >= all.end;
+  if (whole) note();
+  ask();
+});
+timeline.addEventListener("scroll", () => timeline.picture.lanes.length > MANY_LANES && ask());
+timeline.addEventListener("select", note);
+timeline.addEventListener("moment", note);
+
+let choice = JSON.stringify(chosenParameters());
+state.onChange(() => {
+  const now = JSON.stringify(chosenParameters());
+  if (now === choice) return;
+  choice = now;
+  load().catch(failed);
+});
+window.addEventListener("popstate", () => {
+  showWindow();
+  ask();
+});
+
+// -------------------------------------------------------------------- what is told beside it
+
+function zoomButtons() {
+  const button = (/** @type {string} */ text, /** @type {string} */ label, /** @type {() => void} */ act) =>
+    make("button", { title: label, "aria-label": label, onclick: act }, text);
+  return make("div", { class: "row tight" },
+    button("−", "See more time (key −)", () => timeline.zoom(2)),
+    button("+", "Look closer (key +)", () => timeline.zoom(0.5)),
+    button("All", "See all time (key Home)", () => timeline.show(timeline.whole)),
+  );
+}
+
+/** Tell how much there is, and where the window goes on to. */
+function tell() {
+  const { picture, selection: span, view, moment } = timeline;
+  const { start, end } = span ?? view;
+  const messages = sum("messages");
+  const topics = new Set(picture.lanes.map((lane) => lane.topic)).size;
+  summary.textContent = `${plural(topics, "topic")} · ${messages.toLocaleString("en")} messages` +
+    (picture.writing ? " · recording" : "");
+  chosen.textContent = `${shown(start, (end - start) / 1000n)}  ${length(end - start + 1n)}`;
+  chosen.title = span ? "What is selected" : "What is seen";
+  const window_ = { start, end };
+  const inside = moment !== null && start <= moment && moment <= end ? moment : start;
+  const file = { ...chosenParameters(), ...window_ };
+  const link = (/** @type {string} */ text, /** @type {string} */ href, /** @type {string} */ about, main = false) =>
+    make("a", { class: main ? "button main" : "button", href, title: about }, text);
+  links.replaceChildren(
+    link("Look", state.link("/look.html", { ...window_, time: inside, selection: null }), "See the messages of this time", true),
+    link("Ask", state.link("/ask.html", { ...window_, selection: null }), "Ask about this time"),
+    link(".bag", api.url("/window.bag", file), "Download this time as a bag"),
+    link(".mcap", api.url("/window.mcap", file), "Download this time as an MCAP file"),
+  );
+}
+
+/** @param {"messages" | "bytes"} name */
+function sum(name) {
+  return (whole?.lanes ?? []).reduce((/** @type {number} */ all, /** @type {any} */ lane) => all + lane[name], 0);
+}
+
+/** @param {number} count @param {string} name */
+function plural(count, name) {
+  return `${count.toLocaleString("en")} ${name}${count === 1 ? "" : "s"}`;
+}
+
+/** Say how something comes into an empty store. */
+async function explain() {
+  const { keyspace, text } = await api.get("/api/keyspace");
+  const filtered = Object.values(chosenParameters()).some((each) => each.length);
+  empty.replaceChildren(
+    make("h1", {}, filtered ? "Nothing is stored of what is chosen" : `Nothing is stored in keyspace ${keyspace} yet`),
+    make("p", {}, text || "What is recorded or imported shows up here by itself."),
+    make("pre", {}, `rosrun cassandra_ros cassandra_bag import FILE.bag --keyspace ${keyspace}\nrosrun cassandra_ros recorder -a --keyspace ${keyspace}`),
+  );
+  if (filtered) {
+    empty.append(make("p", {}, make("button", { onclick: () => state.write({ topics: null, nodes: null, runs: null }) }, "Show all")));
+  }
+}
+
+/** Fill menus and tables of all there is, whatever is chosen of it. */
+async function loadTables() {
+  const [all, listed] = await Promise.all([
+    api.get("/api/timeline", { pixels: 1 }),
+    api.get("/api/runs", { limit: MOST_RUNS }),
+  ]);
+  const distinct = (/** @type {string} */ name) => [...new Set(all.lanes.map((/** @type {any} */ lane) => lane[name]))].filter(Boolean);
+  page.addSelection(selection, {
+    runs: listed.runs.map((/** @type {any} */ run) => ({ value: String(run.id), text: run.run })),
+    nodes: distinct("node").map((value) => ({ value })),
+    topics: distinct("topic").map((value) => ({ value })),
+  });
+  const spans = new Map(all.runs.map((/** @type {any} */ run) => [run.id, run]));
+  const show = (/** @type {any} */ run) => {
+    const span = spans.get(run.id);
+    if (span) timeline.show({ start: BigInt(span.first), end: BigInt(span.last) });
+  };
+  const topics = make("div", { class: "scroll" });
+  const runTable = make("div", { class: "scroll", hidden: true });
+  showTopics(topics, all.lanes);
+  showRuns(runTable, listed.runs, show);
+  const tabs = [["Topics", topics], ["Runs", runTable]].map(([name, sheet]) => {
+    const count = name === "Topics" ? distinct("topic").length : listed.runs.length;
+    const tab = make("button", { role: "tab", class: "tab" }, `${name} ${count}`);
+    tab.addEventListener("click", () => choose(sheet));
+    return { tab, sheet };
+  });
+  const choose = (/** @type {any} */ wanted) => {
+    for (const { tab, sheet } of tabs) {
+      /** @type {HTMLElement} */ (sheet).hidden = sheet !== wanted;
+      tab.setAttribute("aria-selected", String(sheet === wanted));
+    }
+  };
+  choose(topics);
+  tables.replaceChildren(make("header", { role: "tablist" }, ...tabs.map(({ tab }) => tab)), topics, runTable);
+}
+
+load().catch(failed);
+loadTables().catch(failed);

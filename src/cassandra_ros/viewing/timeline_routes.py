@@ -65,6 +65,7 @@ def _lane(lane: Lane, scale: Optional[Scale]) -> Dict[str, Json]:
         "messages": lane.messages,
         "bytes": lane.bytes,
         "exact": lane.exact,
+        "rate_hz": lane.rate_hz,
         "writing": lane.writing,
         "first": shown_ns(first),
         "last": shown_ns(last),

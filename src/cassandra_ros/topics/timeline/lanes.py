@@ -15,6 +15,7 @@ from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.topics.following import followed
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.selection import EVERYBODY, Whose
@@ -100,6 +101,17 @@ class Lane:
         """Whether these are no estimates."""
         whole = (self.stretches.shares(*self._ends) == 1.0) & self.stretches.sure
         return bool(whole.all()) and not self.sampled
+
+    @property
+    def rate_hz(self) -> Optional[float]:
+        """Mean rate while messages came, a writer's: pauses between its buckets do not count."""
+        each = self.stretches
+        covered_ns = int((each.last - each.first)[each.messages > 1].sum())
+        steps = int(np.maximum(each.messages - 1, 0).sum())
+        if not covered_ns and len(self.keys.times) > 1:
+            covered_ns = int(self.keys.times.max() - self.keys.times.min())
+            steps = len(self.keys.times) - 1
+        return steps * SECOND_NS / covered_ns if covered_ns else None
 
     def _sum(self, counts: Longs) -> int:
         return round(float((counts * self.stretches.shares(*self._ends)).sum()))

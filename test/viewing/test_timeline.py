@@ -1,0 +1,254 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The timeline of a viewer beside what was stored, message by message."""
+
+from __future__ import annotations
+
+import pytest
+from std_msgs.msg import Int64, String
+from viewers import running_viewer
+
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.store.directory import BucketTotals
+from cassandra_ros.store.registry import Loss, LossKind, Run
+from cassandra_ros.topics.timeline import detail, reader
+
+T0 = 1_500_000_000 * SECOND_NS
+BUCKET = 100 * SECOND_NS
+HOUR = 3600 * SECOND_NS
+EVEN = [T0 + n * SECOND_NS for n in range(500)]
+PAUSED = [T0 + n * SECOND_NS // 5 for n in range(1500) if not 400 <= n < 900]
+"""For 100 s nothing came."""
+LATE = [T0 + HOUR + n * SECOND_NS for n in range(50)]
+
+
+def add(store, topic, times, writer=7, node="husky", format="binary", name="drive"):
+    """Store a message at each time, in buckets of 100 s."""
+    run = Run(node, writer, "recording", name=name)
+    header = {"type": Int64._type, "md5sum": Int64._md5sum}
+    header["message_definition"] = Int64._full_text
+    with store.messageWriter(writer_id=writer, nodeID=node, format=format, run=run) as out:
+        handle = out.connect(live_connection(topic, header), bucket_ns=BUCKET)
+        for n, time in enumerate(times):
+            out.write(handle, time, n, serialize(Int64(n)))
+
+
+@pytest.fixture(scope="module")
+def store(fresh):
+    with fresh() as store:
+        add(store, "/even", EVEN)
+        add(store, "/paused", PAUSED, writer=8, format="packed", name="other")
+        add(store, "/even", LATE, writer=9, node="jackal", name="late")
+        store.addTopic("/map", msg_type="std_msgs/String", key_format="manual")
+        for floor in ("ground", "first"):
+            store.getTopic("/map").addData(String(floor), key=floor)
+        loss = Loss("/gone", "husky", 7, LossKind.BUFFER_FULL, EVEN[10], EVEN[20], 11)
+        store.parts.registry.put_loss(loss)
+        yield store
+
+
+@pytest.fixture(scope="module")
+def viewer(store):
+    with running_viewer(store) as viewer:
+        yield viewer
+
+
+def lanes(answer):
+    return {(lane["topic"], lane["node"]): lane for lane in answer["lanes"]}
+
+
+def counts(answer, topic, node="husky"):
+    """Return the counts of all cells of a lane."""
+    found = [0] * answer["cells"]
+    for first, *run in lanes(answer)[topic, node]["counts"]:
+        found[first : first + len(run)] = run
+    return found
+
+
+def by_hand(answer, times):
+    start, step = int(answer["start"]), int(answer["cell_ns"])
+    found = [0] * answer["cells"]
+    for time in times:
+        if start <= time <= int(answer["end"]):
+            found[(time - start) // step] += 1
+    return found
+
+
+def test_all_time_is_shown_when_no_window_is_asked_for(viewer, store):
+    answer = viewer.get("/api/timeline", topics=["/even", "/paused"], pixels=400)
+    assert (int(answer["first"]), int(answer["last"])) == (EVEN[0], LATE[-1])
+    assert (answer["start"], answer["end"]) == (answer["first"], answer["last"])
+    assert answer["cells"] <= 400
+    even, late = lanes(answer)["/even", "husky"], lanes(answer)["/even", "jackal"]
+    assert (even["messages"], even["bytes"], even["exact"]) == (500, 4000, True)
+    assert (even["first"], even["last"]) == (str(EVEN[0]), str(EVEN[-1]))
+    assert even["rate_hz"] == pytest.approx(1.0)
+    assert (even["types"], even["formats"], even["key"]) == (["std_msgs/Int64"], ["binary"], "time")
+    assert late["messages"] == 50
+    assert lanes(answer)["/paused", "husky"]["messages"] == len(PAUSED)
+    runs = {run["run"]: run for run in answer["runs"]}
+    assert {name: run["messages"] for name, run in runs.items()} == {
+        "drive": 500,
+        "other": len(PAUSED),
+        "late": 50,
+    }
+    assert (runs["late"]["first"], runs["late"]["node"]) == (str(LATE[0]), "jackal")
+    infos = {(info.topic, info.node): info for info in store.info(["/even", "/paused"])}
+    assert {key: info.count for key, info in infos.items()} == {
+        key: lane["messages"] for key, lane in lanes(answer).items()
+    }
+
+
+@pytest.mark.parametrize("looked_into", [False, True])
+def test_cells_hold_what_lies_in_them(viewer, looked_into):
+    # Of 50 s, of 0.4 s, a part of a bucket, and what holds nothing.
+    for start, end, pixels in (
+        (T0, T0 + 499 * SECOND_NS, 10),
+        (T0, T0 + 499 * SECOND_NS, 1250),
+        (T0 + 30 * SECOND_NS + 1, T0 + 41 * SECOND_NS, 800),
+        (T0 - HOUR, T0 - 1, 100),
+    ):
+        window = {"start": start, "end": end, "pixels": pixels, "detail": looked_into}
+        answer = viewer.get("/api/timeline", topics=["/even", "/paused"], **window)
+        assert (int(answer["start"]), int(answer["end"])) == (start, end)
+        for topic, known in (("/even", EVEN), ("/paused", PAUSED)):
+            lane, inside = lanes(answer)[topic, "husky"], [t for t in known if start <= t <= end]
+            assert lane["messages"] == pytest.approx(len(inside), abs=3)
+            if looked_into:
+                assert counts(answer, topic) == by_hand(answer, known)
+                assert lane["messages"] == len(inside)
+                assert lane["exact"]
+                assert lane["even"] == []
+            elif pixels == 1250:
+                assert lane["even"], "a bucket covers many cells"
+                assert sum(counts(answer, topic)) == pytest.approx(len(inside), rel=0.2)
+
+
+def test_a_pause_of_a_run_is_a_gap_and_time_between_runs_is_none(viewer):
+    answer = viewer.get("/api/timeline", start=T0, end=LATE[-1], pixels=1000, detail=True)
+    gaps = lanes(answer)["/paused", "husky"]["gaps"]
+    assert [(int(low), int(high)) for low, high in gaps] == [(PAUSED[399], PAUSED[400])]
+    assert lanes(answer)["/even", "husky"]["gaps"] == []
+
+
+def test_robots_runs_and_topics_are_chosen(viewer):
+    answer = viewer.get("/api/timeline", nodes="jackal")
+    assert list(lanes(answer)) == [("/even", "jackal")]
+    assert (int(answer["first"]), int(answer["last"])) == (LATE[0], LATE[-1])
+    answer = viewer.get("/api/timeline", runs="other,late", pixels=100)
+    assert sorted(lanes(answer)) == [("/even", "jackal"), ("/paused", "husky")]
+    assert (int(answer["first"]), int(answer["last"])) == (T0, LATE[-1])
+    status, failure = viewer.fail("/api/timeline", topics="/evn")
+    assert (status, failure["error"]) == (404, "TopicNotFound")
+    assert "/even" in failure["text"]
+
+
+def test_messages_under_names_stand_where_they_were_stored(viewer, store):
+    lane = lanes(viewer.get("/api/timeline", topics="/map"))["/map", ""]
+    known = [row.t for row in store.readMessages(["/map"])]
+    assert (lane["messages"], lane["exact"], lane["key"]) == (2, True, "manual")
+    assert (int(lane["first"]), int(lane["last"])) == (min(known), max(known))
+
+
+def test_what_is_no_window_is_refused(viewer):
+    for given in ({"pixels": 0}, {"pixels": 10**6}, {"start": T0, "end": T0 - 1}, {"start": "noon"}):
+        status, failure = viewer.fail("/api/timeline", **given)
+        assert (status, failure["error"]) == (400, "InvalidOption"), given
+
+
+def test_an_end_alone_is_enough(viewer):
+    late = viewer.get("/api/timeline", start=LATE[-1] + HOUR, topics="/even")
+    assert late["start"] == late["end"] == str(LATE[-1] + HOUR)
+    assert all(lane["counts"] == [] for lane in late["lanes"])
+
+
+def test_more_keys_than_the_bound_are_spread_evenly(viewer, monkeypatch):
+    window = {"start": T0, "end": T0 + 499 * SECOND_NS, "pixels": 1250, "detail": True}
+    monkeypatch.setattr(detail, "MAX_KEYS", 600)
+    found = lanes(viewer.get("/api/timeline", topics=["/even", "/paused"], **window))
+    assert found["/even", "husky"]["even"] == []
+    # Of blocks there are few: so much is known of the others that the pause is seen.
+    assert found["/paused", "husky"]["even"]
+    assert found["/paused", "husky"]["messages"] == len(PAUSED)
+    monkeypatch.setattr(detail, "MAX_KEYS", 0)
+    monkeypatch.setattr(detail, "MAX_BLOCKS", 0)
+    found = lanes(viewer.get("/api/timeline", topics=["/even", "/paused"], **window))
+    assert all(lane["even"] for lane in found.values() if lane["node"] == "husky")
+
+
+def test_an_empty_keyspace_shows_nothing(fresh):
+    with fresh() as store, running_viewer(store) as viewer:
+        answer = viewer.get("/api/timeline")
+        assert (answer["first"], answer["start"], answer["lanes"]) == (None, None, [])
+        add(store, "/even", EVEN[:3])
+        assert lanes(viewer.get("/api/timeline"))["/even", "husky"]["messages"] == 3
+
+
+def test_what_is_being_recorded_is_shown(fresh):
+    header = {"type": Int64._type, "md5sum": Int64._md5sum}
+    header["message_definition"] = Int64._full_text
+    with fresh() as store, running_viewer(store) as viewer:
+        with store.messageWriter(writer_id=5) as out:
+            handle = out.connect(live_connection("/n", header), bucket_ns=BUCKET)
+            for n, time in enumerate(EVEN[:150]):
+                out.write(handle, time, n, serialize(Int64(n)))
+            out.flush()
+            lane = lanes(viewer.get("/api/timeline", pixels=50))["/n", ""]
+            assert lane["writing"]
+            assert not lane["exact"]
+            looked_into = viewer.get("/api/timeline", pixels=50, detail=True)
+            assert lanes(looked_into)["/n", ""]["messages"] == 150
+
+
+class Counting:
+    """Counts the rows of the directory that are read."""
+
+    def __init__(self, directory, monkeypatch):
+        self.rows = self.asked = 0
+        read = directory.columns
+
+        def columns(wanted, *, single=False):
+            for found in read(wanted, single=single):
+                self.rows += len(found.bucket)
+                self.asked += 1
+                yield found
+
+        monkeypatch.setattr(directory, "columns", columns)
+
+
+def test_a_year_of_many_buckets_costs_what_a_day_costs(fresh, monkeypatch):
+    """The directory says that 10**9 messages are there; of it no more is read than a bound."""
+    monkeypatch.setattr(reader, "MAX_BUCKETS", 3000)
+    with fresh() as store:
+        add(store, "/even", EVEN[:1])
+        (table,) = store.getTopic("/even").tables
+        directory, first = store.parts.directory, T0 // BUCKET + 10
+        counted = Counting(directory, monkeypatch)
+        buckets = range(first, first + 9000)
+        for slot in {bucket // 4096 for bucket in buckets}:
+            directory.add_node(table.name, slot, "husky")
+        for bucket in buckets:
+            begin = bucket * BUCKET
+            totals = BucketTotals(111_111, 10**6, 9, begin, begin + BUCKET - 1)
+            directory.mark((table.name, "husky", bucket, 7), 0, totals=totals, closed=True)
+        with running_viewer(store) as viewer:
+            answer = viewer.get("/api/timeline", pixels=500)
+            assert counted.rows <= 2 * 3000 + 3 * reader.LEAST_BUCKETS
+            lane = lanes(answer)["/even", "husky"]
+            assert not lane["exact"]
+            assert lane["messages"] == pytest.approx(10**9, rel=0.01)
+            found = counts(answer, "/even")
+            assert all(found[10:])
+            # A day of it is told exactly, of the directory.
+            day = {"start": (first + 100) * BUCKET, "end": (first + 964) * BUCKET - 1}
+            answer = viewer.get("/api/timeline", pixels=864, **day)
+            lane = lanes(answer)["/even", "husky"]
+            assert (lane["messages"], lane["exact"]) == (864 * 111_111, True)
+            assert counts(answer, "/even") == [111_111] * 864
+            # Of more partitions than may be read some stand for the others.
+            monkeypatch.setattr(reader, "MAX_PARTITIONS", 2)
+            lane = lanes(viewer.get("/api/timeline", pixels=500))["/even", "husky"]
+            assert lane["messages"] == pytest.approx(10**9, rel=0.5)
+            assert not lane["exact"]
