@@ -79,7 +79,8 @@ def piece_of(
     first = np.where(known, some.t_min, begin)
     last = np.where(known, some.t_max, begin + length - 1)
     if stride > 1:
-        last = np.minimum(first + stride * length, _end_of_slot(some.bucket, length))
+        first = some.bucket // stride * stride * length
+        last = np.minimum(first + stride * length - 1, _end_of_slot(some.bucket, length))
     sure = some.closed & (stride == 1) & (table.metadata.ttl == 0)
     counts = some.rows * stride, some.bytes * stride
     now = some.writing & (some.age_ms <= STALE_SEC * _SECOND_MS)

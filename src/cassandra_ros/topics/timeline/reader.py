@@ -32,6 +32,8 @@ KEEP_SEC = 5.0
 KEPT_BUCKETS = 400_000
 """Rows of the directory that are kept, 80 bytes each."""
 _EVER = (-(2**63), 2**63 - 1)
+_SPREAD = 2_654_435_761
+"""2**32 by the golden ratio: multiples of it are spread evenly, and follow no other pattern."""
 _WRITERS = 8
 """So many are looked at of the first bucket and of the last."""
 
@@ -161,7 +163,7 @@ class Reader:
             else:
                 found[place] = self._keep(place, _Kept(until, ends, columns, 1))
         samples: List[Wanted] = [
-            (place, range(low, high + 1, stride), ALL_ROWS) for place, (low, high), stride in many
+            (place, _sample(ends, stride), ALL_ROWS) for place, ends, stride in many
         ]
         answers = self._directory.columns(samples, single=True)
         for (place, ends, stride), columns in zip(many, answers):
@@ -191,6 +193,12 @@ class Reader:
                 _, oldest = self._kept.popitem(last=False)
                 self._size -= len(oldest.columns.bucket)
         return kept.columns, kept.stride
+
+
+def _sample(ends: Ends, stride: int) -> List[int]:
+    """Choose one of each ``stride`` buckets, not always the same: what is recorded may be regular."""
+    cells = range(ends[0] // stride, ends[1] // stride + 1)
+    return [cell * stride + (cell * _SPREAD % 2**32 * stride >> 32) for cell in cells]
 
 
 def _outmost_slots(slots: Listed, reverse: bool) -> Dict[str, int]:
