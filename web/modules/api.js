@@ -3,6 +3,8 @@
 // @ts-check
 /** Asks the viewer's server. What fails is an ApiError, whose message is meant to be shown. */
 
+import { written } from "./times.js";
+
 /** @typedef {string | number | bigint | boolean | null | undefined} Value */
 /** @typedef {Record<string, Value | readonly Value[]>} Parameters */
 
@@ -24,7 +26,7 @@ export class ApiError extends Error {
 
 /**
  * Make the address of a path and its parameters; those that are absent, empty or false are left out.
- * A list becomes one parameter, with commas.
+ * A list becomes one parameter, with commas; a bigint is a time, ns since 1970.
  * @param {string} path
  * @param {Parameters} [parameters]
  * @returns {string}
@@ -32,7 +34,7 @@ export class ApiError extends Error {
 export function url(path, parameters = {}) {
   const parts = [];
   for (const [name, given] of Object.entries(parameters)) {
-    const value = Array.isArray(given) ? given.join(",") : given;
+    const value = Array.isArray(given) ? given.join(",") : typeof given === "bigint" ? written(given) : given;
     if (value !== null && value !== undefined && value !== "" && value !== false) {
       parts.push(`${encodeURIComponent(name)}=${readable(String(value))}`);
     }

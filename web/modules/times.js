@@ -15,6 +15,8 @@ export const DAY = 24n * HOUR;
 /** Lengths for the choice of a scale; the calendar has the exact ones. */
 const MONTH = 30n * DAY;
 const YEAR = 365n * DAY;
+/** A whole number below is one of seconds: as nanoseconds it would be 17 minutes after 1970. */
+const SECONDS_BELOW = 1_000_000_000_000n;
 /** The last time that ROS 1 can express. */
 export const LAST = 4_294_967_295_999_999_999n;
 
@@ -23,8 +25,8 @@ const ISO =
   /^(\d{4})-(\d\d)-(\d\d)(?:[Tt ](\d\d):(\d\d)(?::(\d\d)(?:[.,](\d{1,9}))?)?\s*([Zz]|[+-]\d\d(?::?\d\d)?)?)?$/;
 
 /**
- * Read a time as the command line does: digits are nanoseconds, digits with a point seconds,
- * else ISO 8601 (no zone means UTC).
+ * Read a time as the command line does: digits are seconds, or from 13 on nanoseconds, digits with a
+ * point seconds, else it is ISO 8601 (no zone means UTC).
  * @param {string} text
  * @returns {bigint}
  * @throws {RangeError} It is none of these, or before 1970 or after 2106.
@@ -37,7 +39,10 @@ export function parse(text) {
 
 /** @param {string} text */
 function parseAny(text) {
-  if (/^\d{1,40}$/.test(text)) return BigInt(text);
+  if (/^\d{1,40}$/.test(text)) {
+    const number = BigInt(text);
+    return number < SECONDS_BELOW ? number * SECOND : number;
+  }
   const seconds = /^(\d{0,40})\.(\d*)$/.exec(text);
   if (seconds && text !== ".") {
     return BigInt(seconds[1] || "0") * SECOND + BigInt(seconds[2].slice(0, 9).padEnd(9, "0"));
@@ -66,6 +71,15 @@ function zone(text) {
  */
 export function iso(ns) {
   return `${date(ns).toISOString().slice(0, 19)}.${digits(ns, 9)}Z`;
+}
+
+/**
+ * Write a time for an address, so that parse and the server read the very same: nanoseconds, or of
+ * the small times of a simulation seconds with a point.
+ * @param {bigint} ns
+ */
+export function written(ns) {
+  return ns < SECONDS_BELOW ? `${ns / SECOND}.${digits(ns, 9)}` : String(ns);
 }
 
 /**
