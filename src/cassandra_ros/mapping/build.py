@@ -4,14 +4,28 @@
 
 from __future__ import annotations
 
+import heapq
 import logging
 from collections import defaultdict
 from dataclasses import dataclass, replace
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from functools import partial
+from itertools import islice
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    Union,
+)
 
 import numpy as np
 
-from cassandra_ros.arguments import check_nodes
+from cassandra_ros.arguments import check_node
 from cassandra_ros.errors import (
     CorruptMessage,
     InvalidOption,
@@ -98,17 +112,21 @@ class MadeMap:
     """From what poses were taken, for people."""
 
 
+_ALL = MapOptions()
+_BEST = PoseChoice()
+
+
 def makeMap(
     rosCas: RosCassandra,
     topic: str,
     key: Optional[Time] = None,
     to_key: Optional[Time] = None,
     *,
-    nodeID: Optional[str] = None,
+    nodeID: Union[None, str, Sequence[str]] = None,
     run: RunName = None,
     name: Optional[str] = None,
-    options: MapOptions = MapOptions(),
-    poses: PoseChoice = PoseChoice(),
+    options: MapOptions = _ALL,
+    poses: PoseChoice = _BEST,
     progress: Optional[Progress] = None,
 ) -> MadeMap:
     """Make an occupancy grid of stored sensor_msgs/LaserScan or PointCloud2.
@@ -122,7 +140,7 @@ def makeMap(
         rosCas: Connected to the keyspace.
         topic: Its name.
         key, to_key: Ends, both included; None = open.
-        nodeID: Only messages of this robot; None = of all, each by its own poses.
+        nodeID: Only messages of this robot, or of several; None = of all. Each by its own poses.
         run: Only what this run recorded, of poses too.
         name: Of a topic of maps that are kept under names the one that is meant; None = any.
         options, poses: What comes in, and where the sensor was.
@@ -137,8 +155,9 @@ def makeMap(
         InvalidKey: A time is none.
     """
     stored = rosCas.getTopic(topic)
-    check_nodes(nodeID)
-    wanted = _Rows(stored, key, to_key, nodeID, rosCas.parts.runs.writers(run))
+    each = [nodeID] if nodeID is None or isinstance(nodeID, str) else nodeID
+    nodes = [None if node is None else check_node(node) for node in each]
+    wanted = _Rows(stored, key, to_key, nodes, rosCas.parts.runs.writers(run))
     types = {table.msg_type for table in stored.tables}
     if types == {OCCUPANCY_GRID}:
         return _stored_map(wanted, name)
@@ -168,25 +187,23 @@ class _Rows:
     topic: CassandraTopic
     key: Optional[Time]
     to_key: Optional[Time]
-    node: Optional[str]
+    nodes: Sequence[Optional[str]]
+    """Robots; one of them None = all."""
     writers: Writers
 
     def count(self) -> int:
-        return self.topic.countTopicData(self.key, self.to_key, self.node, run=self.writers)
+        count = partial(self.topic.countTopicData, self.key, self.to_key, run=self.writers)
+        return sum(count(node) for node in self.nodes)
 
     def read(self, reverse: bool = False, limit: Optional[int] = None) -> Iterator[StoredRow]:
-        return self.topic.rows(
-            self.key,
-            self.to_key,
-            nodeID=self.node,
-            run=self.writers,
-            reverse=reverse,
-            limit=limit,
-        )
+        read = partial(self.topic.rows, self.key, self.to_key, run=self.writers, limit=limit)
+        streams = [read(nodeID=node, reverse=reverse) for node in self.nodes]
+        rows = heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
+        return islice(rows, limit)
 
     def some_times(self, node: str) -> List[int]:
         """Return the keys of the first, a middle and the last message of a robot, ns."""
-        mine = replace(self, node=node)
+        mine = replace(self, nodes=[node])
         first, last = (next((row.t for row in mine.read(way, 1)), 0) for way in (False, True))
         later = replace(mine, key=Stamp.from_ns((first + last) // 2), to_key=None)
         return [first, next((row.t for row in later.read(limit=1)), last), last]
@@ -198,7 +215,11 @@ def _stored_map(wanted: _Rows, name: Optional[str]) -> MadeMap:
     if name is None:
         rows = wanted.read(reverse=True, limit=1)
     else:
-        rows = topic.versions(name, nodeID=wanted.node, reverse=True, run=wanted.writers)
+        rows = heapq.merge(
+            *(topic.versions(name, nodeID=n, reverse=True, run=wanted.writers) for n in wanted.nodes),
+            key=lambda row: row.position,
+            reverse=True,
+        )
     row = next(rows, None)
     if row is None:
         raise MessageNotFound(f"topic {topic.name} has no map there" + (f": {name}" if name else ""))

@@ -1,0 +1,240 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Make an occupancy grid of a topic of LaserScan or PointCloud2, or show a stored OccupancyGrid.
+
+  cassandra_bag map /scan -o office.png
+  cassandra_bag map /scan -o office.pgm --store /maps --as office
+  cassandra_bag map /velodyne_points --odom /odom --sensor-offset 0.3 0 0 --sensor-height 0.6
+  cassandra_bag map /scan --publish /map
+  cassandra_bag map /maps --as office -o again.pgm
+
+Where the sensor was is taken from recorded tf, interpolated at the stamps of the headers; the map is
+in frame map where that is above the sensor, else in odom, else in the topmost frame. Where no tf was
+recorded, or with --odom, it is taken from a topic of Odometry, PoseStamped or
+PoseWithCovarianceStamped, and the sensor's place on the robot from --sensor-offset, else from tf.
+Messages of which no place is known are left out and counted.
+
+Of a scan +Inf (or range_max itself) means that nothing was seen so far; NaN and what lies outside of
+its ranges say nothing. Of a cloud the points from --min-height to --max-height in the map's frame are
+obstacles, and those below are floor.
+
+A .png is the darker the likelier something is there. A .pgm or .yaml is written for map_server, both
+files. Stored with --store a map lies under a name, and getData(name) gives the newest of that name.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.options import (
+    add_origin_options,
+    add_store_options,
+    add_time_options,
+    open_store,
+    read_times,
+)
+from cassandra_ros.cli.readers import factor, whole_number
+from cassandra_ros.cli.text import MessageBar, shown
+from cassandra_ros.errors import InvalidName, TopicNotFound
+
+if TYPE_CHECKING:
+    from cassandra_ros.mapping.build import MadeMap
+    from cassandra_ros.mapping.occupancy import OccupancyMap
+    from cassandra_ros.mapping.sensor_poses import PoseChoice
+    from cassandra_ros.topics.ros_cassandra import RosCassandra
+
+_PICTURE = ".png"
+_FILES = (_PICTURE, ".pgm", ".yaml")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the topic, what becomes of the map, what it is made of, and the store."""
+    parser.add_argument("topic", metavar="TOPIC", help="scans, clouds, or stored maps")
+    _add_outputs(parser.add_argument_group("what becomes of the map"))
+    _add_beams(parser.add_argument_group("what comes into it"))
+    _add_poses(parser.add_argument_group("where the sensor was"))
+    add_time_options(parser)
+    add_origin_options(parser)
+    parser.add_argument("-q", "--quiet", action="store_true", help="print errors only")
+    add_json_option(parser)
+    add_store_options(parser)
+
+
+def _add_outputs(group: argparse._ArgumentGroup) -> None:
+    add = group.add_argument
+    text = "write it there: .png, or .pgm or .yaml for map_server (default: map.png, where neither "
+    add("-o", "--output", metavar="OUT", help=text + "--store nor --publish is given)")
+    text = "store it on this topic, under the name of --as"
+    add("--store", metavar="MAPS", help=text)
+    text = "name of the map that is stored, or of the stored one that is shown (default: TOPIC)"
+    add("--as", dest="name", metavar="NAME", help=text)
+    add("--publish", metavar="MAP", help="publish it on this topic, latched, until Ctrl-C")
+
+
+def _add_beams(group: argparse._ArgumentGroup) -> None:
+    add = group.add_argument
+    text = "length of a cell, metres (default: %(default)s)"
+    add("--resolution", metavar="M", type=factor, default=0.05, help=text)
+    text = "leave out what is further away, metres (default: range_max of scans, 30 of clouds)"
+    add("--max-range", metavar="M", type=factor, help=text)
+    text = "what lies below is floor, metres (default: everything is an obstacle; of clouds 0.1)"
+    add("--min-height", metavar="M", type=float, help=text)
+    text = "leave out what lies above, metres (default: nothing; of clouds 2)"
+    add("--max-height", metavar="M", type=float, help=text)
+    text = "take so many messages at most, evenly spread (default: all)"
+    add("--limit", metavar="COUNT", type=whole_number, help=text)
+
+
+def _add_poses(group: argparse._ArgumentGroup) -> None:
+    from cassandra_ros.places.frames import TF, TF_STATIC
+    from cassandra_ros.places.poses import LONGEST_GAP_SEC
+
+    add = group.add_argument
+    add("--frame", metavar="F", help="the map's frame (default: map, odom, or the topmost one)")
+    text = "take the robot's poses from this topic (default: from tf, else from the best topic)"
+    add("--odom", metavar="ODOM", help=text)
+    text = "where the sensor is on the robot, metres and radians (default: as tf says, else 0 0 0)"
+    add("--sensor-offset", nargs=3, type=float, metavar=("X", "Y", "YAW"), help=text)
+    text = "and how high above the robot's origin, metres (default: 0)"
+    add("--sensor-height", metavar="M", type=float, help=text)
+    add("--tf", metavar="TF", default=TF, help="moving transforms (default: %(default)s)")
+    text = "fixed transforms (default: %(default)s)"
+    add("--tf-static", metavar="TF", default=TF_STATIC, help=text)
+    text = "where poses are further apart, seconds, nothing is known between (default: %(default)g)"
+    add("--longest-gap", metavar="SEC", type=factor, default=LONGEST_GAP_SEC, help=text)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Make the map, and write, store and publish it."""
+    from cassandra_ros.mapping.build import MapOptions, makeMap
+
+    if not (options.output or options.store or options.publish):
+        options.output = "map.png"
+    output = None if options.output is None else Path(options.output)
+    if output is not None and output.suffix not in _FILES:
+        raise InvalidName(f"-o {options.output}: give a name that ends in {', '.join(_FILES)}")
+    (start, end), choice = read_times(options), _choice(options)
+    wanted = MapOptions(
+        resolution=options.resolution,
+        max_range=options.max_range,
+        min_height=options.min_height,
+        max_height=options.max_height,
+        most=options.limit,
+    )
+    with open_store(options) as ros_cas, MessageBar(f"mapping {options.topic}") as bar:
+        made = makeMap(
+            ros_cas,
+            options.topic,
+            start,
+            end,
+            nodeID=options.node_id,
+            run=options.run,
+            name=None if options.store else options.name,
+            options=wanted,
+            poses=choice,
+            progress=bar.reach,
+        )
+        files = [] if output is None else _save(made.map, output)
+        if options.store:
+            _store(ros_cas, made.map, options)
+    _tell(made, files, options)
+    if options.publish:
+        from cassandra_ros.nodes.map_publisher import publish_map
+
+        publish_map(made.map.message(), options.publish, sys.argv, lambda t: print(t, flush=True))
+    return 0
+
+
+def _choice(options: argparse.Namespace) -> PoseChoice:
+    from cassandra_ros.mapping.sensor_poses import PoseChoice
+    from cassandra_ros.places.rigid import Rigid
+
+    offset = None
+    if options.sensor_offset is not None or options.sensor_height is not None:
+        x, y, yaw = options.sensor_offset or (0.0, 0.0, 0.0)
+        offset = Rigid.planar([x], [y], [yaw])
+        offset.moved[:, 2] = options.sensor_height or 0.0
+    return PoseChoice(
+        frame=options.frame,
+        odom=options.odom,
+        sensor_offset=offset,
+        tf=options.tf,
+        tf_static=options.tf_static,
+        longest_gap_sec=options.longest_gap,
+    )
+
+
+def _save(made: OccupancyMap, output: Path) -> list[str]:
+    """Write the files of a map; return their names."""
+    if output.suffix != _PICTURE:
+        from cassandra_ros.mapping.map_files import save_map
+
+        return [str(path) for path in save_map(made, output)]
+    from cassandra_ros.drawing.map_picture import map_png
+
+    output.write_bytes(map_png(made))
+    return [str(output)]
+
+
+def _store(ros_cas: RosCassandra, made: OccupancyMap, options: argparse.Namespace) -> None:
+    """Store a map under a name."""
+    message = made.message()
+    with suppress(TopicNotFound):  # then it is made
+        ros_cas.getTopic(options.store).addData(message, _name(options), options.node_id)
+        return
+    topic = ros_cas.addTopic(options.store, key_format="manual")
+    topic.addData(message, _name(options), options.node_id)
+
+
+def _name(options: argparse.Namespace) -> str:
+    return str(options.name or options.topic.strip("/"))
+
+
+def _tell(made: MadeMap, files: list[str], options: argparse.Namespace) -> None:
+    found = made.map
+    if options.json:
+        answer = {
+            "frame": found.frame,
+            "resolution": found.resolution,
+            "origin": [found.x, found.y, found.yaw],
+            "width": found.width,
+            "height": found.height,
+            "stamp_ns": found.stamp,
+            "used": made.used,
+            "without_pose": made.without_pose,
+            "unreadable": made.unreadable,
+            "placed_by_reception": made.received,
+            "poses": list(made.sources),
+            "files": files,
+            "stored": {"topic": options.store, "name": _name(options)} if options.store else None,
+        }
+        print_json(answer)
+    elif not options.quiet:
+        print(_text(made, files, options))
+
+
+def _text(made: MadeMap, files: list[str], options: argparse.Namespace) -> str:
+    found = made.map
+    across, up = found.width * found.resolution, found.height * found.resolution
+    lines = [
+        f"map of {made.used} messages of {shown(options.topic)}, {across:.1f} x {up:.1f} m in frame "
+        f"{shown(found.frame)}, {found.width} x {found.height} cells of {found.resolution:g} m",
+        f"poses: {shown('; '.join(made.sources))}",
+    ]
+    if made.without_pose:
+        lines.append(f"left out: {made.without_pose} messages, for no pose is known at their times")
+    if made.unreadable:
+        lines.append(f"left out: {made.unreadable} messages that cannot be read")
+    if made.received:
+        text = "by their reception, for nothing that was recorded has the stamps of their headers"
+        lines.append(f"placed {text}: {made.received} messages")
+    if files:
+        lines.append(f"written: {', '.join(files)}")
+    if options.store:
+        lines.append(f"stored on {shown(options.store)} as {shown(_name(options))}")
+    return "\n".join(lines)

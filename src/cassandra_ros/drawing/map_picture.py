@@ -1,0 +1,61 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A map as a PNG: the darker a cell, the likelier something is there."""
+
+from __future__ import annotations
+
+import io
+import json
+from typing import Any, Dict
+
+import numpy as np
+
+from cassandra_ros.installation import optional_module
+from cassandra_ros.mapping.occupancy import UNKNOWN, OccupancyMap
+
+_UNKNOWN_GREY = 205
+"""As map_server's."""
+
+
+def map_png(made: OccupancyMap, transparent: bool = False) -> bytes:
+    """Return a map as PNG, a pixel a cell, the row with the largest y first.
+
+    What map_info says stands in it, too, in a text called ``map``.
+
+    Args:
+        transparent: What was not seen is transparent instead of grey.
+
+    Raises:
+        MissingDependency: Pillow is not installed.
+    """
+    image = optional_module("PIL.Image", "a picture of a map")
+    plugin = optional_module("PIL.PngImagePlugin", "a picture of a map")
+    cells = made.cells[::-1]
+    seen = cells != UNKNOWN
+    grey = np.where(seen, np.rint(255 - 2.55 * np.clip(cells, 0, 100)), _UNKNOWN_GREY)
+    layers = [grey.astype(np.uint8)]
+    if transparent:
+        layers.append(np.where(seen, 255, 0).astype(np.uint8))
+    # A picture has at least one pixel.
+    shape = max(made.height, 1), max(made.width, 1)
+    empty = np.full(shape, _UNKNOWN_GREY, np.uint8), np.zeros(shape, np.uint8)
+    planes = [image.fromarray(p if p.size else e) for p, e in zip(layers, empty)]
+    picture = image.merge("LA", planes) if transparent else planes[0]
+    notes = plugin.PngInfo()
+    notes.add_text("map", json.dumps(map_info(made)))
+    out = io.BytesIO()
+    picture.save(out, "PNG", pnginfo=notes, compress_level=4)
+    return out.getvalue()
+
+
+def map_info(made: OccupancyMap) -> Dict[str, Any]:
+    """Return what a picture of a map means: x, y, yaw are those of its lower left corner."""
+    return {
+        "frame": made.frame,
+        "resolution": made.resolution,
+        "x": made.x,
+        "y": made.y,
+        "yaw": made.yaw,
+        "width": made.width,
+        "height": made.height,
+    }

@@ -1,0 +1,38 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Node map_publisher: publishes one map, latched, until it is ended."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any, Callable, Sequence
+
+import rospy
+
+from cassandra_ros.nodes.node import REMAP, bound_master_calls, forward_logging, own_name
+
+_log = logging.getLogger(__name__)
+_NAME = "map_publisher"
+
+
+def publish_map(message: Any, topic: str, argv: Sequence[str], say: Callable[[str], None]) -> None:
+    """Publish a message latched; return at a signal, or when the master ends the node.
+
+    Args:
+        message: A nav_msgs/OccupancyGrid.
+        topic: Where.
+        argv: The command line, with remappings.
+        say: Shows a line.
+    """
+    name, full_name, taken = own_name(_NAME, argv)
+    # A name that is given forbids an anonymous one.
+    words = [word for word in argv if not (taken and word.startswith(REMAP))]
+    rospy.init_node(name, argv=words, anonymous=taken, disable_rostime=True)
+    forward_logging()
+    bound_master_calls()
+    if taken:
+        _log.warning("a node %s runs already; this one is %s", full_name, rospy.get_name())
+    publisher = rospy.Publisher(topic, type(message), latch=True, queue_size=1)
+    publisher.publish(message)
+    say(f"the map is latched on {publisher.resolved_name} until Ctrl-C")
+    rospy.spin()
