@@ -1,0 +1,242 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Maps of stored scans and clouds: of a room that is known, and of real bags."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from mapping.room import OFFSET, SHIFT, T0, Drive, assert_room
+from mapping.test_grid import read_as_map_server
+from PIL import Image
+
+from cassandra_ros import MapOptions, PoseChoice, Stamp, makeMap
+from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.cli import cassandra_bag
+from cassandra_ros.errors import (
+    InvalidOption,
+    MessageNotFound,
+    RunNotFound,
+    TopicNotFound,
+    TransformException,
+    TypeMismatch,
+)
+from cassandra_ros.mapping.occupancy import OccupancyMap
+from cassandra_ros.places.rigid import Rigid
+
+SEC = 10**9
+YEAR = 365 * 86400 * SEC
+LASER = Rigid.planar([OFFSET[0]], [OFFSET[1]], [OFFSET[2]])
+ALL = ("/tf", "/tf_static", "/odom", "/scan", "/points")
+
+
+@pytest.fixture(scope="module")
+def store(fresh):
+    """Robots that drove the same round at the same time, and recorded it in different ways."""
+    with fresh() as made:
+        Drive().store(made, ALL, "tidy")
+        Drive(slash="/", ahead_ns=YEAR, late_sec=1.0).store(made, ALL, "odd")
+        yield made
+
+
+@pytest.fixture(scope="module")
+def wheels(fresh):
+    """A robot that recorded no tf."""
+    with fresh() as made:
+        Drive().store(made, ("/odom", "/scan", "/points"))
+        yield made
+
+
+def test_a_map_of_scans_by_tf(store):
+    told = []
+    made = makeMap(store, "/scan", nodeID="tidy", progress=lambda *n: told.append(n))
+    assert (made.used, made.without_pose, made.unreadable, made.received) == (63, 1, 0, 0)
+    assert made.sources == ["tf (map to laser)"]
+    assert (made.map.frame, made.map.resolution) == ("map", 0.05)
+    assert T0 + 6 * SEC < made.map.stamp < T0 + 7 * SEC
+    assert_room(made.map, SHIFT)
+    assert told == [(0, 64)]
+    odom = makeMap(store, "scan", nodeID="tidy", poses=PoseChoice(frame="/odom"))
+    assert odom.map.frame == "odom"
+    assert_room(odom.map)
+    part = makeMap(store, "/scan", Stamp.from_ns(T0), Stamp.from_ns(T0 + SEC), nodeID="tidy")
+    assert part.used == 10
+    few = MapOptions(most=10, resolution=0.1)
+    assert makeMap(store, "/scan", nodeID="tidy", options=few).used == 10
+
+
+def test_a_map_of_clouds_takes_what_stands_between_two_heights(store):
+    made = makeMap(store, "/points", nodeID="tidy")
+    assert made.used == 16
+    assert_room(made.map, SHIFT, walls=0.8)
+    low = MapOptions(min_height=-1, max_height=0)
+    floor = makeMap(store, "/points", nodeID="tidy", options=low).map.cells
+    assert (floor >= 65).sum() > 100
+    assert floor.size < made.map.cells.size  # rings about the robot, no walls
+    with pytest.raises(InvalidOption, match="does not lie below"):
+        MapOptions(min_height=2, max_height=1)
+
+
+def test_stamps_of_another_clock_and_transforms_that_come_late(store):
+    made = makeMap(store, "/scan", nodeID="odd")
+    assert (made.used, made.without_pose, made.received) == (53, 11, 0)
+    assert_room(made.map, SHIFT)
+    # Scans whose stamps nothing else has are placed by when they were received.
+    late = Drive(late_sec=1.0)
+    for topic, message, _ in late.messages:
+        if topic == "/scan":
+            message.header.stamp.secs += 86400
+    late.store(store, ("/scan",), "tidy", {"/scan": "/wrong_clock"})
+    made = makeMap(store, "/wrong_clock")
+    assert (made.used, made.received) == (63, 63)
+    assert_room(made.map, SHIFT)
+
+
+def test_robots_draw_one_map_each_by_its_own_poses(store):
+    both = makeMap(store, "/scan")
+    assert both.used == 63 + 53
+    assert_room(both.map, SHIFT)
+    assert makeMap(store, "/scan", nodeID=["tidy", "odd"]).used == 63 + 53
+
+
+def test_a_map_by_odometry(wheels):
+    made = makeMap(wheels, "/scan", poses=PoseChoice(sensor_offset=LASER))
+    assert (made.used, made.sources) == (63, ["/odom, sensor offset as given"])
+    assert made.map.frame == "odom"
+    assert_room(made.map)
+    named = PoseChoice(odom="/odom", sensor_offset=LASER, frame="odom")
+    assert np.array_equal(makeMap(wheels, "/scan", poses=named).map.cells, made.map.cells)
+    # Without an offset it is another map, and that is told.
+    bare = makeMap(wheels, "/scan")
+    assert bare.sources == ["/odom, no sensor offset"]
+    assert not np.array_equal(bare.map.cells, made.map.cells)
+    cloud = makeMap(wheels, "/points", poses=PoseChoice(sensor_offset=LASER))
+    assert_room(cloud.map, walls=0.8)
+    with pytest.raises(InvalidOption, match="tells poses in frame odom, not in map"):
+        makeMap(wheels, "/scan", poses=PoseChoice(frame="map"))
+
+
+def test_odometry_beside_tf_knows_where_the_sensor_is(store):
+    made = makeMap(store, "/scan", nodeID="tidy", poses=PoseChoice(odom="/odom"))
+    assert made.sources == ["/odom, sensor on base as tf has it"]
+    assert_room(made.map)
+
+
+def test_what_no_map_can_be_made_of_says_why(store, fresh):
+    with pytest.raises(TypeMismatch, match="/odom holds nav_msgs/Odometry: a map is made of"):
+        makeMap(store, "/odom")
+    with pytest.raises(TopicNotFound):
+        makeMap(store, "/scam")
+    with pytest.raises(RunNotFound):
+        makeMap(store, "/scan", run="yesterday")
+    with pytest.raises(MessageNotFound):
+        makeMap(store, "/scan", Stamp.from_ns(T0 + YEAR), Stamp.from_ns(T0 + 2 * YEAR))
+    with pytest.raises(TransformException, match="of none of 64 messages .* 'attic' is not in"):
+        makeMap(store, "/scan", nodeID="tidy", poses=PoseChoice(frame="attic"))
+    with pytest.raises(TypeMismatch, match="tells no poses"):
+        makeMap(store, "/scan", poses=PoseChoice(odom="/points"))
+    with pytest.raises(InvalidOption, match="give a coarser resolution"):
+        makeMap(store, "/scan", nodeID="tidy", options=MapOptions(resolution=1e-4))
+    with fresh() as alone:
+        Drive().store(alone, ("/scan",))
+        with pytest.raises(TransformException, match="neither /tf nor /tf_static is stored, and no"):
+            makeMap(alone, "/scan")
+
+
+# --------------------------------------------------------------------- on the command line
+
+
+@pytest.fixture
+def bag(store, cassandra, capsys, tmp_path, monkeypatch):
+    """Run cassandra_bag on the robots' keyspace, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        where = ("--host", cassandra.host, "--port", str(cassandra.port))
+        try:
+            status = cassandra_bag.main([*arguments, *where, "--keyspace", store.keyspace])
+        except SystemExit as exc:
+            status = exc.code
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
+
+
+def test_a_map_is_drawn_kept_and_shown_again(bag, store, tmp_path):
+    status, out, err = bag("map", "/scan", "--node-id", "tidy")
+    assert (status, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0].startswith("map of 63 messages of /scan, ")
+    assert lines[0].endswith("cells of 0.05 m")
+    assert lines[1:] == [
+        "poses: tf (map to laser)",
+        "left out: 1 messages, for no pose is known at their times",
+        "written: map.png",
+    ]
+    with Image.open(tmp_path / "map.png") as image:
+        size, greys = image.size, np.asarray(image)
+    assert (greys < 90).sum() > 100
+    words = ("--store", "/maps", "--as", "room", "-o", "room.pgm", "--json", "--limit", "32")
+    told = json.loads(bag("map", "/scan", "--node-id", "tidy", *words)[1])
+    assert told["stored"] == {"topic": "/maps", "name": "room"}
+    assert told["files"] == ["room.pgm", "room.yaml"]
+    assert told["used"] == 32
+    cells, _ = read_as_map_server(tmp_path / "room.yaml")
+    kept = OccupancyMap.of_message(store.getTopic("/maps").getData("room"))
+    assert_room(kept, SHIFT)
+    assert np.array_equal(cells == 100, kept.cells >= 65)
+    # It is shown again as it was kept.
+    bag("map", "/scan", "--node-id", "tidy", "--store", "/maps", "--as", "later", "-q")
+    status, out, err = bag("map", "/maps", "--as", "room", "-o", "again.pgm")
+    assert (status, err) == (0, "")
+    assert "poses: stored on /maps" in out
+    assert np.array_equal(read_as_map_server(tmp_path / "again.yaml")[0], cells)
+    assert bag("map", "/maps", "-o", "newest.png")[0] == 0
+    with Image.open(tmp_path / "newest.png") as image:
+        assert image.size == size
+    assert store.getTopic("/maps").getMeta["key_format"] == "manual"
+
+
+def test_options_that_make_no_sense_are_refused(bag):
+    for words, text in (
+        (("-o", "map.gif"), "give a name that ends in .png, .pgm, .yaml"),
+        (("--resolution", "0"), "not a number above 0"),
+        (("--as", "x"), "is that of a stored map; /scan has none"),
+        (("--odom", "/points"), "tells no poses"),
+    ):
+        status, _, err = bag("map", "/scan", "--node-id", "tidy", *words)
+        assert (status, text in err) == (1 if "-o" in words or "--as" in words else status, True)
+        assert status
+
+
+# -------------------------------------------------------------------------------- real bags
+
+
+def test_maps_of_a_real_lidar_and_a_simulated_laser(bags, fresh):
+    """Of both the stamps lie far from the times of reception, and no tf was recorded."""
+    with fresh() as made:
+        import_bag(made, bags / "luminar_stage_lz4.bag", format="packed")
+        scans = makeMap(made, "/base_scan")
+        assert scans.used + scans.without_pose == 5
+        assert scans.used >= 4
+        assert scans.sources == ["/base_pose_ground_truth, no sensor offset"]
+        assert (scans.map.cells >= 65).sum() > 50
+        wanted = PoseChoice(odom="/base_pose_ground_truth", sensor_offset=Rigid.none(1))
+        coarse = MapOptions(resolution=0.2, max_range=100, min_height=-1, max_height=3)
+        clouds = makeMap(made, "/luminar_pointcloud", options=coarse, poses=wanted)
+        assert clouds.received == clouds.used >= 1
+        assert (clouds.map.cells >= 65).sum() > 1000
+        assert math.hypot(clouds.map.width, clouds.map.height) * 0.2 < 400
+
+
+def test_a_recorded_map_is_shown_as_it_is(bags, fresh, tmp_path):
+    with fresh() as made:
+        import_bag(made, bags / "big_occupancy_grid_bz2.bag", topics=["/map"], format="binary")
+        found = makeMap(made, "/map").map
+        message = made.getTopic("/map").getData(made.getTopic("/map").first())
+    assert (found.width, found.height) == (2300, 1800)
+    assert np.array_equal(found.cells.ravel(), np.array(message.data, np.int8))
