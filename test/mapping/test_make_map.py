@@ -6,9 +6,13 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from mapping.room import OFFSET, SHIFT, T0, Drive, assert_room
 from mapping.test_grid import read_as_map_server
 from PIL import Image
@@ -240,3 +244,17 @@ def test_a_recorded_map_is_shown_as_it_is(bags, fresh, tmp_path):
         message = made.getTopic("/map").getData(made.getTopic("/map").first())
     assert (found.width, found.height) == (2300, 1800)
     assert np.array_equal(found.cells.ravel(), np.array(message.data, np.int8))
+
+
+def test_figure_4_is_drawn_of_a_bag(bags, cassandra, keyspace, ros_env, tmp_path):
+    words = ("--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", keyspace)
+    bag, out = bags / "luminar_stage_lz4.bag", tmp_path / "figure4.png"
+    done = subprocess.run(
+        [sys.executable, ROOT / "examples/figure4.py", bag, "--out", out, *words],
+        env=ros_env, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"^/base_scan: \d+ x \d+ cells of \d messages", done.stdout, re.M)
+    assert re.search(r"^/luminar_pointcloud: \d+ x \d+ cells of \d messages", done.stdout, re.M)
+    with Image.open(out) as image:
+        assert image.width > 1.5 * image.height
