@@ -45,9 +45,9 @@ Object.assign(canvas, { timeline });
 
 /** @type {any} The last answer for all time. */
 let whole = null;
-/** @type {any[]} */
-let runs = [];
 let following = true;
+/** @type {number | undefined} */
+let waiting;
 let loading = new AbortController();
 let asking = new AbortController();
 /** @type {number | undefined} */
@@ -55,20 +55,22 @@ let later;
 
 // -------------------------------------------------------------------- what is asked of the server
 
-/** Ask for all there is, and for what the address wants of it. */
-async function load() {
+/**
+ * Ask for all there is, and show the window of the address.
+ * @param {{again?: boolean}} [how] again: it is there already, and may have become more.
+ */
+async function load({ again: known = false } = {}) {
   canvas.dataset.state = "busy";
   loading.abort();
   loading = new AbortController();
   const { signal } = loading;
   const choice = chosenParameters();
-  const [answer, marks, listed] = await Promise.all([
+  const [answer, marks] = await Promise.all([
     api.get("/api/timeline", { ...choice, pixels: cellsOf(1) }, { signal }),
     api.get("/api/marks", choice, { signal }),
-    api.get("/api/runs", { runs: choice.runs, limit: MOST_RUNS }, { signal }),
   ]);
+  const before = known ? keysOf(whole) : "";
   whole = answer;
-  runs = listed.runs;
   timeline.picture.take(answer, { all: true, whole: true });
   timeline.picture.takeMarks(marks.marks);
   timeline.update();
@@ -76,7 +78,9 @@ async function load() {
   panel.hidden = tables.hidden = nothing;
   empty.hidden = !nothing;
   if (nothing) await explain();
-  showWindow();
+  if (!known) showWindow();
+  else if (following) timeline.show(timeline.whole);
+  if (keysOf(whole) !== before) await loadTables();
   tell();
   ask();
   again();
@@ -103,11 +107,12 @@ async function askWindow(detail) {
   const parts = Number(to - from + 1n) / Number(end - start + 1n);
   const many = timeline.picture.lanes.length > MANY_LANES;
   const names = [...new Set(timeline.seen.map((lane) => lane.topic))];
-  const choice = { ...chosenParameters(), ...(many && names.length ? { topics: names } : {}) };
-  const asked = { ...choice, start: from, end: to, pixels: cellsOf(parts), detail };
+  const choice = chosenParameters();
+  const topics = many && names.length ? names : choice.topics;
+  const asked = { ...choice, topics, start: from, end: to, pixels: cellsOf(parts), detail };
   const answer = await api.get("/api/timeline", asked, { signal });
   const { runs: known } = timeline.picture;
-  timeline.picture.take(answer, { all: false, whole: false });
+  timeline.picture.take(answer, { topics });
   timeline.picture.runs = known;
   timeline.redraw();
   canvas.setAttribute("aria-label", timeline.describe());
@@ -134,8 +139,17 @@ function failed(error) {
 
 /** What is written now, or not yet, is asked for again. */
 function again() {
-  const live = timeline.picture.writing || !timeline.picture.lanes.length;
-  if (live) setTimeout(() => (document.hidden ? again() : load().catch(failed)), AGAIN_MS);
+  clearTimeout(waiting);
+  if (!timeline.picture.writing && timeline.picture.lanes.length) return;
+  waiting = window.setTimeout(() => {
+    if (document.hidden || timeline.drag) again();
+    else load({ again: true }).catch(failed).finally(again);
+  }, AGAIN_MS);
+}
+
+/** @param {any} answer */
+function keysOf(answer) {
+  return JSON.stringify((answer?.lanes ?? []).map((/** @type {any} */ lane) => [lane.topic, lane.node]));
 }
 
 function chosenParameters() {
@@ -218,7 +232,7 @@ function zoomButtons() {
 /** Tell how much there is, and where the window goes on to. */
 function tell() {
   const { picture, selection: span, view, moment } = timeline;
-  const { start, end } = span ?? view;
+  const { start, end } = span ?? filled(view);
   const messages = sum("messages");
   const topics = new Set(picture.lanes.map((lane) => lane.topic)).size;
   summary.textContent = `${plural(topics, "topic")} · ${messages.toLocaleString("en")} messages` +
@@ -236,6 +250,13 @@ function tell() {
     link(".bag", api.url("/window.bag", file), "Download this time as a bag"),
     link(".mcap", api.url("/window.mcap", file), "Download this time as an MCAP file"),
   );
+}
+
+/** @param {import("./timeline.js").Span} span @returns {import("./timeline.js").Span} Without the room beside all time. */
+function filled({ start, end }) {
+  const { first, last } = timeline.picture;
+  if (first === null || last === null || end < first || last < start) return { start, end };
+  return { start: start < first ? first : start, end: end > last ? last : end };
 }
 
 /** @param {"messages" | "bytes"} name */
@@ -300,4 +321,3 @@ async function loadTables() {
 }
 
 load().catch(failed);
-loadTables().catch(failed);

@@ -62,13 +62,15 @@ export class Lane {
    * Take what the server says of it.
    * @param {any} said
    * @param {Scale | null} scale
+   * @param {boolean} [keep] The cells that it has, for those are finer.
    */
-  take(said, scale) {
+  take(said, scale, keep = false) {
     this.types = said.types;
     this.messages = said.messages;
     this.bytes = said.bytes;
     this.exact = said.exact;
     this.writing = said.writing;
+    if (keep && this.scale) return;
     this.scale = scale;
     this.counts = new Float32Array(scale?.cells ?? 0);
     for (const [first, ...counts] of said.counts ?? []) this.counts.set(counts, first);
@@ -76,6 +78,15 @@ export class Lane {
     this.even = said.even ?? [];
     this.unknown = said.unknown ?? [];
     this.gaps = (said.gaps ?? []).map((/** @type {string[]} */ gap) => gap.map(BigInt));
+  }
+
+  /** Forget what its cells hold. */
+  clear() {
+    this.counts = new Float32Array(0);
+    this.scale = null;
+    this.even = [];
+    this.unknown = [];
+    this.gaps = [];
   }
 
   /** @param {bigint} ns @returns {number} The cell of a time; -1 outside. */
@@ -132,12 +143,16 @@ export class Picture {
   /**
    * Take an answer of /api/timeline.
    * @param {any} answer
-   * @param {{all: boolean, whole: boolean}} of all: it has all lanes, those that it lacks are gone;
-   *   whole: its window is all time.
+   * @param {{all?: boolean, whole?: boolean, topics?: string[]}} of all: it has all lanes, those that it
+   *   lacks are gone; whole: its window is all time; topics: what was asked for, none = all of them.
    */
-  take(answer, { all, whole }) {
+  take(answer, { all = false, whole = false, topics = [] }) {
     const scale = scaleOf(answer);
     const before = this.byKey;
+    for (const lane of all ? [] : this.lanes) {
+      // Of a run there are only the lanes in which it has something.
+      if (!topics.length || topics.includes(lane.topic)) lane.clear();
+    }
     if (all) {
       this.byKey = new Map();
       this.first = bigOrNull(answer.first);
@@ -146,11 +161,11 @@ export class Picture {
     for (const said of answer.lanes) {
       const key = keyOf(said.topic, said.node);
       const lane = before.get(key) ?? new Lane(said.topic, said.node);
-      lane.take(said, scale);
+      lane.take(said, scale, all);
       this.byKey.set(key, lane);
     }
     if (all) this.runs = answer.runs.map(runOf);
-    if (whole) this.whole.take({ ...sumOf(this.lanes, scale) }, scale);
+    if (whole) this.whole.take(sumOf(answer.lanes, scale), scale);
   }
 
   /**
@@ -187,10 +202,12 @@ function scaleOf(answer) {
   return { start: BigInt(answer.start), step: BigInt(answer.cell_ns), cells: answer.cells };
 }
 
-/** @param {Lane[]} lanes @param {Scale | null} scale */
+/** @param {any[]} lanes As they are answered. @param {Scale | null} scale */
 function sumOf(lanes, scale) {
   const sum = new Array(scale?.cells ?? 0).fill(0);
-  for (const lane of lanes) {
+  for (const said of lanes) {
+    const lane = new Lane(said.topic, said.node);
+    lane.take(said, scale);
     // Each as high as its own rate allows, or a camera would not be seen beside an IMU.
     if (lane.most) lane.counts.forEach((count, cell) => (sum[cell] += count / lane.most));
   }

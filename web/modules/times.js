@@ -51,7 +51,7 @@ function parseAny(text) {
   if (!iso) throw new RangeError(`“${text}” is not a time: write it like 2013-05-08T14:06:20.5Z`);
   const [year, month, day, hour, minute, second] = iso.slice(1, 7).map((part) => Number(part ?? 0));
   const ms = Date.UTC(year, month - 1, day, hour, minute, second);
-  if (new Date(ms).toISOString().slice(0, 10) !== text.slice(0, 10) || hour > 23 || minute > 59) {
+  if (new Date(ms).toISOString().slice(0, 10) !== text.slice(0, 10) || hour > 23 || minute > 59 || second > 59) {
     throw new RangeError(`“${text}” is not a time: the calendar has no such day or hour`);
   }
   return BigInt(ms / 1000) * SECOND - zone(iso[8]) + BigInt((iso[7] ?? "").padEnd(9, "0"));
