@@ -106,7 +106,7 @@ def _keyspaces(ros_cas: RosCassandra, _options: argparse.Namespace) -> Iterable[
 
 
 _OFFERED = {
-    **dict.fromkeys(("topic", "topics", "more", "pause_topics"), _topics),
+    **dict.fromkeys(("topic", "topics", "more", "pause_topics", "odom", "store"), _topics),
     "field": _fields,
     **dict.fromkeys(("run", "name"), _runs),
     "node_id": _nodes,

@@ -95,9 +95,23 @@ class Rigid:
 
 def rotated(turned: Floats, points: Floats) -> Floats:
     """Turn points by quaternions, row by row; one row meets all of the other."""
-    axis, real = turned[:, :3], turned[:, 3:]
-    twice = 2 * np.cross(axis, points)
-    found: Floats = points + real * twice + np.cross(axis, twice)
+    found: Floats
+    if len(turned) == 1:
+        found = points @ _matrices(turned)[0].T
+    else:
+        found = np.einsum("nij,nj->ni", _matrices(turned), points)
+    return found
+
+
+def _matrices(turned: Floats) -> Floats:
+    """Return the (n, 3, 3) matrices of unit quaternions."""
+    x, y, z, w = turned.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    found: Floats = np.moveaxis(np.array(rows), 2, 0)
     return found
 
 

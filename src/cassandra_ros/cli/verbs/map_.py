@@ -72,7 +72,7 @@ def _add_outputs(group: argparse._ArgumentGroup) -> None:
     text = "store it on this topic, under the name of --as"
     add("--store", metavar="MAPS", help=text)
     text = "name of the map that is stored, or of the stored one that is shown (default: TOPIC)"
-    add("--as", dest="name", metavar="NAME", help=text)
+    add("--as", dest="map_name", metavar="NAME", help=text)
     add("--publish", metavar="MAP", help="publish it on this topic, latched, until Ctrl-C")
 
 
@@ -134,7 +134,7 @@ def run(options: argparse.Namespace) -> int:
             end,
             nodeID=options.node_id,
             run=options.run,
-            name=None if options.store else options.name,
+            name=None if options.store else options.map_name,
             options=wanted,
             poses=choice,
             progress=bar.reach,
@@ -192,7 +192,7 @@ def _store(ros_cas: RosCassandra, made: OccupancyMap, options: argparse.Namespac
 
 
 def _name(options: argparse.Namespace) -> str:
-    return str(options.name or options.topic.strip("/"))
+    return str(options.map_name or options.topic.strip("/"))
 
 
 def _tell(made: MadeMap, files: list[str], options: argparse.Namespace) -> None:
