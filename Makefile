@@ -16,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup demo viewer test campaign lint doc bench bench-quick bench-page bench-formats bench-play clean distclean
+.PHONY: help setup demo viewer test campaign lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, workspace .ws"
@@ -28,9 +28,10 @@ help:
 	@echo "make doc            the pages of doc/, as build/doc/index.html; a warning is an error"
 	@echo "make bench          measure beside rosbag, MCAP, SQLite and the bare driver (40 minutes)"
 	@echo "make bench-quick    the same with small numbers (5 minutes)"
-	@echo "make bench-page     fill the tables of doc/performance.md from the last make bench"
+	@echo "make bench-page     fill the tables of doc/performance.md from the last make bench, bench-viewer"
 	@echo "make bench-formats  measure formats on messages of real bags: bytes on disk, time"
 	@echo "make bench-play     measure how late messages are played, beside rosbag play"
+	@echo "make bench-viewer   measure the viewer on a recording of a day, ten million messages"
 	@echo "make clean          remove what was built; make distclean: also .venv"
 
 setup:
@@ -74,6 +75,9 @@ bench-formats: setup
 
 bench-play: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_play.py $(ARGS)
+
+bench-viewer: setup
+	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_viewer.py $(ARGS)
 
 clean:
 	rm -rf .ws build .mypy_cache .pytest_cache .ruff_cache .hypothesis demo-output

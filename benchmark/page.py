@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Fill the tables of doc/performance.md from the last full run.
+"""Fill the tables of doc/performance.md from the last full run, and that of the viewer.
 
 Everything between <!-- bench:NAME --> and <!-- /bench:NAME --> is made anew, so that no figure is
 ever typed by hand.
@@ -29,7 +29,7 @@ def main() -> int:
         "--check", action="store_true", help="write nothing; status 1 if they differ"
     )
     args = parser.parse_args()
-    results = Results.load(args.results)
+    results = Results.load_all(args.results)
     text = PAGE.read_text(encoding="utf-8")
     filled = fill(text, results)
     differs = filled != text

@@ -110,6 +110,14 @@ class Results:
         series = [Series(**one) for one in data["series"]]
         return cls(data["machine"], series, data["failures"], data["seconds"])
 
+    @classmethod
+    def load_all(cls, path: Path) -> Results:
+        """Read the results of a full run, and beside them those of the viewer, where they are."""
+        results, viewer = cls.load(path), path.with_name("viewer.json")
+        if viewer.is_file():
+            results.take(cls.load(viewer))
+        return results
+
 
 def _short(one: Series) -> Dict[str, Any]:
     found = {name: value for name, value in asdict(one).items() if value not in ("", None)}

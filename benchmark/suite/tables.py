@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Callable, Dict, List, Optional, Sequence
 
-from suite import paper, targets
+from suite import paper, targets, viewer
 from suite.messages import LARGE, NAMES
 from suite.results import Results, quartiles
 
@@ -250,6 +250,11 @@ def cluster(results: Results) -> str:
     return markdown(["Imu", "one node", f"{nodes:.0f} nodes, factor {nodes:.0f}"], rows)
 
 
+def of_viewer(results: Results) -> str:
+    """Show what the viewer answers of a day of ten million messages, and how soon."""
+    return markdown(["asked", "must be", "median", ""], viewer.rows(results))
+
+
 TABLES: Dict[str, Callable[[Results], str]] = {
     "machine": machine,
     "done": done,
@@ -266,6 +271,7 @@ TABLES: Dict[str, Callable[[Results], str]] = {
     "live": live,
     "writers": writers,
     "cluster": cluster,
+    "viewer": of_viewer,
 }
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Collection, Sequence
 
 from tqdm import tqdm
@@ -12,6 +13,8 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import iso_time
 
 _UNITS = ("B", "KB", "MB", "GB", "TB")
+_BARS = "▁▂▃▄▅▆▇█"
+_WEIGHTS = ".:-=+*#@"
 _LENGTHS = ((86_400, "d"), (3_600, "h"), (60, "min"), (1, "s"))
 
 
@@ -68,6 +71,23 @@ def shown(text: str) -> str:
         c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii")
         for c in text
     )
+
+
+def sparkline(values: Sequence[float], encoding: str | None) -> str:
+    """Draw numbers of 0 or more as a line of bars, the tallest for the greatest; 0 is a blank.
+
+    Args:
+        encoding: Of where it is shown: where it has no bars, signs of growing weight stand for
+            them.
+    """
+    bars = _BARS
+    try:
+        bars.encode(encoding or "ascii")
+    except (UnicodeError, LookupError):
+        bars = _WEIGHTS
+    top = max(values, default=0)
+    steps = (math.ceil(value / top * len(bars)) if value > 0 else 0 for value in values)
+    return "".join(" " if not step else bars[step - 1] for step in steps)
 
 
 class MessageBar(tqdm):

@@ -9,6 +9,7 @@ from itertools import islice
 from typing import Iterable, Iterator, Optional, Sequence
 
 from cassandra_ros.errors import MessageNotFound
+from cassandra_ros.keys import RowName
 from cassandra_ros.messages.stamps import Stamp, Time
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.finding import Where
@@ -46,8 +47,8 @@ class Chosen:
             [topic.name], self.start, self.end, nodeID=self.node, where=where, run=self.writers
         )
 
-    def last(self, topic: CassandraTopic) -> Stamp:
-        """Return the key time of the last of them, of which there is one."""
+    def last(self, topic: CassandraTopic) -> int:
+        """Return the time of the last of them, of which there is one, ns."""
         newest = topic.items(
             self.start,
             self.end,
@@ -57,7 +58,8 @@ class Chosen:
             where=self.where,
             run=self.writers,
         )
-        return Stamp.from_ns(next((key.ns for key, _ in newest), 0))
+        keys = (key for key, _ in newest)
+        return next((key.t if isinstance(key, RowName) else key.ns for key in keys), 0)
 
 
 def spaced_rows(
@@ -91,7 +93,7 @@ def spaced_rows(
         found = (topic.getRow(key) for _, key in few)
         yield from (row for row in found if row is not None)  # else it was deleted meanwhile
         return
-    times = _times(few[0][0], chosen.last(topic).ns, count, every_ns)
+    times = _times(few[0][0], chosen.last(topic), count, every_ns)
     if chosen.where is None:
         yield from _once(_looked_up(topic, chosen, times))
     else:

@@ -12,16 +12,20 @@ what is in brackets seconds since 1970; --start and --end of other verbs take bo
 the mean rate while messages came (rosbag: the median); pauses within a bucket lower it.
 
 Where messages are found by something else than their receive time the last column says by what.
-What should have been recorded and was not is listed with the reason, also of topics that are not
-stored; then the latest recordings and imports.
+Below, a line for each topic and node draws how many messages came when; its tallest bar is where
+most of them came. The directory counts by buckets, so those of a bucket are drawn as if spread
+evenly. What should have been recorded and was not is listed with the reason, also of topics that
+are not stored; then the latest recordings and imports.
 
 YAML and JSON have the keys of rosbag info -y (duration, start, end, size, messages, types, topics)
-and beside them keyspace, start_ns, end_ns, losses and runs.
+and beside them keyspace, start_ns, end_ns, losses and runs; JSON also activity, the numbers that
+the lines draw: messages by steps of time.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Iterator
 
@@ -39,6 +43,7 @@ from cassandra_ros.cli.text import (
     format_table,
     format_time,
     shown,
+    sparkline,
 )
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.runs import time_of
@@ -48,11 +53,14 @@ from cassandra_ros.messages.stamps import iso_time
 
 if TYPE_CHECKING:
     from cassandra_ros.store.registry import Loss, LossKind, Run
+    from cassandra_ros.topics.timeline.lanes import Picture
     from cassandra_ros.topics.totals import TopicInfo
 
 _HEADER = ("topic", "type", "format", "node", "messages", "size", "first", "last", "bucket")
 _RIGHT = ("messages", "rate", "size", "bucket")
 _RUNS_SHOWN = 20
+_CELLS = 60
+"""Steps of time of which it is drawn how many messages came in each."""
 
 
 @dataclass
@@ -64,6 +72,7 @@ class _Found:
     infos: list[TopicInfo]
     losses: list[Loss]
     runs: list[Run]
+    activity: Picture
 
     @property
     def ends(self) -> tuple[int, int] | None:
@@ -108,13 +117,17 @@ def run(options: argparse.Namespace) -> int:
         options.parser.error("-k goes with -y or --json")
     found = _find(options)
     if options.yaml or options.json:
-        answer = _chosen(_answer(found, options.freq), options.key)
+        answer = _answer(found, options.freq)
+        if options.json:
+            answer["activity"] = _activity_answer(found.activity)
+        answer = _chosen(answer, options.key)
         (_print_yaml if options.yaml else print_json)(answer)
         return 0
     _print_summary(found)
     if found.infos:
         print()
         _print_topics(found.infos, options.freq)
+        _print_activity(found.activity)
     if found.losses:
         print()
         columns = ("lost of topic", "node", "run", "messages", "from", "to", "why")
@@ -131,6 +144,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _find(options: argparse.Namespace) -> _Found:
+    from cassandra_ros.arguments import check_nodes
+    from cassandra_ros.topics.selection import Whose
+    from cassandra_ros.topics.timeline.lanes import Timeline, View
+
     hosts, port = store_place(options)
     with open_store(options) as ros_cas:
         asked = {"nodeID": options.node_id, "run": options.run}
@@ -138,9 +155,11 @@ def _find(options: argparse.Namespace) -> _Found:
         infos = ros_cas.info(topics, **asked)
         losses = ros_cas.losses(topics, **asked)
         runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
+        whose = Whose(check_nodes(options.node_id), ros_cas.parts.runs.writers(options.run))
+        activity = Timeline(ros_cas).picture(View(cells=_CELLS, topics=topics, whose=whose))
     if options.run:
         runs = [run for run in runs if options.run in (run.name, str(run.writer))]
-    return _Found(f"{','.join(hosts)}:{port}", options.keyspace, infos, losses, runs)
+    return _Found(f"{','.join(hosts)}:{port}", options.keyspace, infos, losses, runs, activity)
 
 
 def _print_summary(found: _Found) -> None:
@@ -165,6 +184,37 @@ def _print_topics(infos: list[TopicInfo], with_rates: bool) -> None:
         header.append("key")
     rows = [_topic_row(info) for info in infos]
     print(format_table(header, [[row[name] for name in header] for row in rows], right=_RIGHT))
+
+
+def _print_activity(activity: Picture) -> None:
+    """Draw how many messages came when; where all came at once there is nothing to draw."""
+    scale = activity.scale
+    if scale is None or scale.start == scale.end:
+        return
+    rows = [
+        (shown(lane.topic), shown(lane.node) or "-", text)
+        for lane in activity.lanes
+        for text in [sparkline(lane.cells(scale).counts.tolist(), sys.stdout.encoding)]
+        if text.strip()
+    ]
+    when = f"{format_time(scale.start)} to {format_time(scale.end)}"
+    print()
+    print(format_table(("activity of", "node", when), rows))
+
+
+def _activity_answer(activity: Picture) -> dict[str, object]:
+    scale = activity.scale
+    if scale is None:
+        return {"start_ns": None, "step_ns": None, "topics": []}
+    topics = [
+        {
+            "topic": lane.topic,
+            "node": lane.node,
+            "messages": [round(count, 3) for count in lane.cells(scale).counts.tolist()],
+        }
+        for lane in activity.lanes
+    ]
+    return {"start_ns": scale.start, "step_ns": scale.step, "topics": topics}
 
 
 def _topic_row(info: TopicInfo) -> dict[str, str]:

@@ -1,0 +1,194 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Files for browsers: written once for all who wait, ended with the last of them, bounded."""
+
+from __future__ import annotations
+
+import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from cassandra_ros.errors import BagError, InvalidOption, StoreUnavailable
+from cassandra_ros.viewing import spool as module
+from cassandra_ros.viewing.spool import Spool
+
+PATIENCE_SEC = 30
+
+
+@pytest.fixture
+def spool(tmp_path):
+    made = Spool(tmp_path, 1000, 8)
+    yield made
+    made.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+class Writing:
+    """A file that is written as far as the test lets it be."""
+
+    def __init__(self, content=b"x" * 10, error=None):
+        self.begun, self.ended = threading.Event(), threading.Event()
+        self.go = threading.Semaphore(0)
+        self.content, self.error = content, error
+        self.count = 0
+
+    def __call__(self, path, progress):
+        self.count += 1
+        active = path.with_name(path.name + ".active")
+        self.begun.set()
+        try:
+            with active.open("wb", 0) as stream:
+                for byte in self.content:
+                    assert self.go.acquire(timeout=PATIENCE_SEC)
+                    stream.write(bytes([byte]))
+                    progress(1, module._LOOK_BYTES)
+            if self.error is not None:
+                raise self.error
+            os.replace(active, path)
+        finally:
+            self.ended.set()
+
+    def let(self, count=None):
+        self.go.release(len(self.content) if count is None else count)
+
+
+def get(spool, writing, key="k", request="r", gone=None):
+    with spool.lease(key, request, "a.bag", writing) as lease:
+        return lease.wait(gone or threading.Event()).read_bytes()
+
+
+def test_all_who_wait_get_one_file(spool):
+    writing = Writing(b"content")
+    with ThreadPoolExecutor(4) as pool:
+        asked = [pool.submit(get, spool, writing) for _ in range(4)]
+        assert writing.begun.wait(PATIENCE_SEC)
+        writing.let()
+        assert [each.result(PATIENCE_SEC) for each in asked] == [b"content"] * 4
+    assert get(spool, writing) == b"content"
+    assert writing.count == 1
+    assert spool.latest("r").path.read_bytes() == b"content"
+    assert spool.latest("other") is None
+
+
+def test_the_newest_file_of_a_request_is_the_one_that_was_opened_last(spool):
+    for key in ("a", "b"):
+        writing = Writing(key.encode())
+        writing.let()
+        get(spool, writing, key)
+    assert spool.latest("r").key == "b"
+
+
+def test_what_nobody_waits_for_is_not_written_to_its_end(spool):
+    writing, first, second = Writing(), threading.Event(), threading.Event()
+    with ThreadPoolExecutor(2) as pool:
+        asked = [pool.submit(get, spool, writing, gone=gone) for gone in (first, second)]
+        assert writing.begun.wait(PATIENCE_SEC)
+        writing.let(1)
+        first.set()
+        with pytest.raises(StoreUnavailable, match="nobody waits"):
+            asked[0].result(PATIENCE_SEC)
+        writing.let(1)
+        assert not writing.ended.is_set()  # the other one still waits
+        second.set()
+        with pytest.raises(StoreUnavailable, match="nobody waits"):
+            asked[1].result(PATIENCE_SEC)
+    writing.let(1)
+    assert writing.ended.wait(PATIENCE_SEC)
+    again = Writing(b"again")
+    again.let()
+    assert get(spool, again) == b"again"
+
+
+def test_who_follows_gets_what_is_written_while_it_is(spool):
+    writing = Writing(b"ab")
+    with spool.lease("k", "r", "a.mcap", writing) as lease:
+        chunks = lease.follow(threading.Event())
+        writing.let(1)
+        assert next(chunks) == b"a"
+        writing.let(1)
+        assert list(chunks) == [b"b"]
+    with spool.lease("k", "r", "a.mcap", writing) as lease:
+        assert b"".join(lease.follow(threading.Event())) == b"ab"
+
+
+def test_who_follows_is_told_what_failed_and_may_leave(spool):
+    writing = Writing(b"ab", BagError("the disk is full"))
+    with spool.lease("k", "r", "a.mcap", writing) as lease:
+        chunks = lease.follow(threading.Event())
+        writing.let()
+        with pytest.raises(BagError, match="disk is full"):
+            list(chunks)
+    writing.let()
+    with pytest.raises(BagError, match="disk is full"):
+        get(spool, writing)
+    other, gone = Writing(), threading.Event()
+    with spool.lease("l", "r", "a.mcap", other) as lease:
+        chunks = lease.follow(gone)
+        other.let(1)
+        assert next(chunks) == b"x"
+        gone.set()
+        assert list(chunks) == []
+    other.let(1)
+    assert other.ended.wait(PATIENCE_SEC)
+
+
+def test_what_takes_too_much_room_goes_the_oldest_first(spool, monkeypatch):
+    monkeypatch.setattr(module, "_KEPT_SEC", -1.0)
+    for key in "abc":
+        writing = Writing(key.encode() * 400)
+        writing.let()
+        get(spool, writing, key, request=key)
+        if key == "b":
+            assert spool.latest("a") is not None  # asked for again: younger than b now
+    assert spool.latest("b") is None
+    assert {key for key in "abc" if spool.latest(key)} == {"a", "c"}
+    large = Writing(b"l" * 1001)
+    large.let()
+    with pytest.raises(InvalidOption, match="larger than the 1000 bytes.*--spool-size"):
+        get(spool, large, "l")
+    assert spool.latest("l") is None
+
+
+def test_what_is_in_use_does_not_go(spool):
+    first, second = Writing(b"1" * 600), Writing(b"2" * 600)
+    first.let()
+    second.let()
+    get(spool, first, "a")
+    with pytest.raises(StoreUnavailable, match="take all of their room: ask again later"):
+        get(spool, second, "b")
+    assert get(spool, first, "a") == b"1" * 600
+
+
+def test_no_more_than_some_may_wait(tmp_path):
+    spool, gone = Spool(tmp_path, 1000, 1), threading.Event()
+    writing = Writing()
+    with ThreadPoolExecutor(1) as pool:
+        asked = pool.submit(get, spool, writing, gone=gone)
+        assert writing.begun.wait(PATIENCE_SEC)
+        with pytest.raises(StoreUnavailable, match="1 wait for files already"):
+            get(spool, Writing(), "other")
+        gone.set()
+        writing.let(2)
+        with pytest.raises(StoreUnavailable):
+            asked.result(PATIENCE_SEC)
+    spool.close()
+    spool.close()
+
+
+def test_folders_of_viewers_that_were_killed_are_removed(tmp_path, monkeypatch):
+    alive = Spool(tmp_path, 1000, 1)
+    dead = tmp_path / f"{module._PREFIX}dead"
+    dead.mkdir()
+    (dead / module._LOCK).touch()
+    (dead / "large.bag").touch()
+    (tmp_path / f"{module._PREFIX}young").mkdir()
+    monkeypatch.setattr(module, "_ORPHAN_SEC", -1.0)
+    Spool(tmp_path, 1000, 1).close()
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {alive._folder.name, f"{module._PREFIX}young"}
+    alive.close()
+    (tmp_path / "file").touch()
+    with pytest.raises(InvalidOption, match="no files can be kept in .*file/below: "):
+        Spool(tmp_path / "file" / "below", 1000, 1)
