@@ -17,6 +17,7 @@ from cassandra_ros.arrays.values import empty_values, join_values
 from cassandra_ros.errors import InvalidQuery, TopicNotFound
 from cassandra_ros.query.computed import INTEGER
 from cassandra_ros.query.names import Findings
+from cassandra_ros.query.nearby import located
 from cassandra_ros.query.parse import parse_condition, parse_select
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.settle import settle
@@ -159,7 +160,8 @@ def _statement(
     if select.distinct:
         reason = "DISTINCT stands in a statement, not before fields; executeCQL answers it"
         raise InvalidQuery(select.text, len("SELECT "), reason)
-    select = settle(select, topic.tables)
+    tables = topic.tables
+    select = located(settle(select, tables), tables)
     called: dict[str, Term] = {}
     for column in select.columns or ():
         what = column.what

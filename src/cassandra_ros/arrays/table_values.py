@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 import struct
 from dataclasses import replace
-from typing import Callable, Mapping, NamedTuple, Optional, Sequence, Union
+from typing import Callable, Mapping, NamedTuple, Optional, Sequence
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidQuery
 from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.plan import wire_plan
 from cassandra_ros.query.names import FieldRef, Findings
-from cassandra_ros.query.projection import Projection
+from cassandra_ros.query.projection import Own, Projection
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.resolve import KEY_PLACE, NODE_PLACE
 from cassandra_ros.query.syntax import Select
@@ -185,7 +185,7 @@ class TableValues:
 
     def _clear(self) -> None:
         self._numbers: list[int] = []
-        self._own: list[tuple[Union[int, str], str, str]] = []
+        self._own: list[Own] = []
         self._raws: list[Sequence[Optional[bytes]]] = []
         self._hits: list[list[bool]] = []
         self._decoded: list[Sequence[object]] = []

@@ -31,6 +31,7 @@ from cassandra_ros.query.syntax import (
     IsNull,
     Leaf,
     Literal,
+    Near,
     Negation,
     OneOf,
     Quantified,
@@ -99,6 +100,8 @@ class Binding:
         return replace(item, items=tuple(map(self.expression, item.items)))
 
     def _leaf(self, leaf: Leaf) -> Expression:
+        if isinstance(leaf, Near):
+            return replace(leaf, values=tuple(map(self.value, leaf.values)))
         if isinstance(leaf, Quantified):
             tests = tuple((sign, self._term(term)) for sign, term in leaf.tests)
             return replace(leaf, tests=tests)

@@ -31,6 +31,7 @@ from cassandra_ros.query.syntax import (
     IsNull,
     KeyOperand,
     Literal,
+    Near,
     Negation,
     NodeOperand,
     OneOf,
@@ -52,6 +53,8 @@ from cassandra_ros.query.syntax import (
 
 _Not = Optional[Token]
 MAX_DEPTH = 100
+NEAR_VALUES = (3, 5)
+"""How many NEAR takes, at least and at most."""
 MAX_DIGITS = 400
 """Of a number: Python converts longer ones in quadratic time, or refuses."""
 
@@ -199,6 +202,14 @@ class _Builder(Transformer):  # type: ignore[type-arg]
             return _quantified(operand, [(s, _part(end)) for s, end in ends], negated, False)
         inside = All(tuple(compared(operand, s, end, end.position) for s, end in ends))
         return _unless(negated, inside)
+
+    def near(self, word: Token, *values: Optional[Term]) -> Near:
+        given = tuple(_value(value) for value in values if value is not None)
+        if not NEAR_VALUES[0] <= len(given) <= NEAR_VALUES[1]:
+            reason = f"NEAR takes x, y and a radius in metres, and then perhaps a frame ('map' if none is "
+            reason += f"given) and the robot, not {len(given)} values: NEAR(2.5, 0, 1.5, 'odom')"
+            raise StatementError(_at(word), reason)
+        return Near(given, _at(word))
 
     def is_null(self, operand: Term, negated: _Not) -> Expression:
         return _unless(negated, IsNull(_part(operand)))

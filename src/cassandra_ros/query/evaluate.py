@@ -18,6 +18,8 @@ else for itself; there is no escape character, and upper and lower case differ.
 What is computed (see ``computed``) and fields of one message compare with one another in the same
 way. ``ANY(array) < x`` is true where it is for one element, ``ALL`` where it is for each of them,
 also where there is none; NOT, IN and BETWEEN behind them ask about the element.
+
+``NEAR`` is unknown where no pose of the robot is known at the time.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from __future__ import annotations
 import operator
 import re
 from functools import partial
-from typing import Any, Callable, Optional, Pattern, Protocol, Sequence, Union
+from typing import Any, Callable, Optional, Pattern, Protocol, Sequence, Tuple, Union
 
 from cassandra_ros.query.computed import Get
 from cassandra_ros.query.literals import Comparable
@@ -33,11 +35,12 @@ from cassandra_ros.query.syntax import (
     All,
     Call,
     Compare,
+    Comparison,
     Either,
     Expression,
     IsNull,
-    Leaf,
     Literal,
+    Near,
     Negation,
     OneOf,
     Quantified,
@@ -53,16 +56,19 @@ Check = Callable[[Values], Optional[bool]]
 class Fields(Protocol):
     """What a condition names, in the rows of one table."""
 
-    def locate(self, leaf: Leaf) -> Optional[int]:
+    def locate(self, leaf: Comparison) -> Optional[int]:
         """Find the place of a comparison's operand among the values; None where there is none."""
 
-    def compute(self, leaf: Leaf) -> Sequence[Optional[Get]]:
+    def whereabouts(self) -> Tuple[int, int, int]:
+        """Return the places of nodeID, run and time among the values."""
+
+    def compute(self, leaf: Comparison) -> Sequence[Optional[Get]]:
         """Return what computes the terms of a comparison, but for an operand with a place.
 
         None for what is missing here, or can never be compared.
         """
 
-    def fit(self, leaf: Leaf, literal: Literal) -> Optional[Comparable]:
+    def fit(self, leaf: Comparison, literal: Literal) -> Optional[Comparable]:
         """Fit a literal to its operand; None where it can never be compared."""
 
 
@@ -86,6 +92,8 @@ def compile_condition(expression: Optional[Expression], fields: Fields) -> Check
     if isinstance(expression, (All, Either)):
         checks = [compile_condition(item, fields) for item in expression.items]
         return _joined(checks, isinstance(expression, Either))
+    if isinstance(expression, Near):
+        return _near(expression, *fields.whereabouts())
     if isinstance(expression, Relate):
         left, right = fields.compute(expression)
         return _related(expression.operator, left, right)
@@ -109,6 +117,13 @@ def _leaf(leaf: Union[Compare, OneOf, IsNull], place: Optional[int], fields: Fie
     if isinstance(leaf, Compare):
         return _comparison(place, leaf.operator, listed[0])
     return _membership(place, listed)
+
+
+def _near(leaf: Near, node: int, run: int, time: int) -> Check:
+    if leaf.stays is None:  # of a topic without tables: it has no rows
+        return lambda values: None
+    holds = leaf.stays.holds
+    return lambda values: holds(values[node], values[run], values[time])
 
 
 def _related(sign: str, left: Optional[Get], right: Optional[Get]) -> Check:

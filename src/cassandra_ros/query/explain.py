@@ -18,6 +18,7 @@ from cassandra_ros.query.syntax import (
     Expression,
     IsNull,
     Leaf,
+    Near,
     Negation,
     Path,
     Quantified,
@@ -66,6 +67,8 @@ class Explanation:
     """Messages in blocks that were not read, in the buckets that were, as the directory counts."""
     counted: bool = False
     """The directory of buckets knew the answer; no row was read."""
+    stretches: Optional[int] = None
+    """Stretches of time that NEAR left; None: it leaves all of them, or is not asked."""
 
     def __repr__(self) -> str:
         read = self.indexed + self.filtered + self.whole
@@ -79,6 +82,7 @@ class Explanation:
             f"blocks:        {self.blocks} of {self.unpacked} messages unpacked, of which "
             f"{self.sifted} were sifted out; not read: those of {self.unread} messages"
         ]
+        near = [f"near:          read in {self.stretches} stretches of time"]
         ways = [f"{count} {how}" for how, count in counts.items() if count]
         return "\n".join(
             [
@@ -88,6 +92,7 @@ class Explanation:
                 *(blocks if self.blocks or self.unread else ()),
                 f"server:        {'; '.join(self.server) or 'checks nothing'}",
                 f"client alone:  {'; '.join(self.client) or 'nothing'}",
+                *(near if self.stretches is not None else ()),
                 f"rows read:     {self.rows_read}" + ", the directory counts" * self.counted,
                 f"rows returned: {self.rows_returned}",
             ]
@@ -119,6 +124,7 @@ def explain(result: QueryResult, source: Source[Row]) -> Explanation:
         sifted=pushed.unpacked - pushed.kept,
         unread=max(0, pushed.held - pushed.unpacked),
         counted=result.counted,
+        stretches=result.stretches if result.bounded_by_place else None,
     )
 
 
@@ -141,7 +147,7 @@ def _shown(condition: Expression) -> str:
 
 
 def _leaf(leaf: Leaf) -> str:
-    if isinstance(leaf, (Relate, Quantified)):
+    if isinstance(leaf, (Relate, Quantified, Near)):
         return leaf.text
     if isinstance(leaf, IsNull):
         return f"{leaf.operand.text} IS NULL"

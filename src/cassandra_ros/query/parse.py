@@ -55,7 +55,7 @@ _WORDS = {
 }
 _KEPT_KEYWORDS = {"ASC", "DESC", "NOT", "LIKE", "CONTAINS"}
 """Those that the grammar leaves in the tree; the names of the others begin with '_'."""
-_UNSAID = {"QUOTED", "_END", "FUNCTION", "TRUE", "FALSE"}
+_UNSAID = {"QUOTED", "_END", "FUNCTION", "NEAR", "TRUE", "FALSE"}
 _NEVER_CHANGED = (
     "messages are never changed: addData and the recorder store new ones, DELETE removes them"
 )

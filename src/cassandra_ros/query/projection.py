@@ -25,6 +25,8 @@ _log = logging.getLogger(__name__)
 
 ResultRow = Tuple[Any, ...]
 """A value for each column of the result."""
+Own = Tuple[Union[int, str], str, str, int]
+"""KEY, NODE and RUN of a row, and its time."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Projection:
     width: int
     """How many values a row has."""
     runs: bool = False
-    """RUN is named; else its value is ''."""
+    """RUN is needed; else its value is ''."""
     shown: tuple[tuple[Optional[int], Optional[Get]], ...] = ()
     """For each column of the result its place (None: missing here), and how to show a value."""
     checked: frozenset[int] = frozenset()
@@ -115,9 +117,10 @@ class Projection:
             stored=self.stored,
         )
 
-    def own(self, row: Row) -> tuple[Union[int, str], str, str]:
+    def own(self, row: Row) -> Own:
         """Return the values of a row that are of no field."""
-        return (row.name if self.named else row.t, row.node, row.run if self.runs else "")
+        t = row.t
+        return (row.name if self.named else t, row.node, row.run if self.runs else "", t)
 
     def values(self, row: Row) -> Sequence[Values]:
         """Return the values of a row, once or for each unnested element; None = missing."""

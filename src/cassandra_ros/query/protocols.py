@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import FrozenSet, Mapping, Optional, Protocol, Sequence
+from typing import FrozenSet, Iterator, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,50 @@ class Runs(Protocol):
 
     def called(self, text: str) -> FrozenSet[int]:
         """Return those whose RUN is this text."""
+
+
+class Disk(NamedTuple):
+    """A spot on the ground, and whose place is asked for."""
+
+    x: float
+    y: float
+    radius: float
+    """All three in metres, the rim included."""
+    frame: str = "map"
+    """The frame of x and y."""
+    robot: str = ""
+    """Its frame, or a topic of its poses; '' = to be found out."""
+
+
+class Stays(Protocol):
+    """When robots were where a question asks for."""
+
+    def holds(self, node: str, run: str, t: int) -> Optional[bool]:
+        """Say whether the robot of a message was there; None where nobody knows.
+
+        Args:
+            node: nodeID of the message.
+            run: What RUN says of it.
+            t: The time under which it lies, ns.
+        """
+
+    def spans(self, low: int, high: int, reverse: bool = False) -> Iterator[Tuple[int, int]]:
+        """Yield stretches of time outside of which ``holds`` is never true.
+
+        In order, or the newest first, apart from one another, both ends included, ns, all of them
+        in [low, high]. They are found while they are taken.
+        """
+
+
+class Places(Protocol):
+    """Where the robots of a keyspace were."""
+
+    def stays(self, disk: Disk, node: Optional[str] = None) -> Stays:
+        """Say when robots were on a disk; of one node, None = of all.
+
+        Raises:
+            InvalidOption: No pose in its frame is stored, or several robots may be meant.
+        """
 
 
 class Group(Protocol):
@@ -67,6 +111,10 @@ class Table(Protocol):
     @property
     def runs(self) -> Runs:
         """Those of its keyspace."""
+
+    @property
+    def places(self) -> Places:
+        """Where its keyspace's robots were."""
 
     @property
     def by_field(self) -> bool:

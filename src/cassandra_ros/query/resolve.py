@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a statement names, in one table: where each value stands, of which kind it is.
 
-The values of a row are KEY, NODE and RUN, those of the fields that are named, and behind them what
-is computed of these.
+The values of a row are KEY, NODE, RUN and its time (which KEY is not where it is a name), those of
+the fields that are named, and behind them what is computed of these.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from cassandra_ros.query.syntax import (
     Aggregate,
     Call,
     Compare,
+    Comparison,
     Expression,
     KeyOperand,
-    Leaf,
     Literal,
     NodeOperand,
     Operand,
@@ -60,8 +60,8 @@ from cassandra_ros.query.syntax import (
     wants_array,
 )
 
-KEY_PLACE, NODE_PLACE, RUN_PLACE = 0, 1, 2
-OWN_WIDTH = 3
+KEY_PLACE, NODE_PLACE, RUN_PLACE, TIME_PLACE = 0, 1, 2, 3
+OWN_WIDTH = 4
 """So many values are of no field."""
 COUNTED = "int64"
 """Kind of a count: whatever is counted is not shown."""
@@ -101,7 +101,7 @@ class Names:
         self.unnested: list[Array] = []
         """The arrays of messages whose elements are named, outermost first."""
         self.runs = False
-        """RUN is named."""
+        """RUN is needed."""
 
     # ---------------------------------------------------------------- columns
 
@@ -216,7 +216,7 @@ class Names:
         check = compile_condition(expression, self)
         return frozenset(self._used), check
 
-    def locate(self, leaf: Leaf) -> Optional[int]:
+    def locate(self, leaf: Comparison) -> Optional[int]:
         """Return the place of a comparison's operand; None where the table lacks it."""
         found = self._output(leaf.operand, wants_array(leaf))
         if found is None:
@@ -224,7 +224,12 @@ class Names:
         self._used.add(found.place)
         return found.place
 
-    def compute(self, leaf: Leaf) -> Sequence[Optional[Get]]:
+    def whereabouts(self) -> Tuple[int, int, int]:
+        """Return the places of what tells where a row's robot was: node, run and time."""
+        self.runs = True
+        return NODE_PLACE, RUN_PLACE, TIME_PLACE
+
+    def compute(self, leaf: Comparison) -> Sequence[Optional[Get]]:
         """Return what computes the terms of a comparison, but for an array's; None: missing."""
         if isinstance(leaf, Quantified):
             return self._tests(leaf)
@@ -274,12 +279,12 @@ class Names:
             reason = f"{problem.reason}; text stands in quotes: '{other.text}'"
             self._findings.wrong[other.position] = StatementError(problem.position, reason)
 
-    def fit(self, leaf: Leaf, literal: Literal) -> Optional[Comparable]:
+    def fit(self, leaf: Comparison, literal: Literal) -> Optional[Comparable]:
         """Fit a literal to its operand; None where they cannot be compared here."""
         found = self._output(leaf.operand, wants_array(leaf))
         return None if found is None else self._fitted(leaf, found, literal)
 
-    def _fitted(self, leaf: Leaf, found: Output, literal: Literal) -> Optional[Comparable]:
+    def _fitted(self, leaf: Comparison, found: Output, literal: Literal) -> Optional[Comparable]:
         try:
             fitted = _fitted(found, leaf, literal)
         except StatementError as exc:
@@ -334,7 +339,7 @@ class Names:
         return place
 
 
-def _fitted(found: Output, leaf: Leaf, literal: Literal) -> Comparable:
+def _fitted(found: Output, leaf: Comparison, literal: Literal) -> Comparable:
     operand, sign = leaf.operand, leaf.operator if isinstance(leaf, Compare) else ""
     if sign == "CONTAINS" and found.ref is None:
         reason = f"{operand.text} is not an array; compare it with ="

@@ -1,45 +1,28 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Run a statement, or a condition by itself, over the stored rows of a source.
-
-Of any condition the store can check the span of KEY, NODE and RUN: its bounds. Only conjuncts are
-used for them, so they may be weaker than the condition and are never stronger.
-"""
+"""Run a statement, or a condition by itself, over the stored rows of a source."""
 
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from itertools import chain, islice
 from typing import Callable, Generator, Iterable, Iterator, NamedTuple, Optional, Sequence, Union
 
-from cassandra_ros.arguments import check_node
-from cassandra_ros.errors import InvalidKey, InvalidName, InvalidQuery
+from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import MAX_NS, Position, decode_cursor, encode_cursor, is_behind
-from cassandra_ros.messages.stamps import SECONDS_BELOW, Stamp, is_time, iso_time, to_ns
+from cassandra_ros.messages.stamps import Stamp, is_time, iso_time, to_ns
+from cassandra_ros.query.bounds import Bounds, bounds_of, meant_as_seconds
 from cassandra_ros.query.gathered import gather
-from cassandra_ros.query.literals import fit_to_text, fit_to_time
+from cassandra_ros.query.nearby import Span, located, spans_of
 from cassandra_ros.query.parse import parse_condition
 from cassandra_ros.query.projection import Projections, ResultRow
-from cassandra_ros.query.protocols import Row, Runs, Table
+from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.pushdown import Pushdown, Watch, unwatched
 from cassandra_ros.query.settle import settle
 from cassandra_ros.query.source import Columns, RowT_co, Source, Writers
-from cassandra_ros.query.syntax import (
-    Compare,
-    Delete,
-    Expression,
-    KeyOperand,
-    Literal,
-    NodeOperand,
-    OneOf,
-    RunOperand,
-    Select,
-    StatementError,
-    conjuncts,
-    given,
-    leaves,
-)
+from cassandra_ros.query.syntax import Delete, Select
 from cassandra_ros.shown import MOST_ROWS, html_table
 
 _log = logging.getLogger(__name__)
@@ -47,104 +30,6 @@ _log = logging.getLogger(__name__)
 Cursor = Union[str, Position, None]
 _Rows = Generator[ResultRow, None, None]
 _MAX_DIGITS = 18
-_ORDERED = ("<", "<=", ">", ">=")
-
-
-@dataclass(frozen=True)
-class Bounds:
-    """Rows outside of these cannot match."""
-
-    low: int = 0
-    """Least KEY, included, ns."""
-    high: int = MAX_NS
-    """Greatest KEY, included, ns."""
-    node: Optional[str] = None
-    """The one nodeID, None = all."""
-    writers: Writers = None
-    name: Optional[str] = None
-    """The one name, None = all; only where messages are kept under names."""
-    empty: bool = False
-    """No row can match."""
-    whole: bool = True
-    """The bounds are the whole condition: every row inside matches."""
-
-    def within(self, low: Optional[int], high: Optional[int], node: Optional[str] = None) -> Bounds:
-        """Narrow the bounds further."""
-        low = self.low if low is None else max(self.low, low)
-        high = self.high if high is None else min(self.high, high)
-        clash = None not in (node, self.node) and node != self.node
-        empty = self.empty or clash or low > high
-        node = self.node if node is None else node
-        return replace(self, low=low, high=high, node=node, empty=empty)
-
-    def written(self, writers: Writers) -> Bounds:
-        """Narrow the bounds to messages of some writers."""
-        if writers is not None and self.writers is not None:
-            writers = writers & self.writers
-        writers = self.writers if writers is None else writers
-        return replace(self, writers=writers, empty=self.empty or writers == frozenset())
-
-
-def bounds_of(
-    select: Select,
-    node: Optional[str] = None,
-    named: bool = False,
-    writers: Writers = None,
-    runs: Optional[Runs] = None,
-) -> Bounds:
-    """Find the bounds of a statement, for messages of a node and some writers, named or not.
-
-    RUN bounds nothing where nobody knows the runs.
-
-    Raises:
-        InvalidQuery: KEY, NODE or RUN is compared with what it cannot be.
-    """
-    bounds = Bounds(node=node).written(writers)
-    try:
-        for part in conjuncts(select.condition):
-            bounds = _narrowed(bounds, part, named, runs)
-        for leaf in leaves(select.condition) if named else ():
-            ordered = isinstance(leaf, Compare) and leaf.operator in _ORDERED
-            if ordered and isinstance(leaf.operand, KeyOperand):
-                reason = "is a name here, and names have no order; compare it with =, IN or LIKE"
-                raise StatementError(leaf.operand.position, f"KEY {reason}")
-    except StatementError as exc:
-        raise InvalidQuery(select.text, exc.position, exc.reason) from None
-    return bounds
-
-
-def meant_as_seconds(condition: Optional[Expression]) -> Iterator[Literal]:
-    """Yield what KEY is compared with and looks like seconds: integers are ns."""
-    keys = (leaf for leaf in leaves(condition) if isinstance(leaf.operand, KeyOperand))
-    for literal in chain.from_iterable(map(given, keys)):
-        if type(literal.value) is int and 0 < literal.value < SECONDS_BELOW:
-            yield literal
-
-
-def _narrowed(bounds: Bounds, part: Expression, named: bool, runs: Optional[Runs]) -> Bounds:
-    if isinstance(part, Compare) and isinstance(part.operand, RunOperand) and part.operator == "=":
-        if runs is not None:
-            return bounds.written(runs.called(fit_to_text(part.value, "RUN")))
-    if isinstance(part, Compare) and isinstance(part.operand, NodeOperand) and part.operator == "=":
-        try:
-            return bounds.within(None, None, check_node(fit_to_text(part.value, "NODE")))
-        except InvalidName:
-            return replace(bounds, empty=True)  # no message can be of such a node
-    if isinstance(part, Compare) and isinstance(part.operand, KeyOperand):
-        if named and part.operator == "=":
-            name = fit_to_text(part.value, "KEY")
-            clash = bounds.name not in (None, name)
-            return replace(bounds, name=name, empty=bounds.empty or clash)
-        if not named and part.operator in ("=", *_ORDERED):
-            ns = fit_to_time(part.value)
-            low = {"=": ns, ">=": ns, ">": ns + 1}.get(part.operator)
-            high = {"=": ns, "<=": ns, "<": ns - 1}.get(part.operator)
-            return bounds.within(low, high)
-    if isinstance(part, OneOf) and isinstance(part.operand, KeyOperand) and not named:
-        times = list(map(fit_to_time, part.values))
-        if times:
-            bounds = bounds.within(min(times), max(times))
-    return replace(bounds, whole=False)
 
 
 def bounded_rows(
@@ -160,20 +45,25 @@ def bounded_rows(
     """Walk through the rows of a topic inside of bounds; see Source.rows."""
     if bounds.empty:
         return iter(())
+    node, run = bounds.node, bounds.writers
     if bounds.name is None:
-        return source.rows(
-            bounds.low,
-            bounds.high,
-            nodeID=bounds.node,
-            limit=limit,
+        read = partial(
+            source.rows,
+            nodeID=node,
             after=after,
             reverse=reverse,
             columns=columns,
             chooser=chooser,
-            run=bounds.writers,
+            run=run,
             wanted=wanted,
         )
-    node, run = bounds.node, bounds.writers
+        low, high, spans = bounds.low, bounds.high, bounds.spans
+        if spans is None:
+            return read(low, high, limit=limit)
+        if after is not None:
+            low, high = (low, min(high, after.t)) if reverse else (max(low, after.t), high)
+        parts = (read(*span) for span in spans(low, high, reverse))
+        return islice(chain.from_iterable(parts), limit)
     try:
         every = source.versions(bounds.name, nodeID=node, reverse=reverse, run=run)
     except InvalidKey:
@@ -233,7 +123,7 @@ class Condition:
             InvalidQuery: The condition names a field that no definition of the topic has, or
                 compares one with a value of another kind.
         """
-        return Projections(self._select, tables).hit
+        return Projections(located(self._select, tables, self._node), tables).hit
 
     def rows(
         self,
@@ -252,9 +142,11 @@ class Condition:
             wanted: How many are probably taken; None = all.
         """
         tables = source.tables
-        projections = Projections(self._select, tables)
         bounds = self.bounds(tables).within(key, to_key)
-        columns, chooser = projections.columns if bare else None, Pushdown(self._select.condition)
+        select = located(self._select, tables, bounds.node)
+        projections = Projections(select, tables)
+        bounds = replace(bounds, spans=spans_of(select.condition))
+        columns, chooser = projections.columns if bare else None, Pushdown(select.condition)
         rows = bounded_rows(source, bounds, columns, chooser, after, reverse, wanted=wanted)
         return filter(projections.hit, rows)
 
@@ -317,6 +209,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         select: The statement.
         pushdown: What the server checks of it.
         read: How many rows have come from the server.
+        stretches: How many stretches of time NEAR has left so far.
         counted: The directory knew the answer.
 
     Raises:
@@ -341,7 +234,11 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         self._source, self._watch = source, watch
         named = any(table.named for table in tables)
         runs = next((table.runs for table in tables), None)
-        self._bounds = bounds = bounds_of(select, node, named, run, runs)
+        bounds = bounds_of(select, node, named, run, runs)
+        self.select = select = located(select, tables, bounds.node)
+        self._spans, self.stretches = spans_of(select.condition), 0
+        spans = None if self._spans is None else self._counted_spans
+        self._bounds = bounds = replace(bounds, spans=spans)
         for found in () if named else meant_as_seconds(select.condition):
             _log.warning(
                 "KEY is compared with %(ns)d, which means nanoseconds since 1970; did you mean "
@@ -372,6 +269,11 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
 
     def __repr__(self) -> str:
         return f"<QueryResult of {self.select.text!r}: rows of {', '.join(self.columns)}>"
+
+    @property
+    def bounded_by_place(self) -> bool:
+        """Whether NEAR leaves only some stretches of time."""
+        return self._spans is not None
 
     @property
     def cursor(self) -> str:
@@ -450,6 +352,12 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             self.read += 1
             self._watch()
             yield row
+
+    def _counted_spans(self, low: int, high: int, reverse: bool) -> Iterator[Span]:
+        for span in () if self._spans is None else self._spans(low, high, reverse):
+            self.stretches += 1
+            self._watch()
+            yield span
 
     def _gathered(self, given: int) -> _Rows:
         """Yield rows that are made of several, behind so many that were given before."""

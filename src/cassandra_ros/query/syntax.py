@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Iterator, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.query.protocols import Stays
 
 
 @dataclass(eq=False)
@@ -295,6 +296,21 @@ class IsNull:
 
 
 @dataclass(frozen=True)
+class Near:
+    """``NEAR(x, y, radius, 'frame', 'robot')``: where the robot was when a message came."""
+
+    values: tuple[Literal, ...]
+    position: int
+    stays: Optional[Stays] = field(default=None, compare=False)
+    """When it was there; None until somebody who knows says so."""
+
+    @property
+    def text(self) -> str:
+        """The condition as a statement has it."""
+        return f"NEAR({', '.join(value.text for value in self.values)})"
+
+
+@dataclass(frozen=True)
 class All:
     """Conditions joined by AND."""
 
@@ -315,8 +331,10 @@ class Negation:
     item: Expression
 
 
-Leaf = Union[Compare, OneOf, IsNull, Relate, Quantified]
-LEAVES = (Compare, OneOf, IsNull, Relate, Quantified)
+Comparison = Union[Compare, OneOf, IsNull, Relate, Quantified]
+"""What has an operand."""
+Leaf = Union[Comparison, Near]
+LEAVES = (Compare, OneOf, IsNull, Relate, Quantified, Near)
 Expression = Union[Leaf, All, Either, Negation]
 
 
@@ -336,6 +354,8 @@ def given(leaf: Leaf) -> tuple[Literal, ...]:
 
 def terms_of(leaf: Leaf) -> tuple[Term, ...]:
     """Return all that stands in a comparison."""
+    if isinstance(leaf, Near):
+        return leaf.values
     if isinstance(leaf, Relate):
         return (leaf.operand, leaf.other)
     tests = leaf.tests if isinstance(leaf, Quantified) else ()
@@ -351,7 +371,7 @@ def leaves(expression: Optional[Expression]) -> Iterator[Leaf]:
             yield from leaves(part)
 
 
-def wants_array(leaf: Leaf) -> Optional[bool]:
+def wants_array(leaf: Comparison) -> Optional[bool]:
     """Say whether a comparison's operand is an array as a whole; None = either."""
     if isinstance(leaf, IsNull):
         return None
