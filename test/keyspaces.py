@@ -20,6 +20,8 @@ KEYS = {
     "cr_loss": ("topic",),
     "cr_context": ("writer",),
     "cr_sent": ("writer", "node"),
+    "cr_place": ("frame", "robot", "size", "x", "y"),
+    "cr_placed": ("tbl",),
     "cr_lock": ("name",),
 }
 """Partition keys of the side tables."""

@@ -77,6 +77,17 @@ LATER_TABLES = {
     "cr_sent": (
         "writer bigint, node text, stripe bigint, sent blob, PRIMARY KEY ((writer, node), stripe)"
     ),
+    # When robots were in which squares of the ground, and of which of their poses that is noted;
+    # see store/place_index.py.
+    "cr_place": (
+        "frame text, robot text, size int, x int, y int, node text, t_in bigint, writer bigint, "
+        "t_out bigint, PRIMARY KEY ((frame, robot, size, x, y), node, t_in, writer)"
+    ),
+    "cr_placed": (
+        "tbl text, node text, writer bigint, robot text, low bigint, high bigint, "
+        "frames frozen<set<text>>, above frozen<map<text, text>>, "
+        "PRIMARY KEY ((tbl), node, writer, robot)"
+    ),
 }
 _COMMENT = "cassandra_ros side table, schema version 1"
 
@@ -210,6 +221,24 @@ class SideTables:
         marks = ", ".join(["?"] * len(columns) + ["toTimestamp(now())"] * len(now))
         cql = f"INSERT INTO {self.qualified(table)} ({names}) VALUES ({marks}) USING TTL ?"
         self._run(cql, (*columns.values(), ttl), what)
+
+    def insert_many(
+        self, table: str, names: Sequence[str], rows: Sequence[CqlRow], what: str, *, ttl: int = 0
+    ) -> None:
+        """Write rows with these columns, for ttl seconds, 0 = ever."""
+        marks = ", ".join("?" for _ in names)
+        cql = f"INSERT INTO {self.qualified(table)} ({', '.join(names)}) VALUES ({marks}) USING TTL ?"
+        values = [(*row, ttl) for row in rows]
+        self._cassandra.execute_many(cql, values, what=what, retry_sec=self.retry_sec)
+
+    def select_many(
+        self, table: str, names: str, where: str, params: Sequence[CqlRow], what: str
+    ) -> list[list[CqlRow]]:
+        """Read columns of the rows for which a condition holds, with each of some parameters."""
+        if not self.has(table):
+            return []
+        cql = f"SELECT {names} FROM {self.qualified(table)} WHERE {where}"
+        return self._cassandra.execute_many(cql, params, what=what, retry_sec=self.retry_sec)
 
     def delete(self, table: str, key: Sequence[str], values: Sequence[CqlRow], what: str) -> None:
         """Delete the rows in which the columns of a key have one of some values."""

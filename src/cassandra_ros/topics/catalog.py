@@ -28,6 +28,7 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.graph import topic_type
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.places.whereabouts import Whereabouts
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.convert import Converted, convert_topic
@@ -37,6 +38,7 @@ from cassandra_ros.topics.indexes import check_unnamed, no_index_in_blocks
 from cassandra_ros.topics.keyspace import Keyspace, Wish, check_packed
 from cassandra_ros.topics.runs import RunName
 from cassandra_ros.topics.selection import EVERYBODY, Clock, Stretch, Whose, spellings
+from cassandra_ros.topics.stored_places import StoredPlaces
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -58,6 +60,8 @@ class Catalog:
         self.adder = Adder(keyspace, clock)
         self._pending: dict[str, Wish] = {}
         self._mutex = threading.Lock()
+        self.places = Whereabouts(StoredPlaces(self), keyspace.place_index)
+        keyspace.tables.places = self.places
 
     def add(self, wanted: TopicMetadata, msg_type: Optional[str]) -> CassandraTopic:
         """Make a topic, or find it; see RosCassandra.addTopic. Format '' = as it is stored."""
@@ -146,6 +150,7 @@ class Catalog:
         for table in space.schema.drop_topic(name, renew=renew):
             space.directory.forget(table)
             space.registry.forget(table)
+            space.place_index.forget(table)
         space.registry.forget_losses(name)
         if not renew:
             with self._mutex:

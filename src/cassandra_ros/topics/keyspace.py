@@ -40,6 +40,7 @@ from cassandra_ros.store.directory import (
     limit_for_ttl,
 )
 from cassandra_ros.store.index.changes import IndexChanges
+from cassandra_ros.store.place_index import PlaceIndex
 from cassandra_ros.store.registry import Registry
 from cassandra_ros.store.schema import Planned, Planner, Schema
 from cassandra_ros.store.side_tables import SideTables
@@ -68,6 +69,7 @@ class Keyspace:
         self.indexes = IndexChanges(self.schema)
         self.directory = Directory(cassandra, self.side_tables)
         self.registry = Registry(self.side_tables)
+        self.place_index = PlaceIndex(self.side_tables)
         self.connections = ConnectionCache(self.registry)
         self.runs = Runs(name, self.registry, self._has_written)
         self.tables = TopicTables(cassandra, self.schema, self.connections, self.runs)

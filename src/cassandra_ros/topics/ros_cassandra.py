@@ -25,6 +25,7 @@ from cassandra_ros.topics.descriptions import Infos, RunList
 from cassandra_ros.topics.keyspace import Keyspace, wished_topic, with_key
 from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
+from cassandra_ros.topics.near import near_rows
 from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.runs import RunName
 from cassandra_ros.topics.selection import Clock, Stretch
@@ -325,6 +326,32 @@ class RosCassandra:
         filters, whose = space.filters(where, names, nodeID, run), space.whose(nodeID, run)
         stretch = space.stretch(names, key, to_key)
         return space.merged(space.tables(names), filters, stretch, whose, received)
+
+    def near(
+        self,
+        x: float,
+        y: float,
+        radius: float,
+        frame: str = "map",
+        topics: Optional[Iterable[str]] = None,
+        key: Optional[Time] = None,
+        to_key: Optional[Time] = None,
+        *,
+        robot: str = "",
+        nodeID: Optional[str] = None,
+        where: Conditions = None,
+        run: RunName = None,
+    ) -> Iterator[StoredRow]:
+        """Walk lazily through the rows of topics whose robot was near a place then.
+
+        Args:
+            x, y, radius: In the frame, metres; the rim is included.
+            robot: Its frame in tf, or a topic of its poses; '' = found out, see doc/query.md.
+            topics, key, to_key, nodeID, where, run: As of readMessages; errors, too, and
+                InvalidOption where no pose tells it, or several robots may be meant.
+        """
+        disk, ends = (x, y, radius, frame, robot), (key, to_key)
+        return near_rows(self._open, disk, topics, ends, nodeID, run, where)
 
     def nearestMessages(
         self,

@@ -11,7 +11,7 @@ from functools import lru_cache, partial
 from itertools import repeat
 from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
-from cassandra_ros.errors import CorruptMessage, DefinitionError, InvalidName
+from cassandra_ros.errors import CorruptMessage, DefinitionError, InvalidName, InvalidOption
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.keys import MAX_NS
@@ -22,6 +22,7 @@ from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.wire.zones import zone_map
 from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.query.protocols import Places as RobotPlaces
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.raw_page import Places
 from cassandra_ros.store.row_table import Indexed, NewRow, RowTable, Shadows, Zones, encode_long
@@ -80,6 +81,7 @@ class TopicTable(RowTable):
         self.by_field = self.format.BY_FIELD
         self.connections = connections
         self.runs = runs
+        self.robots: Callable[[], RobotPlaces] = _unknown_robots
         self.message_class: Callable[[int], Any] = lru_cache(MAX_CLASSES)(self._message_class)
         """Return the class for a connection, by its number: installed, generated or RawMessage."""
         self._later = metadata.key_format == "time" and self.format.TOGETHER
@@ -96,6 +98,11 @@ class TopicTable(RowTable):
             fresh: Up to now.
         """
         return None if self.heirs is None else self.heirs(self.name, fresh)
+
+    @property
+    def places(self) -> RobotPlaces:
+        """Where its keyspace's robots were."""
+        return self.robots()
 
     @property
     def index_fields(self) -> dict[str, IndexField]:
@@ -233,6 +240,8 @@ class TopicTables:
         self._known = connections, runs
         self._made: dict[str, TopicTable] = {}
         self._mutex = threading.Lock()
+        self.places: Optional[RobotPlaces] = None
+        """Set by who knows the topics of the keyspace."""
 
     def get(self, name: str, metadata: TopicMetadata) -> TopicTable:
         """Return the object of a table; its metadata follow the comment."""
@@ -241,9 +250,12 @@ class TopicTables:
             if table is None:
                 where = self._cassandra, self._schema.keyspace
                 table = self._made[name] = TopicTable(*where, name, metadata, *self._known)
-                table.heirs = self._heir
+                table.heirs, table.robots = self._heir, self._robots
             table.metadata = metadata
             return table
+
+    def _robots(self) -> RobotPlaces:
+        return _unknown_robots() if self.places is None else self.places
 
     def by_name(self, name: str) -> Optional[TopicTable]:
         """Return a table by its name, or None where there is none of this name now."""
@@ -266,6 +278,10 @@ class TopicTables:
         """List the tables of a topic: one for each md5 and format."""
         tables = sorted(self._schema.tables().items())
         return [self.get(name, m) for name, m in tables if m.topic == topic]
+
+
+def _unknown_robots() -> RobotPlaces:
+    raise InvalidOption("of a table alone nobody knows where its robots were: ask a RosCassandra")
 
 
 def _digest(part: KeyPart, wire: bytes) -> tuple[Optional[bytes], bool]:

@@ -14,12 +14,13 @@ from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.checking import CheckReport, check_store
 from cassandra_ros.topics.copying import Progress
 from cassandra_ros.topics.deletion import delete_messages
+from cassandra_ros.topics.place_indexing import PlacesOfRun, index_places, places_of_runs
 from cassandra_ros.topics.retention import Retained, Rules, retain
 from cassandra_ros.topics.runs import RunName
 
 
 class Upkeep:
-    """Deletes messages, thins what is old, reads everything back and mends it.
+    """Deletes messages, thins what is old, reads everything back, mends it, notes places.
 
     Got as ``rosCas.upkeep``; it works in the keyspace that was connected then.
     """
@@ -77,6 +78,33 @@ class Upkeep:
         names = check_topics(topics)
         stretch = self._catalog.stretch(names, key, to_key)
         return check_store(self._catalog, names, stretch, repair, progress)
+
+    def indexPlaces(
+        self,
+        *,
+        nodeID: Optional[str] = None,
+        run: RunName = None,
+        progress: Progress = None,
+    ) -> List[PlacesOfRun]:
+        """Note where the robots of runs were, so that NEAR reads only poses around a place.
+
+        Recorders note it themselves; this is for imports, and for what was recorded without. What
+        is noted already stays; runs that still go on, and interrupted imports, are left out.
+
+        Args:
+            nodeID, run: Of one node, of a run by its name or writer id; None = of all.
+            progress: Called with how many seconds of how many of a run were gone through.
+
+        Raises:
+            RunNotFound, InvalidName.
+        """
+        return index_places(self._catalog, nodeID, run, progress)
+
+    def placesIndex(
+        self, *, nodeID: Optional[str] = None, run: RunName = None
+    ) -> List[PlacesOfRun]:
+        """Say of runs whether their poses are noted in the index of places; see indexPlaces."""
+        return places_of_runs(self._catalog, nodeID, run)
 
     def retain(
         self,

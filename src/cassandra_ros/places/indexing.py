@@ -1,0 +1,239 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The index of places: which coarse cells robots were in, noted run by run.
+
+A recorder notes it while it records, from the poses that it hands to the store; of other runs it is
+made afterwards, from what is stored. Both go the same way: along each robot's path, in each frame
+above it, every cell that it touches is noted with the time. Poses of several runs at the same time
+are left to whoever asks.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from functools import partial
+from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
+
+from cassandra_ros.errors import TopicNotFound
+from cassandra_ros.keys import MAX_NS, SECOND_NS
+from cassandra_ros.places.cells import OpenVisits
+from cassandra_ros.places.frames import TF, TF_STATIC, Chain, Frames
+from cassandra_ros.places.paths import LONGEST_GAP_NS, Path, merged
+from cassandra_ros.places.pose_topic import PoseTopic, tells_poses
+from cassandra_ros.places.poses import MAX_SPAN_NS, Poses
+from cassandra_ros.places.robots import MOST_FRAMES, fixed_frames, frames_above, seen_in
+from cassandra_ros.places.samples import Samples
+from cassandra_ros.places.sources import ArraySource, Find
+from cassandra_ros.places.stored import Extent, Stored
+from cassandra_ros.store.place_index import Placed, PlaceIndex, Square, Visited
+
+MOST_ABOVE = 16
+"""In so many frames above a robot its places are noted."""
+_WINDOW_SEC = MAX_SPAN_NS // SECOND_NS
+_KEPT = 4
+"""Stretches of transforms that are kept, for all frames above all robots."""
+
+
+class Whose(NamedTuple):
+    """The run whose poses are noted."""
+
+    node: str
+    writer: int
+
+
+class _Remembering(Frames):
+    """Transforms of which several chains read the same stretches."""
+
+    def __init__(self, find: Find, node: str) -> None:
+        super().__init__(find, node)
+        self._read: OrderedDict[Tuple[int, int], Samples] = OrderedDict()
+
+    def read(self, low: int, high: int) -> Samples:
+        """Read the moving transforms with a row key in [low, high], ns."""
+        if (low, high) not in self._read:
+            self._read[low, high] = super().read(low, high)
+            if len(self._read) > _KEPT:
+                self._read.popitem(last=False)
+        return self._read[low, high]
+
+
+class _Way:
+    """One robot in one frame, whose cells are noted part by part."""
+
+    def __init__(self, poses: Poses, frame: str, robot: str) -> None:
+        self._poses = poses
+        self._at = (frame, robot)
+        self._open = OpenVisits()
+
+    def go_on(self, whose: Whose, low: int, high: int) -> Iterator[Visited]:
+        """Yield the visits of what was recorded in [low, high], ns, and of the way to it."""
+        path = Path.of(self._poses.tracks(low - LONGEST_GAP_NS, high))
+        for visit in self._open.go_on(path):
+            square = Square(*self._at, *visit.cell)
+            yield Visited(square, whose.node, visit.low, whose.writer, visit.high)
+
+
+class TfNotes:
+    """Notes the robots that tf tells of, for one run.
+
+    Args:
+        find: Returns a topic by its name; TopicNotFound where neither tf topic is there.
+    """
+
+    def __init__(self, find: Find, whose: Whose) -> None:
+        self._whose = whose
+        self._frames = _Remembering(find, whose.node)
+        self._ways: Dict[Tuple[str, str], _Way] = {}
+        self._robots: Set[str] = set()
+        self._seen: Set[str] = set()
+
+    def go_on(self, low: int, high: int) -> Iterator[Visited]:
+        """Yield the visits of what was received in [low, high], ns; it follows the last stretch."""
+        samples = self._frames.read(low, high)
+        seen = seen_in(self._frames, [samples])
+        self._seen.update(sorted(seen.frames)[: max(0, MOST_FRAMES - len(self._seen))])
+        self._robots.update(seen.robots)
+        for robot in sorted(self._robots):
+            for frame in frames_above(self._frames, samples, robot)[:MOST_ABOVE]:
+                if frame != robot:
+                    if (robot, frame) not in self._ways:
+                        poses = Poses(Chain(self._frames, robot, frame))
+                        self._ways[robot, frame] = _Way(poses, frame, robot)
+                    yield from self._ways[robot, frame].go_on(self._whose, low, high)
+
+    def placed(self, table: str, low: int, high: int) -> List[Placed]:
+        """Return what is noted of the poses that lie in a table, keys in [low, high], ns."""
+        fixed = fixed_frames(self._frames)
+        return [
+            Placed(
+                table,
+                *self._whose,
+                robot,
+                low,
+                high,
+                frozenset(self._seen),
+                {name: fixed.get(name, "") for name in self._above(robot)},
+            )
+            for robot in sorted(self._robots)
+        ]
+
+    def _above(self, robot: str) -> List[str]:
+        return [robot, *(frame for name, frame in self._ways if name == robot)]
+
+
+class TopicNotes:
+    """Notes the robot that a topic of poses tells of, for one run; arguments as of TfNotes."""
+
+    def __init__(self, find: Find, topic: str, whose: Whose) -> None:
+        self._whose = whose
+        recording = PoseTopic(find, topic, whose.node)
+        self._frame = recording.frame
+        self._poses = Poses(recording)
+        self._ways: Dict[str, _Way] = {}
+
+    def go_on(self, table: str, low: int, high: int) -> Iterator[Visited]:
+        """Yield the visits of what was received in [low, high], ns; it follows the last stretch."""
+        if table not in self._ways:
+            self._ways[table] = _Way(self._poses, self._frame, table)
+        yield from self._ways[table].go_on(self._whose, low, high)
+
+    def placed(self, table: str, low: int, high: int) -> List[Placed]:
+        """Return what is noted of the poses that lie in a table, keys in [low, high], ns."""
+        frames = frozenset([self._frame])
+        return [Placed(table, *self._whose, table, low, high, frames, {self._frame: ""})]
+
+
+class Indexed(NamedTuple):
+    """What was noted of a run."""
+
+    poses_from: int
+    poses_to: int
+    """First and last key of its poses, ns."""
+    visits: int
+    """Of cells."""
+
+
+class RunIndex:
+    """Makes the index of one run that has ended, from what is stored.
+
+    Args:
+        stored: The keyspace.
+        index: Where it is noted.
+        ttl: How long it is kept, seconds; 0 = for ever.
+    """
+
+    def __init__(self, stored: Stored, index: PlaceIndex, whose: Whose, ttl: int = 0) -> None:
+        self._stored, self._index, self._whose, self._ttl = stored, index, whose, ttl
+
+    def make(self, progress: Optional[Callable[[int, int], None]] = None) -> Optional[Indexed]:
+        """Note all its poses; None where it has none. Again is harmless.
+
+        Args:
+            progress: Called with how many seconds of how many were gone through.
+        """
+        parts = [part for part in self._parts() if part.extents]
+        if not parts:
+            return None
+        every = [extent for part in parts for extent in part.extents]
+        total = sum(len(list(_windows(part.extents))) for part in parts)
+        done = visits = 0
+        for part in parts:
+            for low, high in _windows(part.extents):
+                found = list(part.go_on(low, high))
+                self._index.put(found, [], self._ttl)
+                done, visits = done + 1, visits + len(found)
+                if progress is not None:
+                    progress(done * _WINDOW_SEC, total * _WINDOW_SEC)
+            self._index.put([], part.placed(), self._ttl)
+        return Indexed(min(e.low for e in every), max(e.high for e in every), visits)
+
+    def _parts(self) -> Iterator[_Part]:
+        whose = self._whose
+        tf = [self._topic(name) for name in (TF, TF_STATIC)]
+        if tf[0] is not None:
+            notes = TfNotes(self._stored.find, whose)
+            yield _Part(self._extents(tf[0]), notes.go_on, notes.placed)
+        for topic in self._stored.topics():
+            if tells_poses(topic):
+                extents = self._extents(topic)
+                if extents:
+                    told = TopicNotes(self._stored.find, topic.name, whose)
+                    for table in sorted({extent.table for extent in extents}):
+                        own = [extent for extent in extents if extent.table == table]
+                        yield _Part(own, partial(told.go_on, table), told.placed)
+
+    def _topic(self, name: str) -> Optional[ArraySource]:
+        try:
+            return self._stored.find(name)
+        except TopicNotFound:
+            return None
+
+    def _extents(self, topic: ArraySource) -> List[Extent]:
+        node, writer = self._whose
+        every = self._stored.extents(topic, node, 0, MAX_NS)
+        return [extent for extent in every if extent.writer == writer]
+
+
+class _Part(NamedTuple):
+    """A topic whose poses are noted."""
+
+    extents: Sequence[Extent]
+    go_on: Callable[[int, int], Iterator[Visited]]
+    note: Callable[[str, int, int], List[Placed]]
+
+    def placed(self) -> Iterator[Placed]:
+        """Yield how far it is noted, by table."""
+        for table in sorted({extent.table for extent in self.extents}):
+            own = [extent for extent in self.extents if extent.table == table]
+            yield from self.note(table, min(e.low for e in own), max(e.high for e in own))
+
+
+def _windows(extents: Sequence[Extent]) -> Iterator[Tuple[int, int]]:
+    """Cut the time that extents cover into stretches of some minutes."""
+    last = -1
+    for low, high in merged(sorted((extent.low, extent.high) for extent in extents)):
+        for number in range(low // MAX_SPAN_NS, high // MAX_SPAN_NS + 1):
+            if number != last:
+                start = number * MAX_SPAN_NS
+                yield start, start + MAX_SPAN_NS - 1
+            last = number

@@ -1,0 +1,158 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The way that a robot went: straight from each recorded pose to the next one.
+
+Times are those at which poses were received, as the keys of the messages that are asked for: the
+two agree also where a bag was played again, whose stamps are of another day.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Iterable, Iterator, List, Optional, Sequence, Tuple
+
+import numpy as np
+
+from cassandra_ros.keys import MAX_NS, SECOND_NS
+from cassandra_ros.places.poses import LONGEST_GAP_SEC
+from cassandra_ros.places.regions import Lines, Region
+from cassandra_ros.places.rigid import Floats
+from cassandra_ros.places.samples import Times, Track
+
+LONGEST_GAP_NS = round(LONGEST_GAP_SEC * SECOND_NS)
+LONGEST_WAY_M = 40_000.0
+"""Between two poses that are further apart, east to west or south to north, no robot went."""
+AROUND_NS = 1_000_000
+"""So much longer than computed a stay is taken to be: its ends are rounded."""
+Span = Tuple[int, int]
+"""A stretch of time, ns, both ends included."""
+
+
+@dataclass(frozen=True)
+class Path:
+    """Where a robot was, and when."""
+
+    times: Times
+    """ns, ascending, each once."""
+    x: Floats
+    y: Floats
+    """Metres."""
+    gap: int = LONGEST_GAP_NS
+    """Between two poses that are further apart nobody knows where it was, ns."""
+
+    @classmethod
+    def of(cls, tracks: Iterable[Track]) -> Path:
+        """Join tracks that follow one another."""
+        found = list(tracks)
+        none = np.zeros(0)
+        times = [np.zeros(0, np.int64), *(track.times for track in found)]
+        x, y = ([none, *(getattr(track.poses, name) for track in found)] for name in ("x", "y"))
+        joined, first = np.unique(np.concatenate(times), return_index=True)
+        return cls(joined, np.concatenate(x)[first], np.concatenate(y)[first])
+
+    @classmethod
+    def still(cls, x: float, y: float) -> Path:
+        """Return that of what never moves."""
+        ends = np.array([0, MAX_NS], np.int64)
+        return cls(ends, np.array([x, x]), np.array([y, y]), MAX_NS)
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    @cached_property
+    def _listed(self) -> Tuple[List[int], List[float], List[float]]:
+        # One time is looked up in lists more quickly than in arrays.
+        return self.times.tolist(), self.x.tolist(), self.y.tolist()
+
+    def at(self, t: int) -> Optional[Tuple[float, float]]:
+        """Return where it was at a time, ns; None where nobody knows."""
+        times, x, y = self._listed
+        n = bisect_right(times, t) - 1
+        if n < 0:
+            return None
+        before = times[n]
+        if before == t:
+            return x[n], y[n]
+        if n + 1 == len(times) or times[n + 1] - before > self.gap:
+            return None
+        share = (t - before) / (times[n + 1] - before)
+        dx, dy = x[n + 1] - x[n], y[n + 1] - y[n]
+        if max(abs(dx), abs(dy)) > LONGEST_WAY_M:
+            return None
+        return x[n] + share * dx, y[n] + share * dy
+
+    @cached_property
+    def _joined(self) -> Times:
+        """The numbers of the poses from which a way leads to the next one."""
+        far = np.maximum(np.abs(np.diff(self.x)), np.abs(np.diff(self.y)))
+        joined: Times = np.flatnonzero((np.diff(self.times) <= self.gap) & (far <= LONGEST_WAY_M))
+        return joined
+
+    @property
+    def lines(self) -> Tuple[Times, Times, Lines]:
+        """The ways between two poses: when each begins and ends, and where it lies."""
+        n = self._joined
+        x, y = self.x[n], self.y[n]
+        lines = Lines(x, y, self.x[n + 1] - x, self.y[n + 1] - y)
+        return self.times[n], self.times[n + 1], lines
+
+    def stays(self, region: Region) -> Iterator[Span]:
+        """Yield the stretches of time in which it was in a region, or a little longer, in order."""
+        starts, ends, lines = self.lines
+        begun, ended = starts.tolist(), ends.tolist()
+        found: List[Span] = []
+        for n, first, last in region.shares(lines):
+            length = ended[n] - begun[n]
+            low, high = begun[n] + int(first * length), begun[n] + int(last * length)
+            found.append((low - AROUND_NS, high + AROUND_NS))
+        for n in self.alone.tolist():
+            if region.holds(float(self.x[n]), float(self.y[n])):
+                found.append((int(self.times[n]), int(self.times[n])))
+        return merged(sorted(found))
+
+    @property
+    def alone(self) -> Times:
+        """The numbers of the poses from which no way leads to another one, nor to them."""
+        alone = np.ones(len(self.times), bool)
+        alone[self._joined] = alone[self._joined + 1] = False
+        numbers: Times = np.flatnonzero(alone)
+        return numbers
+
+
+def merged(spans: Iterable[Span]) -> Iterator[Span]:
+    """Join stretches that overlap or touch; they come by their beginnings."""
+    current: Optional[Span] = None
+    for low, high in spans:
+        if current is not None and low <= current[1] + 1:
+            current = current[0], max(current[1], high)
+            continue
+        if current is not None:
+            yield current
+        current = low, high
+    if current is not None:
+        yield current
+
+
+def clipped(spans: Iterable[Span], low: int, high: int) -> Iterator[Span]:
+    """Cut stretches off where they leave [low, high]."""
+    for start, end in spans:
+        if start <= high and end >= low:
+            yield max(start, low), min(end, high)
+
+
+def without(spans: Sequence[Span], taken: Sequence[Span]) -> Iterator[Span]:
+    """Yield what is left of stretches; both apart from one another and in order."""
+    behind = 0
+    for low, high in spans:
+        while behind < len(taken) and taken[behind][1] < low:
+            behind += 1
+        n = behind
+        while n < len(taken) and taken[n][0] <= high:
+            if taken[n][0] > low:
+                yield low, taken[n][0] - 1
+            low = max(low, taken[n][1] + 1)
+            n += 1
+        if low <= high:
+            yield low, high

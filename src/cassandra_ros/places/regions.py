@@ -1,0 +1,153 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Places on the ground that are asked for: a disk, or what a polygon encloses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Iterator, NamedTuple, Protocol, Sequence, Tuple
+
+import numpy as np
+
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.places.rigid import Floats
+
+MOST_CORNERS = 1000
+SLACK = 1e-9
+"""How much wider than it is a region is taken where only what surely lies outside is left out: a
+share of its size, and metres."""
+
+
+class Box(NamedTuple):
+    """What a region lies in, metres, all four sides included."""
+
+    left: float
+    bottom: float
+    right: float
+    top: float
+
+
+class Lines(NamedTuple):
+    """Straight ways in a plane, many of them."""
+
+    x: Floats
+    y: Floats
+    """Where each begins."""
+    dx: Floats
+    dy: Floats
+    """How far it goes from there."""
+
+
+Shares = Tuple[int, float, float]
+"""The number of a line, and from where to where on it: 0 is its beginning, 1 its end."""
+
+
+class Region(Protocol):
+    """Some of the ground."""
+
+    @property
+    def box(self) -> Box:
+        """What it lies in."""
+
+    def holds(self, x: float, y: float) -> bool:
+        """Say whether a point lies in it; this has the last word."""
+
+    def shares(self, lines: Lines) -> Iterator[Shares]:
+        """Yield the parts of lines that lie in it, or a little more; by line, then in order."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """A disk, its rim included."""
+
+    x: float
+    y: float
+    radius: float
+
+    @property
+    def box(self) -> Box:
+        """The square around it."""
+        wide = self.radius * (1 + SLACK) + SLACK
+        return Box(self.x - wide, self.y - wide, self.x + wide, self.y + wide)
+
+    def holds(self, x: float, y: float) -> bool:
+        """Say whether a point is at most the radius away from the middle."""
+        return math.hypot(x - self.x, y - self.y) <= self.radius
+
+    def shares(self, lines: Lines) -> Iterator[Shares]:
+        """Yield the one part of each line that lies in it, where there is one."""
+        wide = self.radius * (1 + SLACK) + SLACK
+        away_x, away_y = lines.x - self.x, lines.y - self.y
+        # Where a line meets the rim its share s solves a s² + 2 b s + c = 0.
+        a = lines.dx**2 + lines.dy**2
+        b = away_x * lines.dx + away_y * lines.dy
+        c = away_x**2 + away_y**2 - wide**2
+        root = b**2 - a * c
+        still = a <= 0
+        with np.errstate(invalid="ignore", divide="ignore"):
+            reach = np.sqrt(root)
+            first = np.where(still, 0.0, np.maximum((-b - reach) / a, 0.0))
+            last = np.where(still, 1.0, np.minimum((-b + reach) / a, 1.0))
+        inside = np.where(still, c <= 0, (root >= 0) & (first <= last))
+        found = np.flatnonzero(inside)
+        yield from zip(found.tolist(), first[found].tolist(), last[found].tolist())
+
+
+class Polygon:
+    """What a closed line encloses; where it crosses itself, as even and odd have it.
+
+    Args:
+        corners: x and y of each, metres; the last is joined to the first.
+
+    Raises:
+        InvalidOption: There are fewer than 3 corners, over 1000, or one that is no place.
+    """
+
+    def __init__(self, corners: Sequence[Tuple[float, float]]) -> None:
+        if not 3 <= len(corners) <= MOST_CORNERS:
+            raise InvalidOption(
+                f"a polygon has 3 to {MOST_CORNERS} corners, not {len(corners)}: give x,y;x,y;x,y"
+            )
+        if not all(math.isfinite(number) for corner in corners for number in corner):
+            raise InvalidOption("a corner of a polygon is no place: give finite numbers of metres")
+        self._corners = list(corners)
+        self._sides = list(zip(self._corners, self._corners[1:] + self._corners[:1]))
+
+    @property
+    def box(self) -> Box:
+        """The rectangle around it."""
+        xs, ys = zip(*self._corners)
+        return Box(min(xs) - SLACK, min(ys) - SLACK, max(xs) + SLACK, max(ys) + SLACK)
+
+    def holds(self, x: float, y: float) -> bool:
+        """Say whether a point lies inside: a ray to the right crosses an odd number of sides."""
+        odd = False
+        for (x0, y0), (x1, y1) in self._sides:
+            if (y0 > y) != (y1 > y) and x < x0 + (y - y0) / (y1 - y0) * (x1 - x0):
+                odd = not odd
+        return odd
+
+    def shares(self, lines: Lines) -> Iterator[Shares]:
+        """Yield the parts of lines that lie in it, cut where they cross its sides."""
+        box = self.box
+        left, right = np.minimum(lines.x, lines.x + lines.dx), np.maximum(lines.x, lines.x + lines.dx)
+        low, high = np.minimum(lines.y, lines.y + lines.dy), np.maximum(lines.y, lines.y + lines.dy)
+        close = (left <= box.right) & (right >= box.left) & (low <= box.top) & (high >= box.bottom)
+        for number in np.flatnonzero(close).tolist():
+            x, y, dx, dy = (float(column[number]) for column in lines)
+            cuts = sorted({0.0, 1.0, *self._cuts(x, y, dx, dy)})
+            for first, last in zip(cuts, cuts[1:]):
+                middle = (first + last) / 2
+                if self.holds(x + middle * dx, y + middle * dy):
+                    yield number, first, last
+
+    def _cuts(self, x: float, y: float, dx: float, dy: float) -> Iterator[float]:
+        for (x0, y0), (x1, y1) in self._sides:
+            side_x, side_y = x1 - x0, y1 - y0
+            across = dx * side_y - dy * side_x
+            if across:
+                share = ((x0 - x) * side_y - (y0 - y) * side_x) / across
+                along = ((x0 - x) * dy - (y0 - y) * dx) / across
+                if 0 < share < 1 and -SLACK <= along <= 1 + SLACK:
+                    yield share

@@ -1,0 +1,275 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which frame, or which topic, tells where the robot of a node was.
+
+tf tells it where it knows the frame that is asked for; else a topic of poses in that frame does.
+What may be meant in two ways is refused with the names of both: a place that is silently another
+robot's would be worse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
+
+import numpy as np
+
+from cassandra_ros.errors import InvalidOption, TopicNotFound
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.places.frames import TF, TF_STATIC, Chain, Frames
+from cassandra_ros.places.pose_topic import PoseTopic, tells_poses
+from cassandra_ros.places.poses import Poses, Recording
+from cassandra_ros.places.samples import NO_FRAME, Samples
+from cassandra_ros.places.sources import ArraySource, Find, key_behind, last_key
+from cassandra_ros.places.stored import Stored
+from cassandra_ros.query.source import Writers
+
+BASES = ("base_link", "base_footprint", "base", "base_stabilized", "body", "chassis")
+"""What robots call the frame of their body, behind a prefix or not; the first that is there counts."""
+MOST_FRAMES = 1000
+"""So many names of frames are remembered of a robot."""
+MOST_ROBOTS = 8
+"""Where no frame is called as those of robots: so many that move may be some."""
+_LOOKS = 5
+"""So often, spread over all of its time, it is looked which frames tf has."""
+_LOOK_NS = 1 * SECOND_NS
+_TYPES = (
+    "nav_msgs/Odometry",
+    "geometry_msgs/PoseWithCovarianceStamped",
+    "geometry_msgs/PoseStamped",
+    "geometry_msgs/TransformStamped",
+)
+"""Of topics that tell poses without being named; of those of several types the first counts."""
+_NO_POSES = ("goal", "initialpose", "initial_pose", "clicked")
+"""A topic that is called so tells where a robot is to be."""
+
+
+class Seen(NamedTuple):
+    """Which frames tf has of a node."""
+
+    frames: FrozenSet[str]
+    robots: Tuple[str, ...]
+    """Those that may be the bodies of robots."""
+
+
+@dataclass(frozen=True)
+class Robot:
+    """What tells where a robot was, in one frame."""
+
+    node: str
+    topic: ArraySource
+    """What moves: /tf, or the topic of its poses."""
+    frame: str
+    """In which its places are, without a slash in front."""
+    name: str
+    """Its frame; '' = the topic tells it."""
+    find: Find
+
+    @property
+    def keys(self) -> Tuple[str, ...]:
+        """What squares are noted under for it."""
+        return (self.name,) if self.name else tuple(table.name for table in self.topic.tables)
+
+    def poses(self, writers: Writers = None) -> Poses:
+        """Return where it was, as these recorded it; None = all."""
+        if self.name:
+            frames = Frames(self.find, self.node, writers)
+            recording: Recording = Chain(frames, self.name, self.frame)
+        else:
+            recording = PoseTopic(self.find, self.topic.name, self.node, writers)
+        return Poses(recording)
+
+    def fixed(self) -> Mapping[str, str]:
+        """Return for each frame that does not move how it is fixed to another one."""
+        return fixed_frames(Frames(self.find, self.node)) if self.name else {}
+
+
+def fixed_frames(frames: Frames) -> Dict[str, str]:
+    """Return for each fixed frame its parent and its pose in that, as a text."""
+    return {
+        frames.names[child]: f"{frames.names[parent]} {pose.moved.tolist()} {pose.turned.tolist()}"
+        for child, (parent, pose) in frames.fixed.items()
+        if parent != NO_FRAME
+    }
+
+
+def frames_above(frames: Frames, samples: Samples, name: str) -> List[str]:
+    """List a frame and those above it, as far as samples and fixed transforms lead."""
+    above: Set[int] = {frames.code(name)}
+    while True:
+        on_way = np.isin(samples.children, list(above))
+        wider = above | set(samples.parents[on_way].tolist())
+        wider |= {frames.fixed[code][0] for code in above if code in frames.fixed}
+        if wider == above:
+            return sorted(frames.names[code] for code in above if code != NO_FRAME)
+        above = wider
+
+
+def seen_in(frames: Frames, parts: Iterable[Samples]) -> Seen:
+    """Say which frames there are in samples and among the fixed ones."""
+    moving: Set[int] = set()
+    carrying: Set[int] = set()
+    for samples in parts:
+        moving |= set(samples.children.tolist())
+        carrying |= set(samples.parents.tolist())
+    fixed = {code for child, (parent, _) in frames.fixed.items() for code in (child, parent)}
+    every = {frames.names[code] for code in moving | carrying | fixed if code != NO_FRAME}
+    robots = _bodies(every) or sorted(frames.names[code] for code in moving - carrying)
+    return Seen(frozenset(sorted(every)[:MOST_FRAMES]), tuple(robots[:MOST_ROBOTS]))
+
+
+def _bodies(frames: Iterable[str]) -> List[str]:
+    """Return of each prefix the frame that is called as that of a robot's body."""
+    found: Dict[str, List[str]] = {}
+    for frame in frames:
+        prefix, _, last = frame.rpartition("/")
+        if last in BASES:
+            found.setdefault(prefix, []).append(frame)
+    return sorted(min(n, key=lambda f: BASES.index(f.rpartition("/")[2])) for n in found.values())
+
+
+def look(find: Find, node: str) -> Optional[Seen]:
+    """Look which frames tf has of a node, at some times; None where it has none."""
+    try:
+        frames = Frames(find, node)
+    except TopicNotFound:
+        return None
+    parts = []
+    if frames.moving is not None:
+        first, last = key_behind(frames.moving, -1, node, None), last_key(frames.moving, node, None)
+        if first is not None and last is not None:
+            for number in range(_LOOKS):
+                near = first + (last - _LOOK_NS - first) * number // (_LOOKS - 1)
+                at = key_behind(frames.moving, max(first, near) - 1, node, None)
+                parts.append(frames.read(first if at is None else at, (at or first) + _LOOK_NS))
+    seen = seen_in(frames, parts)
+    return seen if seen.frames else None
+
+
+class Choice:
+    """Finds what tells where the robots of a keyspace were.
+
+    Args:
+        stored: The keyspace.
+        frame: In which places are asked for; a slash in front does not count.
+        robot: Its frame, or a topic of its poses; '' = to be found out.
+
+    Raises:
+        InvalidOption: Nothing tells it, or what is meant is not clear.
+    """
+
+    def __init__(self, stored: Stored, frame: str, robot: str = "") -> None:
+        self._stored = stored
+        self._frame, self._robot = frame.lstrip("/"), robot
+        self._told: Dict[str, List[str]] = {}
+        """Topic -> the frames in which it tells poses, for the text of an error."""
+        self._look = lru_cache(None)(lambda node: look(stored.find, node))
+
+    def robots(self, node: Optional[str] = None) -> List[Robot]:
+        """Return one for each node of which there is one; of one node, None = of all."""
+        named = self._named_topic()
+        topics = [named] if named is not None else [*self._tf(), *self._candidates()]
+        every = {each for topic in topics for each in self._stored.nodes(topic)}
+        asked = sorted(every if node is None else every & {node})
+        found = [self._of_node(each, named) for each in asked]
+        robots = [robot for robot in found if robot is not None]
+        if not robots and every:
+            raise InvalidOption(self._nothing(asked))
+        if not robots:
+            raise InvalidOption(
+                "where robots were is not stored: neither tf nor a topic of poses, as "
+                "nav_msgs/Odometry; record one, or import it"
+            )
+        return robots
+
+    def _tf(self) -> List[ArraySource]:
+        found = []
+        for name in (TF, TF_STATIC):
+            try:
+                found.append(self._stored.find(name))
+            except TopicNotFound:
+                continue
+        return found
+
+    def _named_topic(self) -> Optional[ArraySource]:
+        """Return the topic that was named as the robot; None where that is a frame."""
+        if not self._robot:
+            return None
+        try:
+            topic = self._stored.find(self._robot)
+        except TopicNotFound:
+            return None
+        return topic if tells_poses(topic) else None
+
+    def _candidates(self) -> List[ArraySource]:
+        """Return the topics that may tell where a robot is without being named."""
+        if self._robot:
+            return []
+        return [
+            topic
+            for topic in self._stored.topics()
+            if not any(word in topic.name.rpartition("/")[2] for word in _NO_POSES)
+            if any(table.msg_type in _TYPES for table in topic.tables) and tells_poses(topic)
+        ]
+
+    def _of_node(self, node: str, named: Optional[ArraySource]) -> Optional[Robot]:
+        if named is not None:
+            told = self._frame_of(named, node)
+            return self._of_topic(named, node) if told in (self._frame, "") else None
+        seen = self._look(node)
+        if seen is not None and self._frame in seen.frames:
+            return self._in_tf(node, seen)
+        if self._robot:
+            return None
+        topics = [t for t in self._candidates() if self._frame_of(t, node) == self._frame]
+        kind = next((kind for kind in _TYPES if any(_is_of(t, kind) for t in topics)), "")
+        meant = [topic for topic in topics if _is_of(topic, kind)]
+        if len(meant) > 1:
+            names = " and ".join(topic.name for topic in meant)
+            raise InvalidOption(
+                f"{names} tell poses in frame {self._frame!r}; say which is meant, as "
+                f"NEAR(x, y, radius, '{self._frame}', '{meant[0].name}')"
+            )
+        return self._of_topic(meant[0], node) if meant else None
+
+    def _in_tf(self, node: str, seen: Seen) -> Optional[Robot]:
+        name = self._robot.lstrip("/")
+        if name and name not in seen.frames:
+            return None
+        if not name:
+            others = [robot for robot in seen.robots if robot != self._frame]
+            if len(others) != 1:
+                what = " and ".join(others) or "no frame"
+                raise InvalidOption(
+                    f"{what} may be the robot{f' of node {node}' if node else ''}; say which frame "
+                    f"moves, as NEAR(x, y, radius, '{self._frame}', '{(others or ['base_link'])[0]}')"
+                )
+            name = others[0]
+        moving = self._tf()[0]
+        return Robot(node, moving, self._frame, name, self._stored.find)
+
+    def _of_topic(self, topic: ArraySource, node: str) -> Robot:
+        return Robot(node, topic, self._frame, "", self._stored.find)
+
+    def _frame_of(self, topic: ArraySource, node: str) -> str:
+        frame = PoseTopic(self._stored.find, topic.name, node).frame
+        self._told.setdefault(topic.name, []).append(frame or "no frame")
+        return frame
+
+    def _nothing(self, nodes: Sequence[str]) -> str:
+        known: Set[str] = set()
+        for node in nodes:
+            seen = self._look(node)
+            known |= set() if seen is None else seen.frames
+        of = f" of {self._robot}" if self._robot else ""
+        text = f"no pose{of} in frame {self._frame!r} is stored"
+        if known:
+            text += f"; the frames of tf are {', '.join(sorted(known)[:20])}"
+        for topic, frames in self._told.items():
+            text += f"; {topic} tells poses in {', '.join(sorted(set(frames)))}"
+        return f"{text}: name another frame, as NEAR(x, y, radius, 'odom')"
+
+
+def _is_of(topic: ArraySource, kind: str) -> bool:
+    return any(table.msg_type == kind for table in topic.tables)

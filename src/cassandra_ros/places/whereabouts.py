@@ -1,0 +1,153 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""When robots were in a region: what NEAR asks, and a lasso on the map.
+
+The index of cells (see indexing.py) says when that may have been, as far as it goes; what it does
+not cover may have been any time. Then the recorded poses are read, and have the last word.
+"""
+
+from __future__ import annotations
+
+import threading
+from bisect import bisect_right
+from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
+from weakref import WeakValueDictionary
+
+from cassandra_ros.keys import MAX_NS
+from cassandra_ros.places.coverage import Coverage
+from cassandra_ros.places.paths import Span, clipped, merged
+from cassandra_ros.places.regions import Region, Round
+from cassandra_ros.places.robots import Choice
+from cassandra_ros.places.stored import Stored
+from cassandra_ros.places.windows import WINDOW_NS, Window, Windows
+from cassandra_ros.query.protocols import Disk
+from cassandra_ros.store.place_index import PlaceIndex
+
+
+class RegionStays:
+    """When the robots of some nodes were in a region; see query.protocols.Stays. Thread-safe.
+
+    Args:
+        windows: Their ways, by node.
+    """
+
+    def __init__(self, region: Region, windows: Mapping[str, Windows], coverage: Coverage) -> None:
+        self._region, self._windows, self._coverage = region, windows, coverage
+        self._latest: Dict[str, Tuple[int, Window]] = {}
+        self._mutex = threading.Lock()
+
+    @property
+    def nodes(self) -> List[str]:
+        """The nodes whose robots are known, sorted."""
+        return sorted(self._windows)
+
+    def holds(self, node: str, run: str, t: int) -> Optional[bool]:
+        """Say whether the robot of a message was there; None where nobody knows."""
+        number = t // WINDOW_NS
+        latest = self._latest.get(node)
+        if latest is None or latest[0] != number or not latest[1].complete:
+            windows = self._windows.get(node)
+            if windows is None:
+                return None
+            latest = self._latest[node] = number, self._window(windows, t)
+        place = latest[1].at(run, t)
+        return None if place is None else self._region.holds(*place)
+
+    def _window(self, windows: Windows, t: int) -> Window:
+        with self._mutex:
+            return windows.of(t)
+
+    def spans(
+        self, low: int, high: int, reverse: bool = False, node: Optional[str] = None
+    ) -> Iterator[Span]:
+        """Yield stretches of [low, high], ns, that hold all times at which it is true; see Stays.
+
+        Args:
+            node: Only of the robot of this node; None = of all together.
+        """
+        asked = [w for name, w in self._windows.items() if node in (None, name)]
+        low, high = max(0, low), min(high, MAX_NS)
+        if any(list(w.still.stays(self._region)) for w in asked if w.still is not None):
+            return iter([(low, high)])
+        moving = [w for w in asked if w.still is None]
+        return _touching(self._found(moving, low, high, reverse))
+
+    def _found(
+        self, asked: Sequence[Windows], low: int, high: int, reverse: bool
+    ) -> Iterator[Span]:
+        candidates = [self._coverage.candidates(w.robot, self._region, low, high) for w in asked]
+        every = merged(sorted(span for spans in candidates for span in spans))
+        for number in _numbers(list(every), reverse):
+            start, end = number * WINDOW_NS, (number + 1) * WINDOW_NS - 1
+            found: List[Span] = []
+            for windows, spans in zip(asked, candidates):
+                if _meets(spans, start, end):
+                    for path in self._window(windows, start).paths:
+                        found += path.stays(self._region)
+            inside = list(clipped(merged(sorted(found)), max(low, start), min(high, end)))
+            yield from reversed(inside) if reverse else inside
+
+
+def _numbers(spans: Sequence[Span], reverse: bool) -> Iterator[int]:
+    """Yield the numbers of the windows that some stretches touch, each once."""
+    last: Optional[int] = None
+    for low, high in reversed(spans) if reverse else spans:
+        numbers = range(low // WINDOW_NS, high // WINDOW_NS + 1)
+        for number in reversed(numbers) if reverse else numbers:
+            if number != last:
+                yield number
+            last = number
+
+
+def _meets(spans: Sequence[Span], start: int, end: int) -> bool:
+    """Say whether one of some stretches, in order and apart, touches [start, end]."""
+    n = bisect_right(spans, (end, MAX_NS)) - 1
+    return n >= 0 and spans[n][1] >= start
+
+
+def _touching(spans: Iterable[Span]) -> Iterator[Span]:
+    """Join stretches that touch one another, whichever comes first."""
+    last: Optional[Span] = None
+    for low, high in spans:
+        if last is not None and low <= last[1] + 1 and last[0] <= high + 1:
+            last = min(last[0], low), max(last[1], high)
+            continue
+        if last is not None:
+            yield last
+        last = low, high
+    if last is not None:
+        yield last
+
+
+class Whereabouts:
+    """Where the robots of one keyspace were; see query.protocols.Places. Thread-safe."""
+
+    def __init__(self, stored: Stored, index: PlaceIndex) -> None:
+        self._stored = stored
+        self._coverage = Coverage(stored, index)
+        self._asked: WeakValueDictionary[Tuple[Disk, Optional[str]], RegionStays]
+        self._asked = WeakValueDictionary()
+
+    def stays(self, disk: Disk, node: Optional[str] = None) -> RegionStays:
+        """Say when robots were on a disk; of one node, None = of all.
+
+        Who asks the same of several topics at once is given the same answer, whose poses are read
+        once.
+
+        Raises:
+            InvalidOption: Nothing tells it, or several robots may be meant.
+        """
+        found = self._asked.get((disk, node))
+        if found is None:
+            region = Round(disk.x, disk.y, disk.radius)
+            found = self.within(region, disk.frame, disk.robot, node)
+            self._asked[disk, node] = found
+        return found
+
+    def within(
+        self, region: Region, frame: str, robot: str = "", node: Optional[str] = None
+    ) -> RegionStays:
+        """Say when robots were in a region; the arguments are those of a Disk, and errors too."""
+        robots = Choice(self._stored, frame, robot).robots(node)
+        windows = {each.node: Windows(each, self._stored) for each in robots}
+        return RegionStays(region, windows, self._coverage)
