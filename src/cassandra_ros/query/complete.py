@@ -40,6 +40,7 @@ _KEYWORDS = {
     "LIKE": "LIKE",
     "CONTAINS": "CONTAINS",
     "_IS": "IS NULL",
+    "NEAR": "NEAR(",
     "_NULL": "NULL",
     "_AS": "AS",
     "ASC": "ASC",

@@ -20,11 +20,11 @@ from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.arrays.values import Convert, compile_convert
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.messages.wire.zones import HIGH, LOW
+from cassandra_ros.query.bounds import Bounds
 from cassandra_ros.query.names import FieldRef, Findings, field_of
 from cassandra_ros.query.projection import Projection
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.pushdown import Pushdown, Watch
-from cassandra_ros.query.run import Bounds
 from cassandra_ros.query.syntax import KeyOperand, Path, Select, Selected, StatementError
 from cassandra_ros.store.blocks.block_row import BlockRow
 from cassandra_ros.store.blocks.bounds import Bounded, ask_bounds, open_blocks, read_bounds

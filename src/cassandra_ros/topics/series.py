@@ -17,9 +17,11 @@ import numpy as np
 from cassandra_ros.arrays.array_types import AnyArray, column_types
 from cassandra_ros.arrays.envelope import Envelope, Grid, Points
 from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.query.bounds import Bounds, bounds_of
+from cassandra_ros.query.nearby import located
 from cassandra_ros.query.projection import ResultRow
 from cassandra_ros.query.pushdown import Watch, unwatched
-from cassandra_ros.query.run import Bounds, QueryResult, bounds_of
+from cassandra_ros.query.run import QueryResult
 from cassandra_ros.query.settle import settle
 from cassandra_ros.query.source import Writers
 from cassandra_ros.query.syntax import KeyOperand, Select, Selected
@@ -110,7 +112,7 @@ def read_series(
         InvalidQuery: The statement names what the topic has not.
     """
     tables = topic.tables
-    settled = settle(select, tables)
+    settled = located(settle(select, tables), tables, asker.node)
     drawn = drawn_columns(settled, tables)
     if any(table.named for table in tables):
         return _nothing(topic, _without(drawn, "of messages that lie under names, not at a time"))

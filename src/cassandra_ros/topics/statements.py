@@ -17,17 +17,12 @@ from cassandra_ros.arguments import check_limit, check_nodes
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, TopicNotFound
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.query.bounds import meant_as_seconds
 from cassandra_ros.query.explain import Explanation, explain
 from cassandra_ros.query.names import nearest
 from cassandra_ros.query.parse import parse_select, parse_statement
 from cassandra_ros.query.pushdown import Watch, unwatched
-from cassandra_ros.query.run import (
-    Condition,
-    Cursor,
-    QueryResult,
-    Rows,
-    meant_as_seconds,
-)
+from cassandra_ros.query.run import Condition, Cursor, QueryResult, Rows
 from cassandra_ros.query.syntax import (
     Change,
     CreateIndex,
