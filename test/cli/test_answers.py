@@ -15,6 +15,7 @@ from bag.truth import string_connection, string_wire
 
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.cli.answers import plain
+from cassandra_ros.cli.text import sparkline
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
 from cassandra_ros.errors import InvalidOption, TopicNotFound
 from cassandra_ros.store.registry import LossKind
@@ -57,6 +58,27 @@ def test_list_and_info(call, three_topics):
     for words in (["-e", "/cam/.*"], ["/cam/(left|right)", "--regex"], ["cam/left", "/cam/right"]):
         found = json.loads(call("info", "--json", *words)[1])
         assert [t["topic"] for t in found["topics"]] == ["/cam/left", "/cam/right"]
+
+
+def test_info_draws_how_many_messages_came_when(call, three_topics):
+    activity = json.loads(call("info", "--json", "-k", "activity")[1])
+    lanes = {each["topic"]: each["messages"] for each in activity["topics"]}
+    assert (activity["start_ns"], len(lanes["/tf"])) == (10**18, 60)
+    assert {topic: sum(counts) for topic, counts in lanes.items()} == dict.fromkeys(lanes, 2)
+    assert [n for n, count in enumerate(lanes["/cam/left"]) if count] == [0, 36]
+    lines = call("info", "-e", "/cam/.*")[1].splitlines()
+    head = next(n for n, line in enumerate(lines) if line.startswith("activity of"))
+    assert lines[head].endswith("2001-09-09T01:46:40Z to 2001-09-09T01:46:44Z")
+    assert lines[head + 1].split() == ["/cam/left", "-", "█", "█"]
+    assert lines[head + 3] == ""
+    assert "activity" not in call("info", "-y")[1]
+
+
+def test_a_line_of_bars():
+    assert sparkline([0, 1, 4, 8], "utf-8") == " ▁▄█"
+    assert sparkline([0, 1, 4, 8], "ascii") == sparkline([0, 1, 4, 8], None) == " .=@"
+    assert sparkline([0, 0], "utf-8") == "  " and sparkline([], "utf-8") == ""
+    assert sparkline([1e-9, 1e9], "latin-1") == ".@"
 
 
 def test_indexes_and_which_is_not_finished(call, rosCas, three_topics):

@@ -49,6 +49,10 @@ _OPENCV_COLOURS = {3: "bgr", 4: "bgra"}
 _DECODERS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF")
 """What a compressed image may be; other decoders of Pillow start programs."""
 _JPEG_START = b"\xff\xd8"
+_MOST_JPEG = 65_500
+"""Pixels of width or height that a JPEG may have."""
+_MOST_PIXELS = 1 << 26
+"""Of a compressed image: some bytes can stand for very many."""
 _DEPTH_HEADER = struct.Struct("<iff")
 """What compressed_depth_image_transport writes first: an enum and two parameters."""
 
@@ -100,8 +104,9 @@ def jpeg_of(row: StoredRow, width: int | None = None, quality: int = 85) -> byte
         own = _opened(row, bytes(msg.data)).width
         if width is None or own <= width:
             return bytes(msg.data)
-    found = io.BytesIO()
-    picture_of(row, width).save(found, "JPEG", quality=quality)
+    picture, found = picture_of(row, width), io.BytesIO()
+    picture.thumbnail((_MOST_JPEG, _MOST_JPEG))
+    picture.save(found, "JPEG", quality=quality)
     return found.getvalue()
 
 
@@ -258,6 +263,8 @@ def _opened(row: StoredRow, data: bytes) -> Image:
         ) from exc
     except (OSError, SyntaxError, ValueError, struct.error, image.DecompressionBombError) as exc:
         raise _undecodable(row, str(exc)) from exc
+    if found.width * found.height > _MOST_PIXELS:
+        raise _undecodable(row, f"it has {found.width} x {found.height} pixels, which are too many")
     return found
 
 

@@ -144,7 +144,9 @@ def _draw(
     for row in rows:
         caption = " ".join(filter(None, (_clock(row.t), row.node)))
         try:
-            yield _Drawn(row.t, row.node, Cell(caption, picture_of(row, options.width)))
+            picture = picture_of(row, options.width)
+            picture.thumbnail((options.width, 2 * options.width))  # some are very high
+            yield _Drawn(row.t, row.node, Cell(caption, picture))
         except (CorruptMessage, UnknownEncoding, MessageNotFound) as exc:
             yield _Drawn(row.t, row.node, Cell(f"{caption}: cannot be drawn", None), exc)
 
