@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Envelopes beside the plainest loop over all numbers, without a database."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cassandra_ros.arrays.envelope import Envelope, Grid, breaks
+
+TIMES = st.integers(0, 5000)
+NUMBERS = st.one_of(st.floats(), st.sampled_from([-0.0, 1.0, math.nan]))
+ROWS = st.lists(st.tuples(TIMES, NUMBERS, NUMBERS), max_size=40)
+
+
+def plain(grid, rows):
+    """Pixel -> time, count and (least, greatest) of both columns, one row after the other."""
+    found = {}
+    for t, *numbers in rows:
+        if grid.low <= t <= grid.high:
+            found.setdefault((t - grid.low) // grid.width, []).append((t, *numbers))
+    shown = {}
+    for pixel, inside in found.items():
+        times = [t for t, *_ in inside]
+        ends = []
+        for column in (1, 2):
+            known = [row[column] for row in inside if not math.isnan(row[column])]
+            ends.append((min(known), max(known)) if known else None)
+        shown[pixel] = (min(times) + max(times)) // 2, len(inside), ends
+    return shown
+
+
+def shown(envelope):
+    grid, points = envelope.grid, envelope.points()
+    assert (np.diff(points.times) > 0).all()
+    found = {}
+    for n, t in enumerate(points.times.tolist()):
+        ends = [
+            None if math.isnan(low) else (low, high)
+            for low, high in zip(points.low[:, n].tolist(), points.high[:, n].tolist())
+        ]
+        found[(t - grid.low) // grid.width] = t, points.rows[n], ends
+    return found
+
+
+def arrays(rows):
+    times = np.array([t for t, *_ in rows], np.int64)
+    return times, np.array([row[1:] for row in rows], float).reshape(len(rows), 2).T
+
+
+@given(ROWS, st.integers(0, 6000), st.integers(0, 6000), st.integers(1, 40), st.integers(0, 40))
+def test_each_pixel_has_its_least_and_its_greatest_number(rows, one, other, most, cut):
+    grid = Grid.between(min(one, other), max(one, other), most)
+    assert grid.low <= min(one, other) <= max(one, other) <= grid.high
+    assert grid.count <= most and grid.low % grid.width == 0
+    envelope, part = (Envelope(grid, 2) for _ in range(2))
+    envelope.add(*arrays(rows[:cut]))
+    # A part that has pixels of its own, some of them elsewhere.
+    part = Envelope(Grid.over(1000, 4000, grid.shift), 2)
+    inside = [row for row in rows[cut:] if part.grid.low <= row[0] <= part.grid.high]
+    part.add(*arrays(rows[cut:]))
+    envelope.merge(part)
+    assert shown(envelope) == plain(grid, rows[:cut] + inside)
+
+
+def test_a_grid_has_as_many_pixels_as_it_may():
+    assert Grid.between(7, 7, 1) == Grid(0, 7, 1)
+    assert Grid.between(0, 999, 1000).count == 1000
+    assert Grid.between(0, 1000, 1000).count == 501
+    # Across a high power of two nothing short of all bits is one pixel.
+    assert Grid.between(2**40 - 1, 2**40, 1).count == 1
+    day = Grid.between(1_400_000_000 * 10**9, 1_400_086_400 * 10**9, 1000)
+    assert 500 <= day.count <= 1000
+
+
+def test_a_span_that_is_wider_than_a_pixel_may_lie_in_each():
+    envelope = Envelope(Grid(3, 0, 4), 1)  # 0..7, 8..15, 16..23, 24..31
+    firsts, lasts = np.array([-5, 9, 30]), np.array([8, 11, 99])
+    envelope.add_wide(firsts, lasts, np.array([[1.0, -2, 5]]), np.array([[2.0, 3, 6]]))
+    points = envelope.points()
+    assert points.times.tolist() == [3, 9, 30]
+    assert points.low.tolist() == [[1, -2, 5]] and points.high.tolist() == [[2, 3, 6]]
+    assert points.rows.tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("times", "broken"),
+    [
+        ([], []),
+        ([1], []),
+        ([1, 1000], []),
+        ([0, 10, 20, 30, 130, 140], []),
+        ([0, 10, 20, 30, 131, 140], [3]),
+        ([0, 1000, 1010, 1020, 1030, 9000], [0, 4]),
+    ],
+)
+def test_a_line_is_broken_where_nothing_came_for_long(times, broken):
+    assert breaks(np.array(times, np.int64)).tolist() == broken
