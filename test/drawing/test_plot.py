@@ -1,0 +1,92 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pictures of series, without a database: what is drawn, and that it is there to be seen."""
+
+from __future__ import annotations
+
+import io
+import math
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cassandra_ros.arrays.envelope import Envelope, Grid
+from cassandra_ros.drawing.plot import draw_plot, lines_of
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.query.syntax import KeyOperand
+from cassandra_ros.topics.drawn import Column, Undrawn
+from cassandra_ros.topics.series import Series
+
+SEC = 10**9
+T0 = 1_500_000_000 * SEC
+
+
+def series(values, names=("x",), units=("m",), topic="/t", pixels=100, times=None):
+    """A series of columns; values[n] is what column n has."""
+    numbers = np.array(values, float)
+    if times is None:
+        times = T0 + np.arange(numbers.shape[1]) * SEC
+    grid = Grid.between(int(times[0]), int(times[-1]), pixels)
+    envelope = Envelope(grid, len(numbers))
+    envelope.add(np.asarray(times, np.int64), numbers)
+    columns = tuple(Column(name, unit, KeyOperand(0)) for name, unit in zip(names, units))
+    return Series(topic, columns, (), grid, envelope.points())
+
+
+def drawn(*every, ending="png", size=(400, 300), **options):
+    stream = io.BytesIO()
+    draw_plot(stream, ending, every, size, **options)
+    return stream.getvalue()
+
+
+def test_a_line_goes_through_the_least_and_the_greatest():
+    (line,) = lines_of([series([[1, 2, 3, 4, 5, 6, 7, 8]], pixels=2)])
+    assert line.numbers.tolist() == [1, 4, 8, 5] or len(line.numbers) == 4
+    assert sorted(line.numbers.tolist())[0] == 1 and sorted(line.numbers.tolist())[-1] == 8
+    (line,) = lines_of([series([[1.5, math.nan, 3]])])
+    assert str(line.numbers.tolist()) == str([1.5, 1.5, math.nan, math.nan, 3.0, 3.0])
+    assert line.times.tolist() == [T0, T0, T0 + SEC, T0 + SEC, T0 + 2 * SEC, T0 + 2 * SEC]
+
+
+def test_a_line_is_broken_where_nothing_came():
+    times = [T0 + n * SEC for n in (0, 1, 2, 3, 60, 61)]
+    (line,) = lines_of([series([[1, 2, 3, 4, 5, 6]], times=times)])
+    numbers = line.numbers.tolist()
+    assert [n for n in numbers if n == n] == [1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6]
+    assert [n != n for n in numbers].index(True) == 8
+
+
+def test_lines_of_several_topics_say_whose_they_are():
+    labels = [line.label for line in lines_of([series([[1, 2]]), series([[1, 2]], topic="/u")])]
+    assert labels == ["/t x", "/u x"]
+
+
+def test_a_picture_has_the_size_and_shows_each_line():
+    data = drawn(series([[0, 5, 0], [9, 9, 9]], ("x", "y"), ("m", "s")), size=(500, 260))
+    picture = Image.open(io.BytesIO(data)).convert("RGB")
+    assert picture.size == (500, 260)
+    colours = {colour for _, colour in picture.getcolors(1 << 20)}
+    assert {(0x2F, 0x6F, 0xDE), (0xD9, 0x62, 0x2B)} <= colours
+
+
+def test_every_ending_and_all_texts():
+    both = series([[0, 5], [1, 2]], ("x", "cost $a_b$"), ("m", "m"))
+    svg = drawn(both, ending="svg", title="A <drive>").decode("utf-8")
+    assert svg.startswith("<?xml") and "<svg" in svg
+    # Texts are outlines; what they say stands beside them.
+    for text in ("A &lt;drive&gt;", "x", "cost \\$a_b\\$", "[m]", "UTC"):
+        assert f"<!-- {text} -->" in svg, text
+    assert drawn(both, ending="pdf").startswith(b"%PDF-")
+
+
+def test_nothing_and_next_to_nothing():
+    assert drawn(series([[7.0]]))
+    assert drawn(series([[math.nan, math.nan]]))
+    assert drawn(series([[math.inf, 1.0, -math.inf]]))
+    left = Series("/t", (), (Undrawn("s", "text"),), Grid(0, 0, 1), series([[1.0]]).points)
+    with pytest.raises(InvalidOption, match="s is text"):
+        drawn(left)
+    empty = series([[1.0]])
+    nothing = Series("/t", empty.columns, (), empty.grid, Envelope(Grid(0, 0, 1), 1).points())
+    assert drawn(nothing)
