@@ -118,22 +118,26 @@ class EnvelopeReader:
 
         Args:
             seconds: Stop about then with what is known; at least something more is read each time.
-                None = read all.
+                Buckets that are still written to come last, all of them. None = read all.
         """
         ends = None if seconds is None else time.monotonic() + seconds
         listed = list(self._listed(grid))
         listed = [listed[n] for n in spread(len(listed))]
         parts = {n: part for n, each in enumerate(listed) if (part := self._known(each, grid))}
+        left = [n for n in range(len(listed)) if n not in parts]
+        kept = [n for n in left if self._keeps(listed[n])]
         fresh = False
-        for n, part in self._new(listed, [n for n in range(len(listed)) if n not in parts], grid):
+        for n, part in self._new(listed, kept, grid):
             parts[n], fresh = part, True
             if _is_over(ends):
                 break
         for n in list(parts):
             while parts[n].edges and not (fresh and _is_over(ends)):
-                parts[n] = self._pieces.refined(listed[n].piece, parts[n])
-                self._keep(listed[n], grid, parts[n])
-                fresh = True
+                parts[n], fresh = self._refined(listed[n], grid, parts[n]), True
+        done = len(parts) == len(listed) - len(left) + len(kept)
+        if done and not (fresh and _is_over(ends) and any(p.edges for p in parts.values())):
+            # Nothing of these is known the next time: who began with them would never end.
+            parts.update(self._at_once(listed, [n for n in left if n not in parts], grid))
         return self._joined(grid, listed, parts)
 
     # ---------------------------------------------------------------- what there is to read
@@ -181,13 +185,17 @@ class EnvelopeReader:
         where = self._keyspace.name, piece.table.name, *piece[1:], listed.state
         return self._asked, grid.shift, where
 
+    def _keeps(self, listed: _Listed) -> bool:
+        """Say whether what is read of a piece is known the next time."""
+        return self._cache is not None and listed.state is not None
+
     def _known(self, listed: _Listed, grid: Grid) -> Optional[Part]:
-        if self._cache is None or listed.state is None:
+        if self._cache is None or not self._keeps(listed):
             return None
         return self._cache.get(self._key(listed, grid))
 
     def _keep(self, listed: _Listed, grid: Grid, part: Part) -> None:
-        if self._cache is not None and listed.state is not None:
+        if self._cache is not None and self._keeps(listed):
             self._cache.put(self._key(listed, grid), part)
 
     # ---------------------------------------------------------------- reading
@@ -209,6 +217,20 @@ class EnvelopeReader:
             self._watch()
             part = self._pieces.read(listed[n].piece, grid.shift, asked)
             self._keep(listed[n], grid, part)
+            yield n, part
+
+    def _refined(self, listed: _Listed, grid: Grid, part: Part) -> Part:
+        found = self._pieces.refined(listed.piece, part)
+        self._keep(listed, grid, found)
+        return found
+
+    def _at_once(
+        self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid
+    ) -> Iterator[Tuple[int, Part]]:
+        """Read pieces whole, however long it takes."""
+        for n, part in self._new(listed, places, grid):
+            while part.edges:
+                part = self._refined(listed[n], grid, part)
             yield n, part
 
     def _joined(
