@@ -195,7 +195,7 @@ def test_what_was_read_of_closed_buckets_is_kept(stored, monkeypatch):
     # Who looks a little aside has the same pixels.
     aside = Window(T0 + 3 * SEC, time_of(COUNT - 1) + SEC, 50)
     assert shown(read(stored, "ros", ["f"], window=aside, cache=cache))
-    assert {piece.bucket for piece in pieces} == set()
+    assert {piece.bucket for piece in pieces} <= {T0 // SEC + 2}
     read(stored, "ros", ["d"], window=Window(pixels=50), cache=cache)  # not the same
     assert len(pieces) > 5
 

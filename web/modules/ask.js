@@ -11,7 +11,6 @@ import * as page from "./page.js";
 import * as state from "./state.js";
 
 const form = /** @type {HTMLFormElement} */ (document.getElementById("ask-form"));
-const run = /** @type {HTMLButtonElement} */ (document.getElementById("ask-run"));
 const cancel = /** @type {HTMLButtonElement} */ (document.getElementById("ask-cancel"));
 const told = /** @type {HTMLElement} */ (document.getElementById("ask-told"));
 const error = /** @type {HTMLElement} */ (document.getElementById("ask-error"));
@@ -167,7 +166,6 @@ plan.addEventListener("toggle", () => {
   if (plan.open) loadPlan();
 });
 window.addEventListener("popstate", () => show());
-run.title = "Ctrl+Enter";
 box.text = state.read().q;
 show(true);
 if (!state.read().q) box.focus();

@@ -18,6 +18,7 @@ const COLOURS = ["#2f7fe6", "#e0702f", "#1d9a80", "#b558c4", "#b8920a", "#d8453f
 const MOST_PIXELS = 4000;
 const FEW_POINTS = 60;
 const LEAST_NS = 1000n;
+const SECOND = 1_000_000_000n;
 
 /** @typedef {{start: bigint | null, end: bigint | null}} Window */
 
@@ -102,7 +103,7 @@ export class Plot {
     this._found = found;
     this._times = found.times.map(BigInt);
     this._base = BigInt(found.start);
-    this._sight = { start: window.start ?? BigInt(found.start), end: window.end ?? BigInt(found.end) };
+    this._sight = wide(window.start ?? BigInt(found.start), window.end ?? BigInt(found.end));
     if (!present) {
       this._panels.replaceChildren(make("p", { class: "note" },
         "Plots are drawn by dygraphs, which is not installed here: sudo apt install libjs-dygraphs"));
@@ -156,7 +157,7 @@ export class Plot {
       axisLineColor: muted,
       axisLabelWidth: 64,
       animatedZooms: false,
-      axes: { x: { ticker: this._ticker.bind(this), axisLabelFormatter: String } },
+      axes: { x: { ticker: this._ticker.bind(this) } },
       zoomCallback: (/** @type {number} */ low, /** @type {number} */ high) => this._zoomed(low, high),
       highlightCallback: (/** @type {any} */ event, /** @type {number} */ x) => this._point(x),
       unhighlightCallback: () => this._showLegend(null),
@@ -313,6 +314,7 @@ export class Plot {
       dblclick: () => this._all(),
       mousedown: (/** @type {any} */ event, /** @type {any} */ graph, /** @type {any} */ context) => {
         own.mousedown(event, graph, context);
+        this._panels.focus({ preventScroll: true });
         if (!context.isPanning) return;
         const panned = () => setTimeout(() => this._zoomed(...graph.xAxisRange()));
         document.addEventListener("mouseup", panned, { once: true });
@@ -352,6 +354,17 @@ export class Plot {
       action();
     });
   }
+}
+
+/**
+ * Return a window that has a width; that of a single moment is a second.
+ * @param {bigint} start
+ * @param {bigint} end
+ */
+function wide(start, end) {
+  if (end - start >= LEAST_NS) return { start, end };
+  const before = start < SECOND / 2n ? start : SECOND / 2n;
+  return { start: start - before, end: end + SECOND / 2n };
 }
 
 /**
