@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Callable, Iterable, Iterator, List, Optional, Sequence, Tuple
 
@@ -47,8 +48,13 @@ class Target:
         if self.ok:
             return "reached"
         if self.at_least:
-            return f"missed: {self.reached / self.wanted:.0%} of it"
+            return f"missed: {_part(self.reached / self.wanted)} of it"
         return f"missed: {self.reached / self.wanted - 1:.0%} above it"
+
+
+def _part(ratio: float) -> str:
+    """Write what is less than the whole, never as 100%."""
+    return f"{ratio:.0%}" if ratio < 0.995 else f"{math.floor(ratio * 1000) / 10}%"
 
 
 def targets(results: Results) -> List[Target]:

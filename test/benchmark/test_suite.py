@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 from conftest import ROOT
@@ -73,6 +74,7 @@ def test_a_target_is_told_by_its_worst_case():
     assert (importing.reached, importing.ok) == (1.9, False)
     assert importing.case == "tf; without paper, joints"
     assert importing.verdict == "missed: 95% of it"
+    assert replace(importing, reached=1.999).verdict == "missed: 99.9% of it"
     lookup = find(made_up(), "lookup by key, ros", "x bare SELECT")
     assert (lookup.case, lookup.ok, lookup.verdict) == ("1,000", True, "reached")
     grown = find(made_up(), "lookup by key, ros", "x that at 100")
