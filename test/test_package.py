@@ -40,7 +40,14 @@ def files_of_the_checkout():
 def test_the_scripts_are_those_of_the_build_file():
     listed = re.findall(r"^  scripts/(\w+)$", (ROOT / "CMakeLists.txt").read_text(), re.M)
     assert listed == SCRIPTS
-    assert SCRIPTS == ["cassandra_bag", "local_cassandra", "player", "query_server", "recorder", "viewer"]
+    assert SCRIPTS == [
+        "cassandra_bag",
+        "local_cassandra",
+        "player",
+        "query_server",
+        "recorder",
+        "viewer",
+    ]
 
 
 @pytest.mark.parametrize("name", SCRIPTS)

@@ -271,7 +271,11 @@ def test_the_end_waits_for_no_handler_that_does_not_listen(connect, keyspace, mo
 
 def test_a_parameter_reaches_its_handler_as_it_was_written():
     def echo(call):
-        return {"topics": call.texts("topics"), "where": call.lines("where"), "at": call.time_ns("at")}
+        return {
+            "topics": call.texts("topics"),
+            "where": call.lines("where"),
+            "at": call.time_ns("at"),
+        }
 
     parameters = (
         Parameter("topics", "texts", "T."),

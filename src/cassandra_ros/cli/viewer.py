@@ -79,7 +79,9 @@ def make_parser() -> argparse.ArgumentParser:
         default=[],
         help="let the pages of another site read, as https://app.foxglove.dev; may be repeated",
     )
-    text = "fetch Foxglove Studio from npm's registry (37 MB), in which Look shows messages, and end"
+    text = (
+        "fetch Foxglove Studio from npm's registry (37 MB), in which Look shows messages, and end"
+    )
     add("--install-studio", action="store_true", help=text)
     add("--open", action="store_true", help="open it in the browser of this machine")
     add(

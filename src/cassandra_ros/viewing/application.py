@@ -116,9 +116,7 @@ async def _errors_told(request: web.Request, handler: Handler) -> web.StreamResp
 def _told(status: int, name: str, text: str, error: Exception) -> web.Response:
     body: dict[str, Json] = {"error": name, "text": text.rstrip("\n")}
     if isinstance(error, InvalidQuery):
-        body.update(
-            statement=error.statement, position=error.position, reason=error.reason
-        )
+        body.update(statement=error.statement, position=error.position, reason=error.reason)
     return web.json_response(body, status=status)
 
 

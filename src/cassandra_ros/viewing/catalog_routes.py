@@ -51,9 +51,7 @@ def _topics(call: Call) -> Json:
     found: Dict[str, List[TopicInfo]] = {}
     for info in store.info([topic.name for topic in topics]) if topics else ():
         found.setdefault(info.topic, []).append(info)
-    return {
-        "topics": [{**_topic(topic), **_counts(found.get(topic.name, []))} for topic in topics]
-    }
+    return {"topics": [{**_topic(topic), **_counts(found.get(topic.name, []))} for topic in topics]}
 
 
 def _topic(topic: CassandraTopic) -> Dict[str, Json]:
