@@ -36,7 +36,7 @@ POLICIES: dict[str, str] = {
 """Those of pages that need another one, by path."""
 _COOKIE_SEC = 30 * 86_400
 _READABLE = "Accept-Ranges, Content-Disposition, Content-Length, Content-Range, ETag"
-_NO_TOKEN = (
+_REFUSED = (
     "this viewer asks for a token: open the address that it printed when it was started, which "
     "ends with ?token=…"
 )
@@ -179,12 +179,12 @@ def _refuse(request: web.Request) -> web.Response:
     loads itself again, as a page of ours: now it is sent, if there is one.
     """
     if not _is_page(request):
-        raise web.HTTPUnauthorized(text=_NO_TOKEN + "\n")
+        raise web.HTTPUnauthorized(text=_REFUSED + "\n")
     followed = request.headers.get("Sec-Fetch-Site") in ("cross-site", "same-site")
     again = '<meta http-equiv="refresh" content="0">' if followed else ""
     page = (
         f"<!DOCTYPE html><html lang=en><meta charset=utf-8>{again}<title>cassandra_ros</title>"
-        f"<p>{_NO_TOKEN}</p></html>\n"
+        f"<p>{_REFUSED}</p></html>\n"
     )
     return web.Response(status=401, text=page, content_type="text/html")
 
