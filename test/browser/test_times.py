@@ -37,7 +37,9 @@ texts = (
     | stamps.map(lambda ns: iso_time(ns)[:19] + "+05:30")
     | stamps.map(str)
     | stamps.map(lambda ns: f"{ns // SECOND_NS}.{ns % SECOND_NS:09d}")
-    | st.sampled_from(["", "now", "2013-02-30", "2013-05-08T25:00", "2013-05-08 14:06", "1.5", ".", "9" * 40])
+    | st.sampled_from(
+        ["", "now", "2013-02-30", "2013-05-08T25:00", "2013-05-08 14:06", "1.5", ".", "9" * 40]
+    )
 )
 
 
@@ -100,5 +102,7 @@ def test_an_axis_has_whole_units_from_a_century_to_a_millisecond(window, times, 
     assert 2 <= len(found) <= 11
     assert all(start <= int(ns) <= end for ns, _, _ in found)
     shown = [text.lstrip("0") for _, text, _ in found]
-    wanted = [text for text in texts if text in shown or any(each.startswith(text) for each in shown)]
+    wanted = [
+        text for text in texts if text in shown or any(each.startswith(text) for each in shown)
+    ]
     assert wanted == texts, shown

@@ -73,7 +73,9 @@ def test_what_covers_several_cells_is_spread_over_them_and_told_to_be(scale, row
     begins = scale.start + np.arange(scale.count) * scale.step
     for cell, begin in enumerate(begins.tolist()):
         end = begin + scale.step - 1
-        near = [r for r in rows if r[0] <= min(end, scale.end) and r[1] >= begin and r[1] >= scale.start]
+        near = [
+            r for r in rows if r[0] <= min(end, scale.end) and r[1] >= begin and r[1] >= scale.start
+        ]
         if not near:
             assert counts[cell] == 0
         assert counts[cell] <= sum(count for _, _, count in near) + 1e-6

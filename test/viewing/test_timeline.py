@@ -153,7 +153,12 @@ def test_messages_under_names_stand_where_they_were_stored(viewer, store):
 
 
 def test_what_is_no_window_is_refused(viewer):
-    for given in ({"pixels": 0}, {"pixels": 10**6}, {"start": T0, "end": T0 - 1}, {"start": "noon"}):
+    for given in (
+        {"pixels": 0},
+        {"pixels": 10**6},
+        {"start": T0, "end": T0 - 1},
+        {"start": "noon"},
+    ):
         status, failure = viewer.fail("/api/timeline", **given)
         assert (status, failure["error"]) == (400, "InvalidOption"), given
 

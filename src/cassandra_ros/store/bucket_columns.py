@@ -30,7 +30,7 @@ _NEVER = (-(2**63)).to_bytes(8, "big", signed=True)
 
 
 class BucketColumns(NamedTuple):
-    """Buckets of one partition of the directory: an entry for each writer of one, in their order."""
+    """Buckets of one partition of the directory, in order: an entry for each writer of one."""
 
     bucket: Longs
     writer: Longs
@@ -48,7 +48,7 @@ class BucketColumns(NamedTuple):
 
     def where(self, chosen: Bools) -> BucketColumns:
         """Return those of which ``chosen`` says so."""
-        return BucketColumns(*(column[chosen] for column in self))
+        return self._make(column[chosen] for column in self)
 
 
 def read_columns(
@@ -64,8 +64,7 @@ def read_columns(
     """
     which = "bucket IN ?" if single else "bucket >= ? AND bucket <= ?"
     cql = (
-        f"SELECT {COLUMNS} FROM {table} "
-        f"WHERE tbl = ? AND node = ? AND slot = ? AND {which} LIMIT ?"
+        f"SELECT {COLUMNS} FROM {table} WHERE tbl = ? AND node = ? AND slot = ? AND {which} LIMIT ?"
     )
     asked = (_ask(cassandra, cql, each, single) for each in wanted)
     return (answer() for answer in sent_ahead(asked, AT_ONCE))

@@ -273,9 +273,7 @@ class Directory:
             asked = self._cassandra.begin(cql, (*each, limit), what=what, retry_sec=retry_sec)
             yield partial(_bucket_rows, each[1], asked)
 
-    def columns(
-        self, wanted: Iterable[Wanted], *, single: bool = False
-    ) -> Iterator[BucketColumns]:
+    def columns(self, wanted: Iterable[Wanted], *, single: bool = False) -> Iterator[BucketColumns]:
         """Read buckets by the hundred thousand, some partitions at once; see read_columns."""
         if not self._tables.has("cr_bucket"):
             return iter(())

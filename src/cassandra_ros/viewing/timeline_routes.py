@@ -108,7 +108,9 @@ ROUTES: Tuple[Route, ...] = (
         (
             Parameter("start", START.kind, f"{START.summary} Missing: the first message's."),
             Parameter("end", END.kind, f"{END.summary} Missing: the last message's."),
-            Parameter("pixels", "count", f"So many cells at most, 1 to {MAX_CELLS}.", default=_PIXELS),
+            Parameter(
+                "pixels", "count", f"So many cells at most, 1 to {MAX_CELLS}.", default=_PIXELS
+            ),
             TOPICS,
             NODES,
             RUNS,

@@ -77,7 +77,7 @@ class Stretches(NamedTuple):
 
     def where(self, chosen: Bools) -> Stretches:
         """Return those of which ``chosen`` says so."""
-        return Stretches(*(column[chosen] for column in self))
+        return self._make(column[chosen] for column in self)
 
     @classmethod
     def joined(cls, parts: Sequence[Stretches]) -> Stretches:
@@ -220,9 +220,7 @@ def gaps_in(times: Longs, scale: Scale) -> list[Tuple[int, int]]:
     times = np.sort(times)
     pause = np.diff(times)
     wide = (pause > USUAL_TIMES * np.median(pause)) & (pause >= LEAST_CELLS * scale.step)
-    return _longest(
-        [(int(low), int(high)) for low, high in zip(times[:-1][wide], times[1:][wide])]
-    )
+    return _longest([(int(low), int(high)) for low, high in zip(times[:-1][wide], times[1:][wide])])
 
 
 def _longest(gaps: Iterable[Tuple[int, int]]) -> list[Tuple[int, int]]:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """When messages came within their buckets: read by keys and by the headers of blocks, up to a bound.
 
-Those pieces come first of which there is least to be read, so that most of them are told exactly.
+Pieces of which there is least to be read come first, so that most of them are told exactly.
 """
 
 from __future__ import annotations
@@ -114,6 +114,9 @@ def _blocks(
         if budget.blocks < 0:
             budget.blocks = 0
             return None
-        rows += [(r.t, r.last, r.left, r.size, r.writer, not len(r.gone), bucket) for r in some if r.left]
-    *columns, sure, of_buckets = np.array(rows, np.int64).reshape(-1, 7).T
-    return Stretches(*columns, sure.astype(bool)), of_buckets
+        rows += [
+            (r.t, r.last, r.left, r.size, r.writer, not len(r.gone), bucket) for r in some if r.left
+        ]
+    every = np.array(rows, np.int64).reshape(-1, 7).T
+    first, last, messages, size, writer, sure, of_buckets = every
+    return Stretches(first, last, messages, size, writer, sure.astype(bool)), of_buckets

@@ -102,15 +102,26 @@ def _end_of_slot(buckets: Longs, length: int) -> Longs:
     return np.asarray((buckets // SLOT_BUCKETS + 1) * SLOT_BUCKETS * length - 1)
 
 
-def unread(table: TopicTable, node: str, slots: Sequence[int], read: Sequence[Piece]) -> Piece:
-    """Make a piece of slots that nobody read: each holds what the others hold on average."""
-    length = SLOT_BUCKETS * table.metadata.bucket_ns
-    first = np.array(slots, np.int64) * length
-    sums = [int(p.stretches.messages.sum()) for p in read], [int(p.stretches.bytes.sum()) for p in read]
-    each = [np.full(len(slots), sum(found) // max(1, len(found))) for found in sums]
-    none = np.zeros(len(slots), np.int64)
-    stretches = Stretches(first, first + length - 1, *each, none, none.astype(bool))
-    return Piece(table, node, stretches, none - 1, sampled=True)
+def unread(
+    table: TopicTable, node: str, ends: Sequence[Tuple[int, int]], read: Sequence[Piece]
+) -> Piece:
+    """Make a piece of buckets that nobody read: each part holds what others hold on average.
+
+    Args:
+        ends: The first and the last bucket of each part.
+        read: What is known of others.
+    """
+    length = table.metadata.bucket_ns
+    first, last = (np.array(buckets, np.int64) * length for buckets in zip(*ends))
+    columns = (
+        [int(each.sum()) for each in (p.stretches.messages, p.stretches.bytes)] for p in read
+    )
+    totals = np.array(list(columns), np.int64).reshape(-1, 2).sum(axis=0) // max(1, len(read))
+    messages, size = (np.full(len(ends), total) for total in totals)
+    nobody = np.zeros(len(ends), np.int64)
+    sure = nobody.astype(bool)
+    stretches = Stretches(first, last + length - 1, messages, size, nobody, sure)
+    return Piece(table, node, stretches, nobody - 1, sampled=True)
 
 
 def named_pieces(table: TopicTable, whose: Whose) -> List[Piece]:
@@ -124,9 +135,7 @@ def named_pieces(table: TopicTable, whose: Whose) -> List[Piece]:
     for node, rows in by_node.items():
         single = Keys(*np.array(rows, np.int64).T)
         nothing = Stretches.joined([])
-        found.append(
-            Piece(table, node, nothing, nothing.first, sampled=not every, keys=single)
-        )
+        found.append(Piece(table, node, nothing, nothing.first, sampled=not every, keys=single))
     return found
 
 

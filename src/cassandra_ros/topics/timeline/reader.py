@@ -196,7 +196,7 @@ class Reader:
 
 
 def _sample(ends: Ends, stride: int) -> List[int]:
-    """Choose one of each ``stride`` buckets, not always the same: what is recorded may be regular."""
+    """Choose one of each ``stride`` buckets, not always the same: recordings may be regular."""
     cells = range(ends[0] // stride, ends[1] // stride + 1)
     return [cell * stride + (cell * _SPREAD % 2**32 * stride >> 32) for cell in cells]
 
@@ -211,10 +211,10 @@ def _rest(
     parts: Sequence[Tuple[TopicTable, Place, Ends]], stride: int, read: Sequence[Piece]
 ) -> Iterator[Piece]:
     """Yield what is left of partitions of which every so manieth was read."""
-    left: Dict[Tuple[str, str], Tuple[TopicTable, List[int]]] = {}
-    for number, (table, (_, node, slot), _) in enumerate(parts):
+    left: Dict[Tuple[str, str], Tuple[TopicTable, List[Ends]]] = {}
+    for number, (table, (_, node, _), inside) in enumerate(parts):
         if number % stride:
-            left.setdefault((table.name, node), (table, []))[1].append(slot)
-    for (name, node), (table, slots) in left.items():
+            left.setdefault((table.name, node), (table, []))[1].append(inside)
+    for (name, node), (table, ends) in left.items():
         own = [piece for piece in read if piece.node == node and piece.table.name == name]
-        yield unread(table, node, slots, own)
+        yield unread(table, node, ends, own)
