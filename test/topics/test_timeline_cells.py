@@ -39,16 +39,16 @@ def stretches(*rows):
 
 
 def cells_by_hand(scale, known):
-    counts = [0] * scale.count
+    counts = [0] * scale.cells
     for time in known:
-        if scale.start <= time < scale.start + scale.count * scale.step:
+        if scale.start <= time < scale.start + scale.cells * scale.step:
             counts[(time - scale.start) // scale.step] += 1
     return counts
 
 
 @given(scales)
 def test_cells_cover_the_window_and_no_shorter_ones_would(scale):
-    assert (scale.count - 1) * scale.step <= scale.end - scale.start < scale.count * scale.step
+    assert (scale.cells - 1) * scale.step <= scale.end - scale.start < scale.cells * scale.step
 
 
 @given(scales, st.lists(times, max_size=50))
@@ -70,7 +70,7 @@ def test_what_covers_several_cells_is_spread_over_them_and_told_to_be(scale, row
     cells = Cells(scale)
     cells.add(stretches(*rows))
     counts, even = cells.counts, cells.even
-    begins = scale.start + np.arange(scale.count) * scale.step
+    begins = scale.start + np.arange(scale.cells) * scale.step
     for cell, begin in enumerate(begins.tolist()):
         end = begin + scale.step - 1
         near = [

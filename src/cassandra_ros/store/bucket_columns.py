@@ -48,7 +48,7 @@ class BucketColumns(NamedTuple):
 
     def where(self, chosen: Bools) -> BucketColumns:
         """Return those of which ``chosen`` says so."""
-        return self._make(column[chosen] for column in self)
+        return BucketColumns._make(column[chosen] for column in self)
 
 
 def read_columns(

@@ -48,7 +48,7 @@ def _answer(call: Call) -> Json:
         "start": None if scale is None else str(scale.start),
         "end": None if scale is None else str(scale.end),
         "cell_ns": None if scale is None else str(scale.step),
-        "cells": 0 if scale is None else scale.count,
+        "cells": 0 if scale is None else scale.cells,
         "lanes": lanes,
         "runs": runs,
     }

@@ -51,7 +51,7 @@ class Scale(NamedTuple):
         return cls(start, end, -(-(end - start + 1) // most))
 
     @property
-    def count(self) -> int:
+    def cells(self) -> int:
         """How many cells there are."""
         return -(-(self.end - self.start + 1) // self.step)
 
@@ -77,7 +77,7 @@ class Stretches(NamedTuple):
 
     def where(self, chosen: Bools) -> Stretches:
         """Return those of which ``chosen`` says so."""
-        return self._make(column[chosen] for column in self)
+        return Stretches._make(column[chosen] for column in self)
 
     @classmethod
     def joined(cls, parts: Sequence[Stretches]) -> Stretches:
@@ -105,7 +105,7 @@ class Cells:
     scale: Scale
 
     def __post_init__(self) -> None:
-        count = self.scale.count
+        count = self.scale.cells
         self._counts = np.zeros(count + 1)
         """Of what lies in one cell, and at the ends of what lies in more."""
         self._rises = np.zeros(count + 1)
@@ -134,8 +134,8 @@ class Cells:
     def add_times(self, times: Longs) -> None:
         """Add single messages, by their times."""
         cells = self.scale.cells_of(times)
-        inside = cells[(cells >= 0) & (cells < self.scale.count)]
-        self._counts += np.bincount(inside, minlength=self.scale.count + 1)
+        inside = cells[(cells >= 0) & (cells < self.scale.cells)]
+        self._counts += np.bincount(inside, minlength=self.scale.cells + 1)
 
     def add(self, stretches: Stretches) -> None:
         """Add what touches the scale of some stretches."""
@@ -146,7 +146,7 @@ class Cells:
         spans = self.scale.cells_of(near.last) - self.scale.cells_of(near.first)
         narrow = spans == 0
         cells = self.scale.cells_of(near.first[narrow])
-        self._counts += np.bincount(cells, near.messages[narrow], self.scale.count + 1)
+        self._counts += np.bincount(cells, near.messages[narrow], self.scale.cells + 1)
         sparse = ~narrow & (near.messages <= spans + 1)
         self._add_sparse(near.where(sparse))
         self._add_dense(near.where(~narrow & ~sparse))
@@ -154,7 +154,7 @@ class Cells:
 
     def _mark(self, rises: Longs, stretches: Stretches) -> None:
         """Count the stretches over each cell, as rises."""
-        count = self.scale.count
+        count = self.scale.cells
         np.add.at(rises, np.clip(self.scale.cells_of(stretches.first), 0, count), 1)
         np.add.at(rises, np.clip(self.scale.cells_of(stretches.last) + 1, 0, count), -1)
 
@@ -171,7 +171,7 @@ class Cells:
 
     def _add_dense(self, stretches: Stretches) -> None:
         """Add messages of which there are several in each cell, by their share of its time."""
-        (start, _, step), count = self.scale, self.scale.count
+        (start, _, step), count = self.scale, self.scale.cells
         self._mark(self._dense, stretches)
         first, last = self.scale.cells_of(stretches.first), self.scale.cells_of(stretches.last)
         per_ns = stretches.messages / (stretches.last - stretches.first + 1)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""When messages came within their buckets: read by keys and by the headers of blocks, up to a bound.
+"""When messages came within their buckets: by keys and by headers of blocks, up to a bound.
 
 Pieces of which there is least to be read come first, so that most of them are told exactly.
 """
