@@ -65,12 +65,13 @@ def test_info_draws_how_many_messages_came_when(call, three_topics):
     lanes = {each["topic"]: each["messages"] for each in activity["topics"]}
     assert (activity["start_ns"], len(lanes["/tf"])) == (10**18, 60)
     assert {topic: sum(counts) for topic, counts in lanes.items()} == dict.fromkeys(lanes, 2)
-    assert [n for n, count in enumerate(lanes["/cam/left"]) if count] == [0, 36]
+    behind = 3 * 10**9 // activity["step_ns"]
+    assert [n for n, count in enumerate(lanes["/cam/left"]) if count] == [0, behind]
     lines = call("info", "-e", "/cam/.*")[1].splitlines()
     head = next(n for n, line in enumerate(lines) if line.startswith("activity of"))
     assert lines[head].endswith("2001-09-09T01:46:40Z to 2001-09-09T01:46:44Z")
     assert lines[head + 1].split() == ["/cam/left", "-", "█", "█"]
-    assert lines[head + 3] == ""
+    assert len(lines) == head + 3
     assert "activity" not in call("info", "-y")[1]
 
 
