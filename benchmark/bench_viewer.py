@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Measure the viewer on a recording of a day: ten million messages of an IMU, and what goes with it.
+"""Measure the viewer on a recording of a day: ten million messages of an IMU and others beside.
 
 Stores it, starts the viewer, and asks as its pages do: Home's timeline, a moment in Look, plots.
 With chromium and the Studio a browser opens a moment, too. At the end a year of a thousand million
@@ -59,9 +59,7 @@ def running_viewer(server: Server, folder: Path) -> Iterator[Tuple[str, int]]:
     command = [sys.executable, str(ROOT / "scripts/viewer"), "--port", "0", "--spool", str(folder)]
     command += ["--store-host", server.host, "--store-port", str(server.port)]
     command += ["--keyspace", server.keyspace]
-    process = subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True
-    )
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
         found = re.search(r"http://\S+?:(\d+)\S*", process.stdout.readline())

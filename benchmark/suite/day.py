@@ -18,12 +18,12 @@ import numpy as np
 from geometry_msgs.msg import TransformStamped
 from PIL import Image
 from sensor_msgs.msg import CompressedImage, Imu, LaserScan
-from suite.messages import START_NS, serialized
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.store.directory import bucket_for, span_for
+from suite.messages import START_NS, serialized
 
 DAY_NS = 86_400 * 10**9
 CHUNK_BYTES = 64_000_000
@@ -150,9 +150,7 @@ def store_day(store: RosCassandra, imu_count: int, node: str = "robot") -> Dict[
         for topic in topics(imu_count):
             size = len(serialized(topic.msg))
             rate = topic.hz, topic.hz * size
-            handle = writer.connect(
-                topic.connection, bucket_for(*rate), span_ns=span_for(*rate)
-            )
+            handle = writer.connect(topic.connection, bucket_for(*rate), span_ns=span_for(*rate))
             for times, numbers, wires in topic.chunks():
                 writer.write_run(handle, times, numbers, wires)
             counts[topic.name] = topic.count

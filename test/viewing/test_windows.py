@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Windows of time as files, as rosbag, curl, MCAP's reader and Foxglove's file reader ask for them."""
+"""Windows of time as files, as rosbag, curl, MCAP's reader and Foxglove ask for them."""
 
 from __future__ import annotations
 
@@ -177,7 +177,10 @@ def test_what_fails_says_why(viewer):
         ({"where": "altitude > 3"}, "is not of the form"),
         ({"where": ["/fix: altitude > 3", "fix: altitude > 4"]}, "two conditions for /fix"),
         ({"where": "/fix: altitud > 3"}, "no field altitud"),
-        ({"topics": "/fix", "where": "/imu/data: orientation.x > 1"}, "not among those that are read"),
+        (
+            {"topics": "/fix", "where": "/imu/data: orientation.x > 1"},
+            "not among those that are read",
+        ),
         ({"compression": "zstd"}, "is none of none, lz4, bz2"),
         ({"stream": "true"}, "no parameter 'stream'"),
     ):

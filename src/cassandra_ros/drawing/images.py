@@ -172,7 +172,8 @@ def _to_bytes(samples: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """Scale samples of 16 bits to 8, rounded; those of 8 bits stay as they are."""
     if samples.dtype.itemsize == 1:
         return samples
-    return ((samples.astype(np.uint32) + 128) // 257).astype(np.uint8)
+    rounded: np.ndarray[Any, Any] = (samples.astype(np.uint32) + 128) // 257
+    return rounded.astype(np.uint8)
 
 
 def scaled_depth(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
@@ -186,7 +187,8 @@ def scaled_depth(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         # Halves, for the distance of the extremes may be more than a number can be.
         part = (exact / 2 - least / 2) / (greatest / 2 - least / 2 or 1.0)
     part[~known] = 0
-    return np.rint(part * 255).astype(np.uint8)
+    scaled: np.ndarray[Any, Any] = np.rint(part * 255).astype(np.uint8)
+    return scaled
 
 
 def _from_bayer(cells: np.ndarray[Any, Any], pattern: str) -> np.ndarray[Any, Any]:

@@ -68,10 +68,11 @@ def spaced_rows(
     """Choose messages of a topic that lie evenly in time between its first and last.
 
     Where there are no more than are wanted, all of them are chosen. Else each is the nearest to one
-    of the times, found by that time; with a condition all that satisfy it are read, once.
+    of the times, found by that time; with a condition all that satisfy it are read, once, and where
+    keys are names the keys of all.
 
     Args:
-        name: The topic; its keys are times.
+        name: The topic.
         chosen: Of which of its messages.
         count: How many are wanted at most, at least 1.
         every_ns: So far they lie apart, from the first on; 0 = as many as wanted, up to the last.
@@ -81,7 +82,7 @@ def spaced_rows(
 
     Raises:
         MessageNotFound: There is none.
-        TopicNotFound, InvalidQuery, InvalidKey: As readMessages and getData.
+        TopicNotFound, InvalidQuery: As readMessages.
     """
     topic = ros_cas.getTopic(name)
     few = [(row.t, row.key) for row in islice(chosen.rows(ros_cas, topic), count + 1)]
@@ -94,7 +95,7 @@ def spaced_rows(
         yield from (row for row in found if row is not None)  # else it was deleted meanwhile
         return
     times = _times(few[0][0], chosen.last(topic), count, every_ns)
-    if chosen.where is None:
+    if chosen.where is None and not isinstance(few[0][1], RowName):
         yield from _once(_looked_up(topic, chosen, times))
     else:
         yield from _once(nearest_rows(chosen.rows(ros_cas, topic), times))
@@ -108,9 +109,7 @@ def _times(first: int, last: int, count: int, every_ns: int) -> Sequence[int]:
     return [first + (last - first) * n // gaps for n in range(count)]
 
 
-def _looked_up(
-    topic: CassandraTopic, chosen: Chosen, times: Sequence[int]
-) -> Iterator[StoredRow]:
+def _looked_up(topic: CassandraTopic, chosen: Chosen, times: Sequence[int]) -> Iterator[StoredRow]:
     for t in times:
         row = topic.getRow(
             Stamp.from_ns(t), nearest="either", nodeID=chosen.node, run=chosen.writers

@@ -117,10 +117,10 @@ def run(options: argparse.Namespace) -> int:
         options.parser.error("-k goes with -y or --json")
     found = _find(options)
     if options.yaml or options.json:
-        answer = _answer(found, options.freq)
+        answers = _answer(found, options.freq)
         if options.json:
-            answer["activity"] = _activity_answer(found.activity)
-        answer = _chosen(answer, options.key)
+            answers["activity"] = _activity_answer(found.activity)
+        answer = _chosen(answers, options.key)
         (_print_yaml if options.yaml else print_json)(answer)
         return 0
     _print_summary(found)

@@ -101,8 +101,7 @@ def run(options: argparse.Namespace) -> int:
     damaged = sum(each.problem is not None for each in drawn)
     if options.json:
         pictures = [
-            {"time_ns": each.t, "node": each.node, "drawn": each.problem is None}
-            for each in drawn
+            {"time_ns": each.t, "node": each.node, "drawn": each.problem is None} for each in drawn
         ]
         answer = {"path": path, "topic": topic.name, "width": sheet.width, "height": sheet.height}
         print_json({**answer, "size": size, "pictures": pictures})
