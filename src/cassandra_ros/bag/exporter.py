@@ -119,10 +119,9 @@ def export_bag(
             if progress is not None:
                 progress(1, len(wire))
         if not report.messages and not empty:
-            raise MessageNotFound(
-                f"{report.path} is not written, for there is no such message: "
-                + why_empty(ros_cas, names, nodeID, run)
-            )
+            reason = why_empty(ros_cas, names, nodeID, run)
+            none = f"{report.path} is not written, for there is no such message: "
+            raise MessageNotFound(none + reason)
     return report
 
 

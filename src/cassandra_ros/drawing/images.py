@@ -200,7 +200,8 @@ def _from_bayer(cells: np.ndarray[Any, Any], pattern: str) -> np.ndarray[Any, An
     green = (greens[0].astype(np.uint16) + greens[1]) // 2
     red, blue = planes[pattern.index("r")], planes[pattern.index("b")]
     small = np.stack([red, green.astype(np.uint8), blue], axis=-1)
-    return small.repeat(2, axis=0).repeat(2, axis=1)[:height, :width]
+    whole: np.ndarray[Any, Any] = small.repeat(2, axis=0).repeat(2, axis=1)
+    return whole[:height, :width]
 
 
 def _from_yuv(row: StoredRow, samples: np.ndarray[Any, Any], kind: str) -> Image:
