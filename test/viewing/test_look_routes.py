@@ -209,7 +209,7 @@ def test_a_schema_has_names_that_were_checked_and_says_how_to_read(viewer):
 def test_connections_tell_the_window_and_how_much_lies_in_it(viewer):
     found = viewer.get("/api/connections", nodes="r1", time=at(5))
     assert (int(found["start"]), int(found["end"])) == (at(0), at(20))
-    by_name = {topic["name"]: topic for topic in found["topics"]}
+    by_name = {topic["topic"]: topic for topic in found["topics"]}
     assert by_name["/tf"]["messages"] == 100
     assert int(by_name["/tf"]["first"]) == at(0.5)
     assert by_name["/image"]["bytes"] == len(serialize(IMAGE))

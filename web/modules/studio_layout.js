@@ -3,7 +3,7 @@
 // @ts-check
 /** Which panels the Studio shows: made of the topics that there are, or as the address says. */
 
-/** @typedef {{name: string, type: string, messages: number, schema: any}} Topic */
+/** @typedef {{topic: string, type: string, messages: number, schema: any}} Topic */
 /** @typedef {string | {direction: "row" | "column", first: any, second: any, splitPercentage: number}} Node */
 /** @typedef {{layout?: Node, configById: Record<string, any>, [key: string]: any}} Layout */
 
@@ -86,7 +86,7 @@ function addSpace(topics, configById, overhead) {
     ...ofTypes(topics, MAPS), ...ofTypes(topics, CLOUDS).slice(0, MOST_CLOUDS), ...ofTypes(topics, SHAPES),
   ];
   if (!drawn.length && !ofTypes(topics, TRANSFORMS).length) return undefined;
-  const visible = drawn.map((topic) => [topic.name, drawing(topic)]);
+  const visible = drawn.map((topic) => [topic.topic, drawing(topic)]);
   configById["3D!space"] = {
     cameraState: overhead ? OVERHEAD : {},
     followMode: "follow-pose",
@@ -117,7 +117,7 @@ function addCameras(topics, configById) {
   // A camera publishes the same picture in several ways: one of them is enough, the smallest first.
   const cameras = new Map();
   for (const type of IMAGES) {
-    for (const { name } of ofTypes(topics, [type])) {
+    for (const { topic: name } of ofTypes(topics, [type])) {
       const camera = name.replace(/\/(compressed|compressedDepth|theora)$/, "");
       if (!cameras.has(camera)) cameras.set(camera, name);
     }
@@ -132,7 +132,7 @@ function addCameras(topics, configById) {
 /** @param {Topic[]} topics @param {Record<string, any>} configById @param {boolean} following @returns {Node[]} */
 function addCurves(topics, configById, following) {
   const paths = [...CURVES].flatMap(([type, fields]) =>
-    ofTypes(topics, [String(type)]).flatMap((topic) => fields.map((field) => `${topic.name}.${field}`)));
+    ofTypes(topics, [String(type)]).flatMap((topic) => fields.map((field) => `${topic.topic}.${field}`)));
   if (!paths.length) return [];
   configById["Plot!curves"] = {
     paths: paths.slice(0, MOST_CURVES).map((value) => ({ value, enabled: true, timestampMethod: "receiveTime" })),
@@ -150,7 +150,7 @@ function addTexts(topics, configById) {
     ...topics][0];
   const panels = [];
   if (told) {
-    configById["RawMessages!text"] = { topicPath: told.name, diffEnabled: false, diffMethod: "custom", diffTopicPath: "",
+    configById["RawMessages!text"] = { topicPath: told.topic, diffEnabled: false, diffMethod: "custom", diffTopicPath: "",
       showFullMessageForDiff: false };
     panels.push("RawMessages!text");
   }

@@ -73,7 +73,7 @@ export class StoreSource {
       for (const [name, definitions] of Object.entries(topic.schema.types)) {
         datatypes.set(name, { name, definitions });
       }
-      topicStats.set(topic.name, {
+      topicStats.set(topic.topic, {
         numMessages: topic.messages,
         firstMessageTime: topic.first === null ? undefined : toTime(BigInt(topic.first)),
         lastMessageTime: topic.last === null ? undefined : toTime(BigInt(topic.last)),
@@ -82,7 +82,7 @@ export class StoreSource {
     return {
       start: toTime(this.start),
       end: toTime(this.end),
-      topics: topics.map((/** @type {any} */ topic) => ({ name: topic.name, schemaName: topic.type })),
+      topics: topics.map((/** @type {any} */ topic) => ({ name: topic.topic, schemaName: topic.type })),
       topicStats,
       datatypes,
       profile: "ros1",

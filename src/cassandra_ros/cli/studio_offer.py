@@ -36,7 +36,9 @@ def offer(program: str, folder: Path) -> None:
         return
     declined = folder.parent / _DECLINED
     if sys.stdin.isatty() and not declined.exists():
-        question = "Look shows messages in Foxglove Studio, which is not here yet. Fetch it (37 MB)?"
+        question = (
+            "Look shows messages in Foxglove Studio, which is not here yet. Fetch it (37 MB)?"
+        )
         if says_yes(question):
             try:
                 install(folder)

@@ -66,7 +66,7 @@ def _connections(call: Call) -> Json:
     return {
         "start": str(window.low),
         "end": str(window.high),
-        "messages": whole.count,
+        "messages": whole.messages,
         "bytes": whole.size,
         "topics": topics,
         "problems": problems,
@@ -92,7 +92,7 @@ def _topic(name: str, parts: Sequence[tuple[TopicTable, Held]]) -> Json:
     return {
         **describe_channel(table),
         "topic": name,
-        "messages": whole.count,
+        "messages": whole.messages,
         "bytes": whole.size,
         "first": str(whole.first) if whole.last >= 0 else None,
         "last": str(whole.last) if whole.last >= 0 else None,

@@ -19,7 +19,7 @@ DAY_NS = 24 * 3600 * SECOND_NS
 class Held(NamedTuple):
     """What some tables hold in a stretch of time, to the accuracy of a bucket."""
 
-    count: int = 0
+    messages: int = 0
     size: int = 0
     """Bytes of the messages."""
     first: int = LAST_NS
@@ -30,7 +30,7 @@ class Held(NamedTuple):
     def with_(self, other: Held) -> Held:
         """Return what both hold together."""
         first, last = min(self.first, other.first), max(self.last, other.last)
-        return Held(self.count + other.count, self.size + other.size, first, last)
+        return Held(self.messages + other.messages, self.size + other.size, first, last)
 
 
 def held(keyspace: Keyspace, table: TopicTable, stretch: Stretch, whose: Whose) -> Held:

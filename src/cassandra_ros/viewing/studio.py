@@ -101,7 +101,7 @@ def studio_folder() -> Path:
 def studio_installed(folder: Path) -> bool:
     """Tell whether a folder holds the Studio, complete, and of the versions that are known here."""
     try:
-        return json.loads((folder / _MARKER).read_text(encoding="utf-8")) == _wanted()
+        return bool(json.loads((folder / _MARKER).read_text(encoding="utf-8")) == _wanted())
     except (OSError, ValueError):
         return False
 
