@@ -6,7 +6,7 @@
  * duration are {sec, nsec}, int64 and uint64 BigInt, arrays of numbers typed arrays.
  *
  * The schema is data and stays so. Readers that make a program of it, as the Studio's own does,
- * would have a definition that somebody recorded run as code, and the page allow `eval`.
+ * would have a definition that somebody recorded run as code.
  */
 
 /**

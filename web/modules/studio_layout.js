@@ -136,7 +136,7 @@ function addCurves(topics, configById, following) {
   if (!paths.length) return [];
   configById["Plot!curves"] = {
     paths: paths.slice(0, MOST_CURVES).map((value) => ({ value, enabled: true, timestampMethod: "receiveTime" })),
-    showXAxisLabels: true, showYAxisLabels: true, showLegend: true, legendDisplay: "floating",
+    showXAxisLabels: true, showYAxisLabels: true, showLegend: true, legendDisplay: "top",
     showPlotValuesInLegend: false, isSynced: true, xAxisVal: "timestamp", sidebarDimension: 240,
     ...(following && { followingViewWidth: FOLLOWED_SEC }),
   };
