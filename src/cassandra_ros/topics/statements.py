@@ -118,7 +118,7 @@ class Statements:
 
     def explain(
         self,
-        statement: str,
+        statement: Union[str, Select],
         params: Sequence[Any] = (),
         node: Optional[str] = None,
         run: RunName = None,

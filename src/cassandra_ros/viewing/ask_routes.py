@@ -22,6 +22,9 @@ from cassandra_ros.query.syntax import (
     Expression,
     KeyOperand,
     Literal,
+    NodeOperand,
+    OneOf,
+    RunOperand,
     Select,
     TimeNs,
 )
@@ -56,18 +59,26 @@ def _watch(call: Call) -> Callable[[], None]:
     return watch
 
 
-def _node(call: Call) -> str | None:
-    nodes = call.texts("nodes") or ()
-    if len(nodes) > 1:
-        raise InvalidOption("nodes: a statement is asked of one robot, or of all; use NODE IN (…)")
-    return nodes[0] if nodes else None
+def _one(call: Call, name: str) -> str | None:
+    """Return the robot or the run that is asked for, None where it is none, or several."""
+    given = call.texts(name) or ()
+    return given[0] if len(given) == 1 else None
 
 
-def _run(call: Call) -> str | None:
-    runs = call.texts("runs") or ()
-    if len(runs) > 1:
-        raise InvalidOption("runs: a statement is asked of one run, or of all; use RUN IN (…)")
-    return runs[0] if runs else None
+def _statement(call: Call) -> Select:
+    """Return the statement, asked of several robots and runs where several are given."""
+    select = parse_select(call.text("q") or "")
+    terms: list[Expression] = []
+    for name, operand in (("nodes", NodeOperand(0)), ("runs", RunOperand(0))):
+        given = call.texts(name) or ()
+        if len(given) > 1:
+            terms.append(OneOf(operand, tuple(Literal(text, 0) for text in given)))
+    return _narrowed(select, terms)
+
+
+def _narrowed(select: Select, terms: Sequence[Expression]) -> Select:
+    every = (*terms, *(() if select.condition is None else (select.condition,)))
+    return replace(select, condition=All(every)) if terms else select
 
 
 # ---------------------------------------------------------------- rows
@@ -77,7 +88,7 @@ def _query(call: Call) -> Json:
     """Answer a page of a statement's rows."""
     limit = min(call.count("limit") or PAGE_ROWS, MOST_ROWS)
     result = call.store.statements.select(
-        _windowed(call), node=_node(call), run=_run(call), after=call.text("after"), watch=_watch(call)
+        _windowed(call), node=_one(call, "nodes"), run=_one(call, "runs"), after=call.text("after"), watch=_watch(call)
     )
     with result:
         return _page(call, result, limit)
@@ -85,7 +96,7 @@ def _query(call: Call) -> Json:
 
 def _windowed(call: Call) -> Select:
     """Return the statement, asked of the messages of a window alone; rows made of several stay."""
-    select = parse_select(call.text("q") or "")
+    select = _statement(call)
     tables = call.store.statements.topic_of(select).tables
     low, high = call.time_ns("start"), call.time_ns("end")
     if settle(select, tables).gathers or any(table.named for table in tables):
@@ -96,9 +107,7 @@ def _windowed(call: Call) -> Select:
         for operator, ns in ends.items()
         if ns is not None
     ]
-    if select.condition is not None:
-        terms.append(select.condition)
-    return replace(select, condition=All(tuple(terms)) if terms else None)
+    return _narrowed(select, terms)
 
 
 def _page(call: Call, result: QueryResult, limit: int) -> Json:
@@ -136,7 +145,7 @@ def _kinds(call: Call, result: QueryResult) -> Json:
 def _explain(call: Call) -> Json:
     """Run a statement to its end, and say how it was answered."""
     found = call.store.statements.explain(
-        call.text("q") or "", node=_node(call), run=_run(call), watch=_watch(call)
+        _statement(call), node=_one(call, "nodes"), run=_one(call, "runs"), watch=_watch(call)
     )
     return {
         "text": str(found),
@@ -204,10 +213,10 @@ def _plot(call: Call) -> Json:
         raise InvalidOption("start lies behind end")
     window = Window(low, high, pixels, BUDGET_SEC if seconds is None else max(0.0, seconds))
     found = call.store.statements.series(
-        call.text("q") or "",
+        _statement(call),
         window=window,
-        node=_node(call),
-        run=_run(call),
+        node=_one(call, "nodes"),
+        run=_one(call, "runs"),
         cache=call.shared(_cache),
         watch=_watch(call),
     )
@@ -264,8 +273,8 @@ def _how(found: Series) -> str:
 
 _STATEMENT = Parameter("q", "text", "The statement: a SELECT.", required=True)
 _WHOSE = (
-    Parameter("nodes", "texts", "Only messages of this robot; one at most."),
-    Parameter("runs", "texts", "Only messages of this recording or import; one at most."),
+    Parameter("nodes", "texts", "Only messages of these robots."),
+    Parameter("runs", "texts", "Only messages of these recordings or imports."),
 )
 
 ROUTES: tuple[Route, ...] = (
