@@ -57,7 +57,7 @@ def arrays(rows):
 def test_each_pixel_has_its_least_and_its_greatest_number(rows, one, other, most, cut):
     grid = Grid.between(min(one, other), max(one, other), most)
     assert grid.low <= min(one, other) <= max(one, other) <= grid.high
-    assert grid.count <= most and grid.low % grid.width == 0
+    assert grid.pixels <= most and grid.low % grid.width == 0
     envelope, part = (Envelope(grid, 2) for _ in range(2))
     envelope.add(*arrays(rows[:cut]))
     # A part that has pixels of its own, some of them elsewhere.
@@ -70,12 +70,12 @@ def test_each_pixel_has_its_least_and_its_greatest_number(rows, one, other, most
 
 def test_a_grid_has_as_many_pixels_as_it_may():
     assert Grid.between(7, 7, 1) == Grid(0, 7, 1)
-    assert Grid.between(0, 999, 1000).count == 1000
-    assert Grid.between(0, 1000, 1000).count == 501
+    assert Grid.between(0, 999, 1000).pixels == 1000
+    assert Grid.between(0, 1000, 1000).pixels == 501
     # Across a high power of two nothing short of all bits is one pixel.
-    assert Grid.between(2**40 - 1, 2**40, 1).count == 1
+    assert Grid.between(2**40 - 1, 2**40, 1).pixels == 1
     day = Grid.between(1_400_000_000 * 10**9, 1_400_086_400 * 10**9, 1000)
-    assert 500 <= day.count <= 1000
+    assert 500 <= day.pixels <= 1000
 
 
 def test_a_span_that_is_wider_than_a_pixel_may_lie_in_each():

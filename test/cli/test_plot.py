@@ -42,7 +42,9 @@ def test_endings_groups_windows_and_robots(call, drive, tmp_path):
     window = ("--start", "1500000003", "--end", "1500000004")
     assert call("plot", "select data from speed", "-o", pdf, *window, "--node-id", "b")[0] == 0
     assert pdf.read_bytes()[:5] == b"%PDF-"
-    status, _, err = call("plot", "select data from speed", "-o", tmp_path / "y.png", "--node-id", "a")
+    status, _, err = call(
+        "plot", "select data from speed", "-o", tmp_path / "y.png", "--node-id", "a"
+    )
     assert status == 0 and "nothing to draw" in err
 
 

@@ -75,7 +75,7 @@ def test_every_ending_and_all_texts():
     svg = drawn(both, ending="svg", title="A <drive>").decode("utf-8")
     assert svg.startswith("<?xml") and "<svg" in svg
     # Texts are outlines; what they say stands beside them.
-    for text in ("A &lt;drive&gt;", "x", "cost \\$a_b\\$", "[m]", "UTC"):
+    for text in ("A &lt;drive&gt;", "x", "cost $a_b$", "[m]", "UTC"):
         assert f"<!-- {text} -->" in svg, text
     assert drawn(both, ending="pdf").startswith(b"%PDF-")
 

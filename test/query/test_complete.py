@@ -58,7 +58,7 @@ def taken(text, choice):
         ("select KEY, header.st| from fix", ["header.stamp"]),
         ("select child| from tf", ["transforms.child_frame_id"]),
         ("select transforms[0].tra| from tf", ["transforms[0].transform.translation.x"]),
-        ("select data| from \"/odd name\"", []),  # it is whole
+        ('select data| from "/odd name"', []),  # it is whole
         ("select * from /fix w|", ["WHERE"]),
         ("select * from /fix where lati|", ["latitude"]),
         ("select * from /fix where altitude > 3 |", ["AND", "OR", "LIMIT", "ORDER BY", "GROUP BY"]),

@@ -29,7 +29,7 @@ class Grid(NamedTuple):
     """A pixel is 2 ** shift ns long."""
     first: int
     """Number of the first one, counted from 1970."""
-    count: int
+    pixels: int
 
     @classmethod
     def over(cls, low: int, high: int, shift: int) -> Grid:
@@ -61,7 +61,7 @@ class Grid(NamedTuple):
         return ((self.first + self.count) << self.shift) - 1
 
     def places(self, times: AnyArray) -> AnyArray:
-        """Return in which of the pixels times lie, ns; below 0 or from count on: in none."""
+        """Return in which of the pixels times lie, ns; below 0 or from ``pixels`` on: in none."""
         found: AnyArray = (times >> self.shift) - self.first
         return found
 
@@ -83,11 +83,11 @@ class Envelope:
 
     def __init__(self, grid: Grid, columns: int) -> None:
         self.grid = grid
-        self._first = np.full(grid.count, _NEVER, np.int64)
-        self._last = np.full(grid.count, _BEFORE, np.int64)
-        self._rows = np.zeros(grid.count, np.int64)
-        self._low = np.full((columns, grid.count), np.nan)
-        self._high = np.full((columns, grid.count), np.nan)
+        self._first = np.full(grid.pixels, _NEVER, np.int64)
+        self._last = np.full(grid.pixels, _BEFORE, np.int64)
+        self._rows = np.zeros(grid.pixels, np.int64)
+        self._low = np.full((columns, grid.pixels), np.nan)
+        self._high = np.full((columns, grid.pixels), np.nan)
 
     @property
     def nbytes(self) -> int:
@@ -116,7 +116,7 @@ class Envelope:
         """
         places = self.grid.places(firsts)
         counts = np.ones(len(places), np.int64) if rows is None else rows
-        kept = (places >= 0) & (places < self.grid.count)
+        kept = (places >= 0) & (places < self.grid.pixels)
         chosen = None if kept.all() else np.flatnonzero(kept)
         if (places[1:] < places[:-1]).any():
             order = np.argsort(places, kind="stable")
@@ -156,7 +156,7 @@ class Envelope:
     def merge(self, other: Envelope) -> None:
         """Take what another one holds, of pixels of the same length; of its own pixels only."""
         begin = max(0, other.grid.first - self.grid.first)
-        end = min(self.grid.count, other.grid.first + other.grid.count - self.grid.first)
+        end = min(self.grid.pixels, other.grid.first + other.grid.pixels - self.grid.first)
         if begin >= end:
             return
         here = slice(begin, end)

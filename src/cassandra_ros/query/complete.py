@@ -95,8 +95,7 @@ def complete(text: str, cursor: int, known: Known) -> Offers:
     """
     cursor = max(0, min(cursor, len(text), MAX_STATEMENT))
     before = text[:cursor]
-    found = _WORD.search(before)
-    start = cursor if found is None else found.start()
+    start = _begin(before)
     tokens = _tokens(before[:start])
     if tokens is None:
         return Offers(cursor, ())
@@ -108,6 +107,14 @@ def complete(text: str, cursor: int, known: Known) -> Offers:
     fitting.sort(key=lambda offer: not offer.text.lower().lstrip("/").startswith(word.lstrip("/")))
     alone = len(fitting) == 1 and fitting[0].text == before[start:]
     return Offers(start, () if alone else tuple(fitting[:MOST]))
+
+
+def _begin(before: str) -> int:
+    """Return where the word begins that ends with a text, or the value in quotes."""
+    if before.count("'") % 2:
+        return before.rindex("'")
+    found = _WORD.search(before)
+    return len(before) if found is None else found.start()
 
 
 def _fits(offer: Offer, word: str) -> bool:
@@ -141,7 +148,8 @@ def _tokens(before: str) -> Optional[tuple[Set[str], Sequence[Token]]]:
             previous.append(token)
     except (UnexpectedInput, StatementError):
         return None
-    return set(parser.accepts()), previous
+    accepted: Set[str] = parser.accepts()  # type: ignore[no-untyped-call]
+    return accepted, previous
 
 
 def _offers(
@@ -176,9 +184,7 @@ def _is_condition(previous: Sequence[Token]) -> bool:
     return places[-1:] == ["_WHERE"]
 
 
-def _values(
-    previous: Sequence[Token], accepted: Set[str], known: Known
-) -> Sequence[Offer]:
+def _values(previous: Sequence[Token], accepted: Set[str], known: Known) -> Sequence[Offer]:
     """Return the nodes and runs that there are, where one is compared with a text."""
     if "TEXT" not in accepted or len(previous) < 2 or previous[-1].type != "OPERATOR":
         return ()

@@ -101,7 +101,7 @@ class Wanted:
 
     @property
     def selected(self) -> Select:
-        """The statement that gives KEY and the columns, which are called '0', '1', …"""
+        """The statement that gives KEY and the columns, which are called by their numbers."""
         chosen = [Selected(column.what, str(n)) for n, column in enumerate(self.columns)]
         key = Selected(KeyOperand(0))
         plain = replace(self.select, order=(), hidden=(), limit=None, descending=False)

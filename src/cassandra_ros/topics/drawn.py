@@ -60,7 +60,8 @@ def drawn_columns(select: Select, tables: Sequence[Table]) -> Drawn:
     Raises:
         InvalidQuery: The statement names what the topic has not.
     """
-    columns, left_out = [], []
+    columns: list[Column] = []
+    left_out: list[Undrawn] = []
     for name, found in _columns(select, tables).items():
         output, kind, table, selected = found
         reason = _reason(kind)

@@ -233,9 +233,7 @@ class EnvelopeReader:
                 part = self._refined(listed[n], grid, part)
             yield n, part
 
-    def _joined(
-        self, grid: Grid, listed: Sequence[_Listed], parts: dict[int, Part]
-    ) -> Envelopes:
+    def _joined(self, grid: Grid, listed: Sequence[_Listed], parts: dict[int, Part]) -> Envelopes:
         envelope, read, edges = Envelope(grid, self._columns), 0.0, 0
         for n, part in parts.items():
             envelope.merge(part.sure)

@@ -182,9 +182,7 @@ def _of_rows(
     topic: CassandraTopic, select: Select, drawn: Drawn, window: Window, asker: Asker
 ) -> Series:
     """Draw the rows of a result: all of them are made."""
-    if select.columns is not None and not (
-        select.aggregates or select.group or select.distinct
-    ):
+    if select.columns is not None and not (select.aggregates or select.group or select.distinct):
         select = replace(select, columns=(Selected(KeyOperand(0)), *select.columns))
     kinds = column_types(select, topic.tables)
     over = next((n for n, (_, k) in enumerate(kinds) if k.kind == "time" and not k.depth), None)
@@ -194,9 +192,7 @@ def _of_rows(
     name = kinds[over][0]
     drawn = drawn._replace(left_out=tuple(u for u in drawn.left_out if u.name != name))
     places = [[name for name, _ in kinds].index(column.name) for column in drawn.columns]
-    asked = QueryResult(
-        select, topic, node=asker.node, run=asker.writers, watch=asker.watch
-    )
+    asked = QueryResult(select, topic, node=asker.node, run=asker.writers, watch=asker.watch)
     with asked as result:
         times, numbers = _arrays(select, result, over, places)
     low = times.min(initial=2**63 - 1) if window.low is None else window.low

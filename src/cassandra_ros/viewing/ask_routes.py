@@ -88,7 +88,11 @@ def _query(call: Call) -> Json:
     """Answer a page of a statement's rows."""
     limit = min(call.count("limit") or PAGE_ROWS, MOST_ROWS)
     result = call.store.statements.select(
-        _windowed(call), node=_one(call, "nodes"), run=_one(call, "runs"), after=call.text("after"), watch=_watch(call)
+        _windowed(call),
+        node=_one(call, "nodes"),
+        run=_one(call, "runs"),
+        after=call.text("after"),
+        watch=_watch(call),
     )
     with result:
         return _page(call, result, limit)
@@ -288,12 +292,18 @@ ROUTES: tuple[Route, ...] = (
         "and the infinities the texts 'nan', 'inf', '-inf'.",
         (
             _STATEMENT,
-            Parameter("limit", "count", f"Rows of the page, at most {MOST_ROWS}.", False, PAGE_ROWS),
+            Parameter(
+                "limit", "count", f"Rows of the page, at most {MOST_ROWS}.", False, PAGE_ROWS
+            ),
             Parameter("after", "text", "The after of the page before."),
             Parameter("start", "time", "Only messages from here on; not of groups and the like."),
             Parameter("end", "time", "Only messages up to here, included; not of groups either."),
-            Parameter("cut", "count", "Of arrays, texts and bytes no more than so many elements: "
-                      "longer ones become {first, of}."),
+            Parameter(
+                "cut",
+                "count",
+                "Of arrays, texts and bytes no more than so many elements: "
+                "longer ones become {first, of}.",
+            ),
             *_WHOSE,
         ),
     ),
@@ -309,8 +319,8 @@ ROUTES: tuple[Route, ...] = (
         "GET",
         "/api/complete",
         _complete,
-        "What may stand at a place of a statement: offers (text, kind, note), each in place of what "
-        "stands from start to the place.",
+        "What may stand at a place of a statement: offers (text, kind, note), each in place of "
+        "what stands from start to the place.",
         (
             Parameter("q", "text", "The statement, as far as it is typed.", default=""),
             Parameter("at", "count", "The place, in characters; without it the end."),
@@ -320,11 +330,11 @@ ROUTES: tuple[Route, ...] = (
         "GET",
         "/api/plot",
         _plot,
-        "The numbers of a statement over time: of each pixel in which something lies its time (ns), "
-        "how many rows (0 = unknown), and of each column low and high, its least and greatest number "
-        "(high null: all are the same as low). Answered within about a second: while complete is "
-        "false, how says what is missing, and to ask again gives more. Rows of groups and of LIMIT "
-        "are always complete.",
+        "The numbers of a statement over time: of each pixel in which something lies its time "
+        "(ns), how many rows (0 = unknown), and of each column low and high, its least and "
+        "greatest number (high null: all are the same as low). Answered within about a second: "
+        "while complete is false, how says what is missing, and to ask again gives more. Rows of "
+        "groups and of LIMIT are always complete.",
         (
             _STATEMENT,
             Parameter("start", "time", "The first time; without it that of the first message."),

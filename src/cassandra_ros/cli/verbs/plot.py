@@ -3,8 +3,8 @@
 """Draw the numbers of statements over time, into a picture.
 
   cassandra_bag plot "SELECT linear.x, angular.z FROM /cmd_vel" -o speeds.png
-  cassandra_bag plot "SELECT altitude FROM /fix" "SELECT range FROM /sonar" -o both.svg --title Drive
-  cassandra_bag plot "SELECT time(1m), avg(range), max(range) FROM /sonar GROUP BY time(1m)" -o x.pdf
+  cassandra_bag plot "SELECT altitude FROM /fix" "SELECT range FROM /sonar" -o both.svg
+  cassandra_bag plot "SELECT time(1m), max(range) FROM /sonar GROUP BY time(1m)" -o x.pdf
 
 Each column that is a number becomes a line, over KEY or the first time in a row of groups. Columns
 of the same unit share a panel; units are known of ROS's own messages. Of many messages the least
