@@ -58,7 +58,7 @@ class Grid(NamedTuple):
     @property
     def high(self) -> int:
         """The last time that lies in it, ns."""
-        return ((self.first + self.count) << self.shift) - 1
+        return ((self.first + self.pixels) << self.shift) - 1
 
     def places(self, times: AnyArray) -> AnyArray:
         """Return in which of the pixels times lie, ns; below 0 or from ``pixels`` on: in none."""
