@@ -10,6 +10,8 @@ later. Anything else is read and made into arrays.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
 from typing import Iterator, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
@@ -98,6 +100,8 @@ class Wanted:
     """Of its condition, and of whom was asked for besides."""
     columns: Tuple[Column, ...]
     """None is an aggregate."""
+    key: str
+    """Tells it from all else that is asked of the topic."""
 
     @property
     def selected(self) -> Select:
@@ -258,8 +262,11 @@ class PieceReader:
         test = Projection.compile(
             replace(self._select, columns=()), table, Findings(self._select.text)
         )
-        rows = self._rows.read([table], stretch, whose=whose, chooser=chooser)
-        return filter(test.hit, rows)
+        low, high = stretch
+        spans = self._wanted.bounds.spans
+        parts = [stretch] if spans is None else (Stretch(*s) for s in spans(low, high, False))
+        read = partial(self._rows.read, [table], whose=whose, chooser=chooser)
+        return filter(test.hit, chain.from_iterable(map(read, parts)))
 
 
 def _check_table(table: Table, piece: Piece) -> None:

@@ -110,8 +110,7 @@ class EnvelopeReader:
         self._columns = len(wanted.columns)
         self._cache, self._watch = cache, watch
         self._pieces = PieceReader(keyspace, wanted, watch)
-        # Its tree, for the values of its parameters are in no text.
-        self._asked = repr((wanted.selected.columns, wanted.select.condition, wanted.bounds))
+        self._asked = wanted.key
 
     def read(self, grid: Grid, seconds: Optional[float] = None) -> Envelopes:
         """Read the envelope of the messages in a grid.

@@ -8,6 +8,7 @@ there is time for. Groups, distinct rows and those of a LIMIT are made first, al
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Iterator, NamedTuple, Optional, Sequence, Tuple
@@ -18,7 +19,7 @@ from cassandra_ros.arrays.array_types import AnyArray, column_types
 from cassandra_ros.arrays.envelope import Envelope, Grid, Points
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.bounds import Bounds, bounds_of
-from cassandra_ros.query.nearby import located
+from cassandra_ros.query.nearby import located, spans_of
 from cassandra_ros.query.projection import ResultRow
 from cassandra_ros.query.pushdown import Watch, unwatched
 from cassandra_ros.query.run import QueryResult
@@ -37,6 +38,8 @@ PIXELS = 1000
 MOST_PIXELS = 20_000
 MOST_ROWS = 2_000_000
 """So many rows are made for a plot that has to have all of them."""
+NEAR_KEPT_SEC = 60
+"""So long it is believed what a robot's poses said."""
 _CHUNK_ROWS = 4096
 
 
@@ -112,7 +115,8 @@ def read_series(
         InvalidQuery: The statement names what the topic has not.
     """
     tables = topic.tables
-    settled = located(settle(select, tables), tables, asker.node)
+    plain = settle(select, tables)
+    settled = located(plain, tables, asker.node)
     drawn = drawn_columns(settled, tables)
     if any(table.named for table in tables):
         return _nothing(topic, _without(drawn, "of messages that lie under names, not at a time"))
@@ -126,7 +130,9 @@ def read_series(
     if ends is None:
         return _nothing(topic, drawn)
     grid = Grid.between(*ends, window.pixels)
-    wanted = Wanted(settled, bounds, drawn.columns)
+    key = _key(plain, bounds, drawn, near=settled is not plain)
+    bounds = replace(bounds, spans=spans_of(settled.condition))
+    wanted = Wanted(settled, bounds, drawn.columns, key)
 
     def read(now: Sequence[TopicTable]) -> Envelopes:
         reader = EnvelopeReader(keyspace, now, wanted, asker.cache, asker.watch)
@@ -135,6 +141,14 @@ def read_series(
     found = followed(tables, read)
     points = found.envelope.points()
     return Series(topic.name, *drawn, grid, points, found.share, found.edges)
+
+
+def _key(select: Select, bounds: Bounds, drawn: Drawn, near: bool) -> str:
+    """Return what tells a question from all others, where it is asked of the same messages."""
+    # The trees, for the values of its parameters are in no text.
+    key = repr(([column.what for column in drawn.columns], select.condition, bounds))
+    # Poses may come later than what was recorded there.
+    return f"{key} {time.time() // NEAR_KEPT_SEC}" if near else key
 
 
 def _nothing(topic: CassandraTopic, drawn: Drawn) -> Series:
