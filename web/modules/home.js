@@ -237,7 +237,7 @@ function tell() {
   const topics = new Set(picture.lanes.map((lane) => lane.topic)).size;
   summary.textContent = `${plural(topics, "topic")} · ${messages.toLocaleString("en")} messages` +
     (picture.writing ? " · recording" : "");
-  chosen.textContent = `${shown(start, (end - start) / 1000n)}  ${length(end - start + 1n)}`;
+  chosen.textContent = `${shown(start, (end - start) / 1000n)} · ${length(end - start + 1n)}`;
   chosen.title = span ? "What is selected" : "What is seen";
   const window_ = { start, end };
   const inside = moment !== null && start <= moment && moment <= end ? moment : start;

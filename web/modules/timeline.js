@@ -12,8 +12,8 @@ import { Picture } from "./timeline_data.js";
 const STRIP = 34;
 const AXIS = 26;
 const TOP = STRIP + AXIS;
-const ROW = 24;
-const BAR = 16;
+const ROW = 22;
+const BAR = 14;
 const NAMES_MOST = 320;
 const NAMES_PART = 0.3;
 /** The shortest window, ns. */
@@ -521,7 +521,8 @@ export class Timeline extends EventTarget {
       let next = cell + 1;
       while (next <= last && lane.counts[next] === count && even[next - first] === even[cell - first]) next++;
       if (count) {
-        const high = Math.max(4, Math.round((count / lane.most) * BAR));
+        // By the root, or a single burst would leave little of the others.
+        const high = Math.max(3, Math.round(Math.sqrt(count / lane.most) * BAR));
         const [from, to] = [origin + cell * perCell, origin + next * perCell].map((x) => Math.max(names, Math.min(width, x)));
         pen.fillStyle = even[cell - first] ? this.colours.soft : this.colours.data;
         pen.fillRect(from, base - high, Math.max(1, to - from), high);

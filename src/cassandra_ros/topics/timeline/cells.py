@@ -194,9 +194,13 @@ def gaps_between(stretches: Stretches, scale: Scale) -> list[Tuple[int, int]]:
         Times of the message before and of the one behind, ns; at most MAX_GAPS, the longest.
     """
     order = np.lexsort((stretches.first, stretches.writer))
-    begins = np.flatnonzero(np.diff(stretches.writer[order])) + 1
+    writer, first, last = (
+        column[order] for column in (stretches.writer, stretches.first, stretches.last)
+    )
+    seen = (first[1:] - last[:-1] >= LEAST_CELLS * scale.step) & (writer[1:] == writer[:-1])
     found: list[Tuple[int, int]] = []
-    for own in np.split(order, begins):
+    for one in np.unique(writer[1:][seen]):  # of thousands of runs few have any
+        own = order[writer == one]
         columns = stretches.first[own], stretches.last[own], stretches.messages[own]
         found += _gaps(*columns, scale)
     return _longest(found)
