@@ -84,6 +84,9 @@ def test_what_covers_several_cells_is_spread_over_them_and_told_to_be(scale, row
         if counts[cell] > 0 and not even[cell]:  # each is where it is told to be
             ends = [time for first, last, count in near for time in (first, last)]
             assert whole or any(begin <= time <= end for time in ends)
+            assert not any(
+                last - first > 3 * scale.step and count > 2 for first, last, count in near
+            )
     for first, last, count in rows:  # of one that lies in the window nothing is lost
         if scale.start <= first and last <= scale.end and len(rows) == 1:
             assert counts.sum() == pytest.approx(count)

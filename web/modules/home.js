@@ -28,9 +28,9 @@ const chosen = make("span", { class: "mono", id: "chosen" });
 const links = make("div", { class: "row", id: "links" });
 const canvas = make("canvas", { class: "timeline", tabindex: "0", role: "application", id: "timeline" });
 const tip = make("div", { class: "tip", hidden: true });
-const box = make("div", { class: "timeline-box grow" }, canvas, tip);
+const box = make("div", { class: "timeline-box" }, canvas, tip);
 const tables = make("section", { class: "panel tables", id: "tables" });
-const panel = make("section", { class: "panel timeline-panel grow" },
+const panel = make("section", { class: "panel timeline-panel" },
   make("header", {}, selection, zoomButtons(), summary, make("div", { class: "row push" }, chosen, links)),
   box,
   make("p", { class: "keys muted" }, "Wheel: zoom · drag: select · Shift and drag, or drag the axis: move · keys ",
@@ -74,6 +74,7 @@ async function load({ again: known = false } = {}) {
   timeline.picture.take(answer, { all: true, whole: true });
   timeline.picture.takeMarks(marks.marks);
   timeline.update();
+  box.style.height = `${timeline.wanted}px`;
   const nothing = !timeline.picture.lanes.length;
   panel.hidden = tables.hidden = nothing;
   empty.hidden = !nothing;

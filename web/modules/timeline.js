@@ -14,12 +14,14 @@ const AXIS = 26;
 const TOP = STRIP + AXIS;
 const ROW = 22;
 const BAR = 14;
+const NAMES_LEAST = 150;
 const NAMES_MOST = 320;
 const NAMES_PART = 0.3;
 /** The shortest window, ns. */
 const SHORTEST = 1000n;
 const WHEEL_ZOOM = 1.0016;
 const CLICK_PX = 4;
+const MOST_TEXTS = 5000;
 
 /**
  * @typedef {object} Span
@@ -61,6 +63,8 @@ export class Timeline extends EventTarget {
     /** @type {any} What is being dragged. */
     this.drag = null;
     this.asked = 0;
+    /** @type {Map<string, string>} Texts that were too long for their room. */
+    this.shortened = new Map();
     this.colours = coloursOf(canvas);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
       this.colours = coloursOf(canvas);
@@ -178,19 +182,25 @@ export class Timeline extends EventTarget {
     this.tell("view");
   }
 
+  /** @returns {number} How high it is with all rows. */
+  get wanted() {
+    return TOP + this.lines.length * ROW + 10;
+  }
+
   layOut() {
+    this.shortened.clear();
     const pen = this.pen();
     pen.font = this.colours.font;
     const widest = this.lines.reduce((most, line) => {
       const text = line.kind === "lane" ? line.lane.topic : line.node;
       return Math.max(most, pen.measureText(text).width);
-    }, 80);
+    }, NAMES_LEAST);
     const most = Math.min(NAMES_MOST, this.size.width * NAMES_PART);
     this.size.names = Math.round(Math.min(widest + 34, most));
   }
 
   get scrollMost() {
-    return Math.max(0, this.lines.length * ROW + 8 - (this.size.height - TOP));
+    return Math.max(0, this.wanted - this.size.height);
   }
 
   /** @param {number} y */
@@ -578,12 +588,14 @@ export class Timeline extends EventTarget {
   /** @param {CanvasRenderingContext2D} pen */
   drawPointer(pen) {
     const at = this.pointer;
-    if (!at || at.x < this.size.names || at.y < TOP || this.drag?.kind === "pan") {
+    if (!at || at.y < TOP || this.drag?.kind === "pan" || (at.x < this.size.names && !this.lineAt(at.y))) {
       this.tip.hidden = true;
       return;
     }
-    pen.fillStyle = this.colours.muted;
-    pen.fillRect(Math.round(at.x), STRIP, 1, this.size.height);
+    if (at.x >= this.size.names) {
+      pen.fillStyle = this.colours.muted;
+      pen.fillRect(Math.round(at.x), STRIP, 1, this.size.height);
+    }
     const lines = this.tellOf(at);
     this.tip.replaceChildren(...lines.map((text) => Object.assign(document.createElement("div"), { textContent: text })));
     this.tip.hidden = false;
@@ -596,6 +608,9 @@ export class Timeline extends EventTarget {
   tellOf({ x, y }) {
     const ns = this.timeAt(x);
     const line = this.lineAt(y);
+    if (x < this.size.names) {
+      return line?.kind === "lane" ? [line.lane.types.join(", "), line.lane.topic] : ["robot", line?.node || "unnamed"];
+    }
     const found = [shown(ns, (this.view.end - this.view.start) / BigInt(Math.max(1, this.size.width)))];
     if (line?.kind === "robot") {
       const run = this.runAt(line.node, ns);
@@ -639,12 +654,19 @@ export class Timeline extends EventTarget {
    * @param {number} room
    */
   fitted(pen, text, x, y, room) {
-    let shorter = text;
-    for (let kept = text.length - 1; kept > 2 && pen.measureText(shorter).width > room; kept--) {
-      const head = Math.floor(kept / 3);
-      shorter = `${text.slice(0, head)}…${text.slice(text.length - (kept - head))}`;
+    const key = `${Math.round(room)} ${text}`;
+    let shorter = this.shortened.get(key);
+    if (shorter === undefined) {
+      shorter = text;
+      for (let kept = text.length - 1; kept > 2 && pen.measureText(shorter).width > room; kept--) {
+        const head = Math.floor(kept / 3);
+        shorter = `${text.slice(0, head)}…${text.slice(text.length - (kept - head))}`;
+      }
+      if (pen.measureText(shorter).width > room) shorter = "";
+      if (this.shortened.size > MOST_TEXTS) this.shortened.clear();
+      this.shortened.set(key, shorter);
     }
-    if (pen.measureText(shorter).width <= room) pen.fillText(shorter, x, y);
+    pen.fillText(shorter, x, y);
   }
 
   /** @returns {string} The same for who does not see it. */

@@ -101,7 +101,8 @@ ROUTES: Tuple[Route, ...] = (
         _answer,
         "How many messages of each topic and robot lie in equal cells of a window of time. "
         "`counts` has runs of cells that are not empty: the first cell, then the count of each. "
-        "Over the cells of `even` messages are spread of which is only known that they lie there; "
+        "Over the cells of `even`, three and more, messages are spread of which is only known that "
+        "they lie there; "
         "in those of `unknown` nobody has counted. `gaps` are pauses of a run, between two "
         "messages. Where `exact` is false, messages and bytes are estimates. It is told by the "
         "directory, at a cost that does not grow with the messages.",

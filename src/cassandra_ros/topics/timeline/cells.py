@@ -3,7 +3,7 @@
 """How many messages lie in each of many equal stretches of time: cells, as a picture needs them.
 
 Counts are known of longer or shorter stretches (buckets, blocks, single messages). What lies
-across several cells is spread over them evenly, and these are told to be so.
+across several cells is spread over them evenly, and these are told to be so if they are many.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ USUAL_TIMES = 10
 LEAST_CELLS = 2
 """A gap covers so many cells at least: shorter ones are not seen."""
 MAX_GAPS = 500
+WIDE_CELLS = 3
+"""Over so many cells what is spread evenly is told to be: on the border of two it shows nothing."""
 
 
 class Scale(NamedTuple):
@@ -123,7 +125,7 @@ class Cells:
 
     @property
     def even(self) -> Bools:
-        """The cells over which messages are spread of which more is not known."""
+        """The cells of WIDE_CELLS and more over which messages are spread: where is not known."""
         return np.asarray(np.cumsum(self._even)[:-1] > 0)
 
     @property
@@ -150,7 +152,7 @@ class Cells:
         sparse = ~narrow & (near.messages <= spans + 1)
         self._add_sparse(near.where(sparse))
         self._add_dense(near.where(~narrow & ~sparse))
-        self._mark(self._even, near.where(~narrow & (near.messages > 2)))
+        self._mark(self._even, near.where((spans >= WIDE_CELLS - 1) & (near.messages > 2)))
 
     def _mark(self, rises: Longs, stretches: Stretches) -> None:
         """Count the stretches over each cell, as rises."""

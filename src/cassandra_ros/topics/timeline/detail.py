@@ -17,7 +17,7 @@ from cassandra_ros.keys import writer_of
 from cassandra_ros.store.blocks.counts import headers
 from cassandra_ros.store.counting import scan_keys
 from cassandra_ros.topics.selection import Whose
-from cassandra_ros.topics.timeline.cells import Bools, Longs, Scale, Stretches
+from cassandra_ros.topics.timeline.cells import WIDE_CELLS, Bools, Longs, Scale, Stretches
 from cassandra_ros.topics.timeline.pieces import Keys, Piece
 
 MAX_KEYS = 30_000
@@ -62,7 +62,8 @@ def _coarse(piece: Piece, scale: Scale) -> Bools:
     """Tell which stretches are worth a closer look."""
     each = piece.stretches
     near = (each.first <= scale.end) & (each.last >= scale.start)
-    wide = (scale.cells_of(each.last) > scale.cells_of(each.first)) & (each.messages > 2)
+    spans = scale.cells_of(each.last) - scale.cells_of(each.first)
+    wide = (spans >= WIDE_CELLS - 1) & (each.messages > 2)
     cut = (each.first < scale.start) | (each.last > scale.end)
     return np.asarray(near & (wide | cut | ~each.sure))
 
