@@ -517,6 +517,7 @@ export class Timeline extends EventTarget {
    */
   drawCells(pen, lane, scale, base) {
     const { names, width } = this.size;
+    const ratio = devicePixelRatio || 1;
     const perCell = this.xOf(this.view.start + scale.step) - names;
     const origin = this.xOf(scale.start);
     const first = Math.max(0, Math.floor((names - origin) / perCell));
@@ -533,7 +534,8 @@ export class Timeline extends EventTarget {
       if (count) {
         // By the root, or a single burst would leave little of the others.
         const high = Math.max(3, Math.round(Math.sqrt(count / lane.most) * BAR));
-        const [from, to] = [origin + cell * perCell, origin + next * perCell].map((x) => Math.max(names, Math.min(width, x)));
+        // On whole pixels, or a narrow bar would be pale.
+        const [from, to] = [origin + cell * perCell, origin + next * perCell].map((x) => Math.round(Math.max(names, Math.min(width, x)) * ratio) / ratio);
         pen.fillStyle = even[cell - first] ? this.colours.soft : this.colours.data;
         pen.fillRect(from, base - high, Math.max(1, to - from), high);
       }
