@@ -89,9 +89,12 @@ def test_what_a_handler_returns_is_sent():
         assert viewer.post("/api/post", {"q": "ü"}) == {"given": {"q": "ü"}}
         assert viewer.ask("/api/post", method="POST", body="{").status == 400
         assert viewer.ask("/api/post", method="POST", body="1" * 2 * MIB).status == 413
-        assert viewer.ask("/api/post").status == 405
+        found = viewer.ask("/api/post")
+        assert (found.status, found.headers["Allow"]) == (405, "POST")
+        assert found.json()["text"] == "/api/post takes POST, not GET"
         found = viewer.ask("/api/none")
         assert (found.status, found.json()["error"]) == (404, "HTTPNotFound")
+        assert "no /api/none; /api/openapi.json" in found.json()["text"]
         assert "/none.html" in viewer.ask("/none.html").text
 
 

@@ -107,10 +107,19 @@ async def _errors_told(request: web.Request, handler: Handler) -> web.StreamResp
     except web.HTTPError as exc:
         if not request.path.startswith("/api/"):
             raise
-        told = _told(exc.status, type(exc).__name__, exc.text or exc.reason, exc)
+        told = _told(exc.status, type(exc).__name__, _text_of(request, exc), exc)
         if "Allow" in exc.headers:
             told.headers["Allow"] = exc.headers["Allow"]
         return told
+
+
+def _text_of(request: web.Request, error: web.HTTPError) -> str:
+    """Say what is wrong where aiohttp only says the status."""
+    if isinstance(error, web.HTTPMethodNotAllowed):
+        return f"{request.path} takes {error.headers['Allow']}, not {request.method}"
+    if isinstance(error, web.HTTPNotFound):
+        return f"there is no {request.path}; /api/openapi.json says what there is"
+    return error.text or error.reason
 
 
 def _told(status: int, name: str, text: str, error: Exception) -> web.Response:
