@@ -119,10 +119,12 @@ def export_bag(
             if progress is not None:
                 progress(1, len(wire))
         if not report.messages and not empty:
-            reason = why_empty(ros_cas, names, nodeID, run)
-            none = f"{report.path} is not written, for there is no such message: "
-            raise MessageNotFound(none + reason)
+            raise _not_written(report.path, why_empty(ros_cas, names, nodeID, run))
     return report
+
+
+def _not_written(path: str, reason: str) -> MessageNotFound:
+    return MessageNotFound(f"{path} is not written, for there is no such message: {reason}")
 
 
 def why_empty(
