@@ -22,7 +22,7 @@ const TURN_MS = 800;
 page.start("Ask");
 const box = new Box(ask);
 const plot = new Plot(moveTo);
-const rows = new Rows(fail);
+const rows = new Rows((problem, signal) => fail(problem, signal));
 
 let asking = new AbortController();
 let asked = "";
@@ -58,21 +58,22 @@ function show(again = false) {
   const parameters = { q: now.q, nodes: now.nodes, runs: now.runs };
   plan.hidden = false;
   if (other) clearPlan();
-  work(signal, rows.load(parameters, window, signal), plot.load(parameters, window, signal, other));
+  work(signal, other, rows.load(parameters, window, signal), plot.load(parameters, window, signal, other));
 }
 
 /**
  * Wait for work, and say that it goes on; the first thing that fails is shown.
  * @param {AbortSignal} signal
+ * @param {boolean} other It is done for another statement than before.
  * @param {...Promise<void>} all
  */
-function work(signal, ...all) {
+function work(signal, other, ...all) {
   working = all.length;
   cancel.disabled = false;
   document.body.dataset.state = "working";
   told.textContent = "working …";
   for (const each of all) {
-    each.catch((problem) => fail(problem, signal)).finally(() => {
+    each.catch((problem) => fail(problem, signal, other)).finally(() => {
       if (signal.aborted) return;
       working -= 1;
       if (working === 0) rest(error.hidden ? "done" : "failed");
@@ -90,12 +91,24 @@ function rest(how) {
 /**
  * @param {unknown} problem
  * @param {AbortSignal} [signal]
+ * @param {boolean} [other] What is shown is of another statement.
  */
-function fail(problem, signal) {
+function fail(problem, signal, other = false) {
   if (isAbort(problem) || signal?.aborted) return;
+  if (other) {
+    plot.clear();
+    rows.clear();
+    plan.hidden = true;
+  }
   const text = problem instanceof Error ? problem.message : String(problem);
   if (!error.hidden && error.textContent === text) return;
-  error.textContent = text;
+  // The reason may be long; the statement and the caret below it stay as they are.
+  const spot = text.split("\n").slice(-2).join("\n");
+  const isShown = text.endsWith("^");
+  error.replaceChildren(
+    isShown ? text.slice(0, -spot.length) : text,
+    page.make("span", { class: "spot" }, isShown ? spot : ""),
+  );
   error.hidden = false;
   const place = /** @type {any} */ (problem).position;
   if (typeof place === "number") box.point(place);

@@ -27,12 +27,13 @@ export class Plot {
   constructor(move) {
     this._place = /** @type {HTMLElement} */ (document.getElementById("ask-plot"));
     this._panels = /** @type {HTMLElement} */ (document.getElementById("plot-panels"));
-    this._legend = /** @type {HTMLElement} */ (document.getElementById("plot-legend"));
     this._told = /** @type {HTMLElement} */ (document.getElementById("plot-told"));
     this._moment = /** @type {HTMLElement} */ (document.getElementById("plot-moment"));
     this._move = move;
     /** @type {any[]} One of dygraphs for each panel. */
     this._graphs = [];
+    /** @type {HTMLElement[]} What stands above each panel: its lines. */
+    this._legends = [];
     /** @type {any} */
     this._found = null;
     /** @type {bigint[]} */
@@ -57,6 +58,8 @@ export class Plot {
     this._window = "";
     for (const graph of this._graphs) graph.destroy();
     this._graphs = [];
+    this._moment.replaceChildren();
+    this._legends = [];
     this._panels.replaceChildren();
   }
 
@@ -96,10 +99,7 @@ export class Plot {
     this._place.hidden = false;
     this._place.dataset.complete = String(found.complete);
     this._place.dataset.points = String(found.times.length);
-    const left = found.left_out.map((/** @type {any} */ each) => `${each.name} is ${each.reason}`);
-    this._told.textContent = [found.how, ...left.map((/** @type {string} */ t) => `not drawn: ${t}`)]
-      .filter(Boolean).join("; ");
-    if (!found.times.length) this._told.textContent = "nothing lies in this time";
+    this._tell(found);
     this._found = found;
     this._times = found.times.map(BigInt);
     this._base = BigInt(found.start);
@@ -113,26 +113,39 @@ export class Plot {
     this._showLegend(null);
   }
 
+  /** @param {any} found */
+  _tell(found) {
+    const names = found.left_out.map((/** @type {any} */ each) => each.name);
+    const reasons = found.left_out.map((/** @type {any} */ each) => `${each.name} is ${each.reason}`);
+    const left = names.length ? [`not drawn: ${names.join(", ")}`] : [];
+    const nothing = found.times.length ? [] : ["nothing lies in this time"];
+    this._told.textContent = [...(found.how ? [found.how] : []), ...nothing, ...left].join("; ");
+    this._told.title = reasons.join("\n");
+  }
+
+  /** The places of the columns in each panel: those of a unit. @returns {number[][]} */
+  _groups() {
+    const units = [...new Set(this._found.columns.map((/** @type {any} */ column) => column.unit))];
+    const places = [...this._found.columns.keys()];
+    return units.map((unit) => places.filter((place) => this._found.columns[place].unit === unit));
+  }
+
   /** @param {boolean} anew */
   _draw(anew) {
-    const units = [...new Set(this._found.columns.map((/** @type {any} */ column) => column.unit))];
-    const same = !anew && this._graphs.length === units.length;
-    if (!same) {
-      for (const graph of this._graphs) graph.destroy();
-      this._graphs = [];
-      this._panels.replaceChildren();
+    const groups = this._groups();
+    if (!anew && this._graphs.length === groups.length) {
+      for (const [n, places] of groups.entries()) this._graphs[n].updateOptions(this._options(places));
+      return;
     }
-    for (const [n, unit] of units.entries()) {
-      const places = [...this._found.columns.keys()].filter((p) => this._found.columns[p].unit === unit);
-      const options = this._options(places);
-      if (same) {
-        this._graphs[n].updateOptions(options);
-        continue;
-      }
-      const graph = make("div", { class: "graph" });
-      this._panels.append(...(unit ? [make("h3", {}, `in ${unit}`)] : []), graph);
-      this._graphs.push(new (/** @type {any} */ (window)).Dygraph(graph, options.file, options));
-    }
+    for (const graph of this._graphs) graph.destroy();
+    this._legends = groups.map(() => make("ul", { class: "legend" }));
+    const places = groups.map(() => make("div", { class: "graph" }));
+    // All of them first: how high one is depends on how many there are.
+    this._panels.replaceChildren(...places.flatMap((place, n) => [this._legends[n], place]));
+    this._graphs = groups.map((group, n) => {
+      const options = this._options(group);
+      return new (/** @type {any} */ (window)).Dygraph(places[n], options.file, options);
+    });
   }
 
   /** @param {number[]} places Of the columns in a panel. */
@@ -221,19 +234,29 @@ export class Plot {
 
   /** @param {number | null} n Which point is looked at. */
   _showLegend(n) {
-    const items = this._found.columns.map((/** @type {any} */ column, /** @type {number} */ place) => {
-      const colour = make("span", { class: "colour" });
-      colour.style.background = COLOURS[place % COLOURS.length];
-      const value = n === null ? "" : ` ${range(column, n)}${column.unit ? ` ${column.unit}` : ""}`;
-      const pressed = String(!this._hidden.has(place));
-      return make("li", {}, make(
-        "button",
-        { type: "button", "aria-pressed": pressed, title: "Show or hide", onclick: () => this._toggle(place) },
-        colour, column.name, value,
-      ));
-    });
-    this._legend.replaceChildren(...items);
+    for (const [panel, places] of this._groups().entries()) {
+      const { unit } = this._found.columns[places[0]];
+      const items = places.map((place) => this._legendItem(place, n));
+      this._legends[panel]?.replaceChildren(...items, ...(unit ? [make("li", { class: "unit" }, unit)] : []));
+    }
     if (n !== null) this._moment.textContent = this._at(n);
+  }
+
+  /**
+   * @param {number} place
+   * @param {number | null} n
+   */
+  _legendItem(place, n) {
+    const column = this._found.columns[place];
+    const colour = make("span", { class: "colour" });
+    colour.style.background = COLOURS[place % COLOURS.length];
+    const value = make("span", { class: "mono" }, n === null ? "" : range(column, n));
+    const pressed = String(!this._hidden.has(place));
+    const onclick = () => this._toggle(place);
+    return make("li", {}, make(
+      "button", { type: "button", "aria-pressed": pressed, title: "Show or hide", onclick },
+      colour, column.name, " ", value,
+    ));
   }
 
   /** @param {number} n */
