@@ -28,8 +28,8 @@ PAGE_POLICY = (
 """What our pages may load. Styles may stand in elements: plots and the Studio set them so."""
 POLICIES: dict[str, str] = {
     "/look.html": f"{PAGE_POLICY}; frame-src 'self'",
-    # The Studio, which Look frames, makes functions of texts of its own and runs WebAssembly. Of what
-    # is stored nothing is made a program: definitions come as data, links carry no scripts.
+    # The Studio, which Look frames, makes functions of texts of its own and runs WebAssembly. Of
+    # what is stored nothing is made a program: definitions come as data, links carry no scripts.
     "/studio.html": PAGE_POLICY.replace(
         "script-src 'self'", "script-src 'self' 'unsafe-eval'"
     ).replace("frame-ancestors 'none'", "frame-ancestors 'self'"),
