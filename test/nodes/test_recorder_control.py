@@ -224,7 +224,7 @@ def test_dry_run(roscore, recorder, rosCas, tmp_path):
 def test_parameters_mirror_options(roscore, recorder, rosCas):
     master = xmlrpc.client.ServerProxy(roscore.uri)
     given = {"topics": ["/a"], "name": "by_param", "labels": ["x=1", "y=2"], "limit": 1}
-    given.update(diagnostics=False, rate_limit="/a:1000", node_id="")
+    given.update(diagnostics=False, places=False, rate_limit="/a:1000", node_id="")
     master.setParam("/test", "/recorder", given)
     try:
         child = recorder()
@@ -245,6 +245,7 @@ def test_parameters_as_words(capsys):
 
     assert words({"topics": "/a /b", "split": True, "all": False}) == ["/a", "/b", "--split"]
     assert words({"topics": "-a", "diagnostics": False}) == ["--all", "--no-diagnostics"]
+    assert words({"topics": "-a", "diagnostics": True, "places": False}) == ["--all", "--no-places"]
     # Topics of the command line take the place of those of the parameters.
     assert words({"topics": ["/a"], "all": True, "ttl": 5}, "/c") == ["--ttl=5"]
     assert words({"format": "", "labels": ["a=1", "b=2"]}) == ["--label=a=1", "--label=b=2"]

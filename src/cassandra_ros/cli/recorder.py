@@ -179,6 +179,11 @@ def _add_limits(add: Add) -> None:
     add("-L", "--min-space", metavar="1G", type=byte_size, default="1G", help=text)
     text = "tell nothing on /diagnostics"
     add("--no-diagnostics", dest="diagnostics", action="store_false", help=text)
+    text = (
+        "do not note where the robot is while tf or its poses are recorded: NEAR then looks at all "
+        "poses, until 'cassandra_bag index --places' notes it"
+    )
+    add("--no-places", dest="places", action="store_false", help=text)
 
 
 def _add_rosbag(add: Add) -> None:
@@ -241,8 +246,8 @@ def words_of(
             texts = str(value).split() if isinstance(value, str) else map(str, values)
             words += ["--all" if text == "-a" else text for text in texts]
         elif action.nargs == 0:
-            # --no-diagnostics is set where the parameter says false.
-            if _truth(parser, name, value) != (dest == "diagnostics"):
+            # --no-diagnostics and --no-places are set where the parameter says false.
+            if _truth(parser, name, value) != (action.const is False):
                 words.append(action.option_strings[-1])
         else:
             words += [f"{action.option_strings[-1]}={each}" for each in values if each != ""]

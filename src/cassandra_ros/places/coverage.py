@@ -14,7 +14,7 @@ from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, 
 from cassandra_ros.places.cells import JOIN_NS, LONGEST_NS, Cell, cells_of
 from cassandra_ros.places.paths import LONGEST_GAP_NS, Span, clipped, merged, without
 from cassandra_ros.places.regions import Region
-from cassandra_ros.places.robots import Robot
+from cassandra_ros.places.robots import MOST_FRAMES, Robot
 from cassandra_ros.places.stored import Extent, Stored
 from cassandra_ros.places.windows import overlaps
 from cassandra_ros.store.place_index import Placed, PlaceIndex, Square
@@ -72,6 +72,7 @@ def holds(noted: Placed, robot: Robot, fixed: Mapping[str, str]) -> bool:
         return False
     # Nothing was noted in a frame that was nowhere; unless it is fixed to another one by now.
     absent = robot.frame not in noted.frames and robot.frame not in fixed
+    absent = absent and len(noted.frames) < MOST_FRAMES
     return robot.frame in noted.above or (absent and not _carries(robot.frame, fixed))
 
 

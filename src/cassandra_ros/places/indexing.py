@@ -84,16 +84,20 @@ class TfNotes:
         self._whose = whose
         self._frames = _Remembering(find, whose.node)
         self._ways: Dict[Tuple[str, str], _Way] = {}
-        self._robots: Set[str] = set()
+        self._since: Dict[str, int] = {}
+        """From when on a robot is noted, ns."""
         self._seen: Set[str] = set()
+        self._begun = False
 
     def go_on(self, low: int, high: int) -> Iterator[Visited]:
         """Yield the visits of what was received in [low, high], ns; it follows the last stretch."""
         samples = self._frames.read(low, high)
         seen = seen_in(self._frames, [samples])
         self._seen.update(sorted(seen.frames)[: max(0, MOST_FRAMES - len(self._seen))])
-        self._robots.update(seen.robots)
-        for robot in sorted(self._robots):
+        for robot in seen.robots:
+            self._since.setdefault(robot, low if self._begun else 0)
+        self._begun = True
+        for robot in sorted(self._since):
             for frame in frames_above(self._frames, samples, robot)[:MOST_ABOVE]:
                 if frame != robot:
                     if (robot, frame) not in self._ways:
@@ -109,12 +113,12 @@ class TfNotes:
                 table,
                 *self._whose,
                 robot,
-                low,
+                max(low, since),
                 high,
                 frozenset(self._seen),
                 {name: fixed.get(name, "") for name in self._above(robot)},
             )
-            for robot in sorted(self._robots)
+            for robot, since in sorted(self._since.items())
         ]
 
     def _above(self, robot: str) -> List[str]:

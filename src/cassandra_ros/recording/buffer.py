@@ -11,6 +11,7 @@ from typing import Mapping, NamedTuple, Optional
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection import Connection
+from cassandra_ros.recording.place_keeper import tells_places
 from cassandra_ros.store.directory import UNKNOWN_SPAN_NS, Lengths, bucket_for, span_for
 from cassandra_ros.topics.message_writer import Handle
 
@@ -57,6 +58,7 @@ class Source:
         self.told = False  # whether people know that it waits for its table
         self.conflicts = 0  # how often another one's schema change came between
         self.has_header = starts_with_header(connection.definition_text)
+        self.tells_places = tells_places(connection)  # where the robot is
         self._since = 0.0
         self._seen = 0
         self._seen_bytes = 0

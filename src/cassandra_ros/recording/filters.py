@@ -7,19 +7,15 @@ from __future__ import annotations
 import logging
 import threading
 from dataclasses import dataclass
-from typing import Callable, FrozenSet, Mapping, Optional
+from typing import Callable, Mapping, Optional
 
-from cassandra_ros.errors import CassandraRosError, InvalidQuery
-from cassandra_ros.formats.table import FALLBACK_FORMAT
-from cassandra_ros.keys import SECOND_NS, Position
-from cassandra_ros.messages.connection import Connection, live_connection
-from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.index_field import IndexField
-from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.query.protocols import Row
 from cassandra_ros.query.run import Condition
 from cassandra_ros.recording.settings import Settings
-from cassandra_ros.topics.message_writer import usable_definition
+from cassandra_ros.recording.unstored import UnstoredRow, UnstoredTable
 
 _log = logging.getLogger(__name__)
 
@@ -107,7 +103,7 @@ class _TopicCondition:
 
     def __init__(self, topic: str, where: str, node: str) -> None:
         self._topic, self._where, self._node = topic, where, node
-        self._by_header: dict[int, tuple[Mapping[str, str], _Table, Optional[Test]]] = {}
+        self._by_header: dict[int, tuple[Mapping[str, str], UnstoredTable, Optional[Test]]] = {}
 
     def holds(self, header: Mapping[str, str], t: int, wire: bytes) -> bool:
         found = self._by_header.get(id(header))
@@ -116,11 +112,11 @@ class _TopicCondition:
                 self._by_header.pop(next(iter(self._by_header)))
             found = self._by_header[id(header)] = (header, *self._compile(header))
         _, table, test = found
-        return test is None or test(_Row(table, self._topic, self._node, t, wire, len(wire)))
+        return test is None or test(UnstoredRow(table, self._topic, self._node, t, wire, len(wire)))
 
-    def _compile(self, header: Mapping[str, str]) -> tuple[_Table, Optional[Test]]:
+    def _compile(self, header: Mapping[str, str]) -> tuple[UnstoredTable, Optional[Test]]:
         connection = live_connection(self._topic, header)
-        table = _Table(connection)
+        table = UnstoredTable(connection)
         if table.definition is not None:
             try:
                 return table, Condition(self._where).test([table])
@@ -135,53 +131,3 @@ class _TopicCondition:
             problem,
         )
         return table, None
-
-
-class _NoRuns:
-    """Runs by name: a message that is not stored yet belongs to none."""
-
-    def called(self, text: str) -> FrozenSet[int]:
-        return frozenset()
-
-
-class _Table:
-    """What a condition needs of a table, for messages that are in none yet."""
-
-    name = ""
-    named = False
-    by_field = packed = False
-    columns: tuple[str, ...] = ()
-    longest_text = 0
-    runs = _NoRuns()
-
-    def __init__(self, connection: Connection) -> None:
-        self.definition: Optional[Definition] = None
-        try:
-            self.definition, _ = usable_definition(connection, FALLBACK_FORMAT)
-            self.msg_type = connection.type
-        except CassandraRosError:  # not even a header
-            self.msg_type = ""
-        self.index_fields: Mapping[str, IndexField] = {}
-
-
-@dataclass
-class _Row:
-    """What a condition needs of a stored message, for one that is not stored yet."""
-
-    table: _Table
-    topic: str
-    node: str
-    t: int
-    wire: bytes
-    size: int
-    name: str = ""
-    columns: tuple[Optional[bytes], ...] = ()
-    run: str = ""
-
-    @property
-    def key(self) -> Stamp:
-        return Stamp.from_ns(self.t)
-
-    @property
-    def position(self) -> Position:
-        return Position(self.t, self.node, 0, "")

@@ -74,6 +74,8 @@ class RecorderOptions:
     """Tells how many bytes are free where the store keeps its data; None = nobody knows."""
     min_space: int = 0
     """Store nothing while fewer bytes are free there."""
+    places: bool = True
+    """Note where the robot is while it is recorded, so that NEAR finds that quickly."""
 
     @property
     def settings(self) -> Settings:

@@ -21,10 +21,12 @@ from typing import Callable, Mapping, MutableMapping, Optional, Sequence, Tuple
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, StoreUnavailable, WriteFailed
 from cassandra_ros.keys import COUNTER_BITS, SECOND_NS, new_writer_id
 from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.places.indexing import Whose
 from cassandra_ros.recording.buffer import Buffer, Feed, Item, Source
 from cassandra_ros.recording.counts import Counts, TopicReport
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.losses import LossLog
+from cassandra_ros.recording.place_keeper import PlaceKeeper
 from cassandra_ros.recording.settings import Settings, TopicSettings
 from cassandra_ros.recording.tables import TableMaker, connect
 from cassandra_ros.store.directory import Lengths
@@ -71,6 +73,7 @@ class Recording:
         limit: Record only so many messages of each topic; 0 = all.
         name, labels: Of the run in the store.
         restored: Messages that ``restore`` will bring: they come before those that arrive.
+        places: Note where the robot is, where that is recorded; see PlaceKeeper.
     """
 
     refusal = ""
@@ -92,6 +95,7 @@ class Recording:
         name: str = "",
         labels: Optional[Mapping[str, str]] = None,
         restored: int = 0,
+        places: bool = True,
     ) -> None:
         self._rosCas = ros_cas
         self._clock = clock
@@ -107,6 +111,7 @@ class Recording:
         # They are held by feeds, queued messages and waiting lists.
         self._sources: _Sources = weakref.WeakValueDictionary()
         self.writer_id = new_writer_id()
+        self._places = PlaceKeeper(ros_cas, Whose(node, self.writer_id), places)
         self._losses = LossLog(node, self.writer_id)
         self._counts = Counts(self._losses)
         self._writers = [self._make_writer(self.writer_id)]
@@ -194,6 +199,7 @@ class Recording:
     def _put(self, feed: Feed, t: int, wire: bytes) -> Sequence[Item]:
         counter = self._counter
         self._counter += 1
+        self._places.take(feed.source, t, wire)
         return self._buffer.put(Item(feed.source, t, counter, wire))
 
     def follow(self, kept: Kept) -> None:
@@ -221,6 +227,7 @@ class Recording:
             with self._lock:
                 feed = self._feed(topic, header)
                 self._counts.attribute(topic, wire, feed)
+            self._places.take(feed.source, t, wire)
             self._buffer.wait_for_room(len(wire))
             for item in self._buffer.put(Item(feed.source, t, counter, wire)):
                 self._lose(item.source.topic, LossKind.BUFFER_FULL, "option -b", item.t)
@@ -434,6 +441,7 @@ class Recording:
                 _try_to(writer.flush)
             self._settle()
             self._save()
+            self._places.close()
         lost = {report.topic: report.lost for report in self.reports() if report.lost}
         for writer in self._writers:
             _try_to(partial(writer.close, lost))

@@ -16,7 +16,7 @@ from cassandra_ros.errors import CassandraRosError, InvalidOption, InvalidQuery
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.query.binding import terms_of_condition
 from cassandra_ros.query.parse import parse_condition
-from cassandra_ros.query.syntax import Literal, TimeNs, inside
+from cassandra_ros.query.syntax import Literal, Near, TimeNs, inside, leaves
 
 _UNITS = {"": 1, "s": 1, "m": 60, "h": 3600, "d": 86400}
 MAX_RATE_HZ = 1e6
@@ -144,7 +144,12 @@ def read_label(text: str) -> Tuple[str, str]:
 def check_condition(value: object) -> str:
     """Return a condition that can be parsed; its fields are known with the first message."""
     text = check_text("where", value, wanted="a condition, as 'linear.x > 0.5'")
-    for term in terms_of_condition(parse_condition(text)):
+    parsed = parse_condition(text)
+    for leaf in leaves(parsed):
+        if isinstance(leaf, Near):
+            reason = "NEAR asks where a robot was, which is known of stored messages: ask it of those"
+            raise InvalidQuery(text, leaf.position, reason)
+    for term in terms_of_condition(parsed):
         for part in inside(term):
             if isinstance(part, Literal) and isinstance(part.value, TimeNs):
                 reason = (

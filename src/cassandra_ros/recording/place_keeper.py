@@ -1,0 +1,327 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The index of places, noted while poses are recorded, from what is handed to the store.
+
+A thread of its own notes some seconds at a time, about which nothing can come any more that changes
+them: a way between two poses may last LONGEST_GAP_NS. What it does not note is looked at by whoever
+asks, so it may fall behind, or give up, and no answer is wrong.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from bisect import bisect_left, bisect_right
+from collections import deque
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Deque,
+    Dict,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Union,
+)
+
+from cassandra_ros.arrays.gather import read_arrays
+from cassandra_ros.errors import CassandraRosError, TopicNotFound
+from cassandra_ros.keys import Position
+from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.places.frames import TF, TF_STATIC
+from cassandra_ros.places.indexing import TfNotes, TopicNotes, Whose
+from cassandra_ros.places.paths import LONGEST_GAP_NS
+from cassandra_ros.query.protocols import Row, Table
+from cassandra_ros.query.pushdown import Pushdown
+from cassandra_ros.query.source import Columns, Writers
+from cassandra_ros.recording.unstored import UnstoredRow, UnstoredTable
+from cassandra_ros.store.place_index import Placed, Visited
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.transforms.samples import TRANSFORMS_MD5
+
+if TYPE_CHECKING:
+    from cassandra_ros.recording.buffer import Source
+
+_log = logging.getLogger(__name__)
+
+NOTE_SEC = 20.0
+"""How often it is noted."""
+MAX_HELD_BYTES = 64 * 1024 * 1024
+"""Of poses that wait to be noted; beyond it the recording goes on without the index."""
+END_SEC = 10.0
+"""So long the end of a recording waits for the last part."""
+POSES = (
+    "nav_msgs/Odometry",
+    "geometry_msgs/PoseWithCovarianceStamped",
+    "geometry_msgs/PoseStamped",
+    "geometry_msgs/TransformStamped",
+)
+_Time = Union[None, int, Stamp]
+
+
+class _Taken(NamedTuple):
+    source: Source
+    t: int
+    wire: bytes
+
+
+class LiveTopic:
+    """The last messages of one topic, as places/ reads stored ones.
+
+    Args:
+        before: Messages that are stored already and count as well.
+    """
+
+    def __init__(self, name: str, node: str, before: Sequence[Row] = ()) -> None:
+        self.name = name
+        self._node = node
+        self._tables: Dict[str, Table] = {row.table.name: row.table for row in before}
+        self._before = list(before)
+        self._rows: List[Row] = []
+        self._times: List[int] = []
+
+    @property
+    def tables(self) -> Sequence[Table]:
+        """One for each type and definition that came."""
+        return list(self._tables.values())
+
+    def add(self, taken: _Taken) -> None:
+        """Take a message; it comes behind those that were taken."""
+        connection = taken.source.connection
+        table = self._tables.get(connection.md5sum)
+        if not isinstance(table, UnstoredTable):
+            table = self._tables[connection.md5sum] = UnstoredTable(connection)
+        if table.definition is None:
+            return
+        row = UnstoredRow(table, self.name, self._node, taken.t, taken.wire, len(taken.wire))
+        at = bisect_right(self._times, taken.t)  # a clock may go back
+        self._times.insert(at, taken.t)
+        self._rows.insert(at, row)
+
+    def drop(self, before: int) -> int:
+        """Forget messages that came before a time, ns; return their bytes."""
+        at = bisect_left(self._times, before)
+        nbytes = sum(row.size for row in self._rows[:at])
+        del self._times[:at], self._rows[:at]
+        return nbytes
+
+    def rows(
+        self,
+        key: _Time = None,
+        to_key: _Time = None,
+        *,
+        nodeID: Optional[str] = None,
+        limit: Optional[int] = None,
+        after: Optional[Position] = None,
+        reverse: bool = False,
+        columns: Optional[Columns] = None,
+        chooser: Optional[Pushdown] = None,
+        run: Writers = None,
+        wanted: Optional[int] = None,
+    ) -> Iterator[Row]:
+        """Walk through the messages of [key, to_key]; all are of one node and one run."""
+        low, high = _ns(key, 0), _ns(to_key, 2**63 - 1)
+        first, last = bisect_left(self._times, low), bisect_right(self._times, high)
+        found = [row for row in self._before if low <= row.t <= high] + self._rows[first:last]
+        yield from (found[::-1] if reverse else found)[:limit]
+
+    def getArrays(
+        self,
+        fields: Sequence[str],
+        key: Optional[Stamp] = None,
+        to_key: Optional[Stamp] = None,
+        *,
+        nodeID: Optional[str] = None,
+        run: Writers = None,
+    ) -> Dict[str, Any]:
+        """Return fields of the messages in [key, to_key] as numpy arrays."""
+        return read_arrays(self, fields, None, lambda columns: self.rows(key, to_key))
+
+    def versions(
+        self,
+        name: str,
+        *,
+        nodeID: Optional[str] = None,
+        reverse: bool = False,
+        run: Writers = None,
+    ) -> Iterator[Row]:
+        """Walk through messages under a name: there are none."""
+        return iter(())
+
+    def countTopicData(
+        self,
+        key: Optional[Stamp] = None,
+        to_key: Optional[Stamp] = None,
+        nodeID: Optional[str] = None,
+        *,
+        run: Writers = None,
+    ) -> int:
+        """Count the messages in [key, to_key]."""
+        return sum(1 for _ in self.rows(key, to_key))
+
+    def countBuckets(self) -> int:
+        """Count its partitions: it has none."""
+        return 0
+
+
+def _ns(time: _Time, otherwise: int) -> int:
+    if time is None:
+        return otherwise
+    return time.ns if isinstance(time, Stamp) else time
+
+
+def tells_places(connection: Connection) -> bool:
+    """Say whether messages of a connection tell where a robot is."""
+    try:
+        if connection.topic in (TF, TF_STATIC):
+            return connection.md5sum == TRANSFORMS_MD5
+        return connection.type in POSES
+    except CassandraRosError:  # not even a header
+        return False
+
+
+class PlaceKeeper:
+    """Notes where the robot of one run is. Takes messages from any thread.
+
+    Args:
+        ros_cas: A RosCassandra connected to a keyspace.
+        whose: nodeID and writer id of the run.
+        wanted: Do so; else take nothing.
+    """
+
+    def __init__(self, ros_cas: RosCassandra, whose: Whose, wanted: bool = True) -> None:
+        self._rosCas, self._whose, self._wanted = ros_cas, whose, wanted
+        self._taken: Deque[_Taken] = deque()
+        # Each is counted by one thread alone.
+        self._came = self._gone = 0
+        """Bytes of messages that were taken, and of those that are not held any more."""
+        self._ending = threading.Event()
+        self._thread: Optional[threading.Thread] = None
+        self._topics: Dict[str, LiveTopic] = {}
+        self._sources: Dict[str, Source] = {}
+        """The last connection of each topic: it knows its table."""
+        self._first: Dict[str, int] = {}
+        self._tf: Optional[TfNotes] = None
+        self._told: Dict[str, TopicNotes] = {}
+        self._latest = 0
+        self._noted = self._read_to = -1
+        """All poses up to here are noted, or were looked at, ns; -1 = none."""
+
+    def take(self, source: Source, t: int, wire: bytes) -> None:
+        """Take a message in the order of arrival, if it tells where the robot is; wait for nothing."""
+        if not (source.tells_places and self._wanted) or self._ending.is_set():
+            return
+        self._came += len(wire)
+        if self._came - self._gone > MAX_HELD_BYTES:
+            _log.warning("places are not noted any more: over %d bytes wait", MAX_HELD_BYTES)
+            self._ending.set()
+            self._taken.clear()
+            return
+        self._taken.append(_Taken(source, t, wire))
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="recorder-places", daemon=True)
+            self._thread.start()
+
+    def close(self) -> None:
+        """Note what is left, unless that takes too long."""
+        self._ending.set()
+        if self._thread is not None:
+            self._thread.join(END_SEC)
+
+    def _run(self) -> None:
+        while not self._ending.wait(NOTE_SEC):
+            self._try_to_note(last=False)
+        self._try_to_note(last=True)
+
+    def _try_to_note(self, *, last: bool) -> None:
+        try:
+            self._note(last)
+        except CassandraRosError as exc:
+            _log.info("where the robot was is noted later, or found without: %s", exc)
+
+    def _note(self, last: bool) -> None:
+        self._sort()
+        high = self._latest if last else self._latest - LONGEST_GAP_NS
+        low = min(self._first.values(), default=0) if self._noted < 0 else self._noted + 1
+        moving = [n for n, topic in self._topics.items() if n != TF_STATIC and topic.tables]
+        if high < low or not all(self._sources[name].handle for name in moving):
+            return  # nothing to note, or a table is still being made
+        visits: List[Visited] = []
+        placed: List[Placed] = []
+        for name in moving:
+            visits += self._visits(name, low, high)
+            placed += self._placed(name, high)
+        index, ttl = self._rosCas.parts.place_index, self._ttl(moving)
+        index.put(visits, placed, ttl)
+        self._noted, self._read_to = high, self._latest
+        for name in moving:
+            self._gone += self._topics[name].drop(high - 2 * LONGEST_GAP_NS)
+
+    def _sort(self) -> None:
+        """Give what was taken to its topics."""
+        while self._taken:
+            taken = self._taken.popleft()
+            name = taken.source.topic
+            if name not in self._topics:
+                before = self._stored_statics() if name == TF_STATIC else ()
+                self._topics[name] = LiveTopic(name, self._whose.node, before)
+                self._first[name] = taken.t
+            if name == TF_STATIC:
+                # What was noted holds for the frames as they were fixed until now.
+                self._first = {n: max(t, self._noted + 1) for n, t in self._first.items()}
+                self._begin_anew(self._noted)
+            elif taken.t <= self._read_to:  # a clock went back
+                self._begin_anew(min(self._noted, taken.t - 1))
+            self._topics[name].add(taken)
+            self._sources[name] = taken.source
+            self._latest = max(self._latest, taken.t)
+
+    def _begin_anew(self, noted: int) -> None:
+        """Read again what is behind a time, ns: what was read of it does not hold any more."""
+        self._tf, self._noted = None, noted
+        self._told.clear()
+
+    def _stored_statics(self) -> List[Row]:
+        """Return the fixed transforms that others stored: who asks takes the last of them all."""
+        try:
+            topic = self._rosCas.getTopic(TF_STATIC)
+        except TopicNotFound:
+            return []
+        return list(topic.rows(nodeID=self._whose.node))
+
+    def _find(self, name: str) -> LiveTopic:
+        if name == TF_STATIC and name not in self._topics:
+            statics = self._stored_statics()
+            if statics:
+                return LiveTopic(name, self._whose.node, statics)
+        if name not in self._topics:
+            raise TopicNotFound(f"topic {name} is not recorded")
+        return self._topics[name]
+
+    def _visits(self, name: str, low: int, high: int) -> List[Visited]:
+        if name == TF:
+            if self._tf is None:
+                self._tf = TfNotes(self._find, self._whose)
+            return list(self._tf.go_on(low, high))
+        if name not in self._told:
+            self._told[name] = TopicNotes(self._find, name, self._whose)
+        return list(self._told[name].go_on(self._table(name), low, high))
+
+    def _placed(self, name: str, high: int) -> List[Placed]:
+        notes = self._tf if name == TF else self._told[name]
+        if notes is None:
+            return []
+        return notes.placed(self._table(name), self._first[name], high)
+
+    def _table(self, name: str) -> str:
+        handle = self._sources[name].handle
+        return "" if handle is None else handle.table.name
+
+    def _ttl(self, names: Sequence[str]) -> int:
+        """Return how long what is noted stays, seconds; 0 = for ever."""
+        handles = [self._sources[name].handle for name in names]
+        ttls = [handle.table.metadata.ttl for handle in handles if handle is not None]
+        return 0 if 0 in ttls else max(ttls, default=0)
