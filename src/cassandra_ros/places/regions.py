@@ -54,7 +54,7 @@ class Region(Protocol):
         """Say whether a point lies in it; this has the last word."""
 
     def shares(self, lines: Lines) -> Iterator[Shares]:
-        """Yield the parts of lines that lie in it, or a little more; by line, then in order."""
+        """Yield the parts of lines that lie in it, or a little more; in no order."""
 
 
 @dataclass(frozen=True)
@@ -131,16 +131,24 @@ class Polygon:
     def shares(self, lines: Lines) -> Iterator[Shares]:
         """Yield the parts of lines that lie in it, cut where they cross its sides."""
         box = self.box
-        left, right = np.minimum(lines.x, lines.x + lines.dx), np.maximum(lines.x, lines.x + lines.dx)
+        left, right = (
+            np.minimum(lines.x, lines.x + lines.dx),
+            np.maximum(lines.x, lines.x + lines.dx),
+        )
         low, high = np.minimum(lines.y, lines.y + lines.dy), np.maximum(lines.y, lines.y + lines.dy)
         close = (left <= box.right) & (right >= box.left) & (low <= box.top) & (high >= box.bottom)
         for number in np.flatnonzero(close).tolist():
             x, y, dx, dy = (float(column[number]) for column in lines)
-            cuts = sorted({0.0, 1.0, *self._cuts(x, y, dx, dy)})
+            inner = sorted(set(self._cuts(x, y, dx, dy)))
+            cuts = [0.0, *inner, 1.0]
             for first, last in zip(cuts, cuts[1:]):
                 middle = (first + last) / 2
                 if self.holds(x + middle * dx, y + middle * dy):
                     yield number, first, last
+            # It may also touch it in one point.
+            ends = (end for end in (0.0, 1.0) if self.holds(x + end * dx, y + end * dy))
+            for share in (*inner, *ends):
+                yield number, share, share
 
     def _cuts(self, x: float, y: float, dx: float, dy: float) -> Iterator[float]:
         for (x0, y0), (x1, y1) in self._sides:

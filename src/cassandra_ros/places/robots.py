@@ -11,7 +11,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import (
+    Dict,
+    FrozenSet,
+    Iterable,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+)
 
 import numpy as np
 
@@ -26,7 +37,7 @@ from cassandra_ros.places.stored import Stored
 from cassandra_ros.query.source import Writers
 
 BASES = ("base_link", "base_footprint", "base", "base_stabilized", "body", "chassis")
-"""What robots call the frame of their body, behind a prefix or not; the first that is there counts."""
+"""What robots call the frame of their body, behind a prefix or not; the first of them counts."""
 MOST_FRAMES = 1000
 """So many names of frames are remembered of a robot."""
 MOST_ROBOTS = 8
@@ -240,10 +251,10 @@ class Choice:
         if not name:
             others = [robot for robot in seen.robots if robot != self._frame]
             if len(others) != 1:
-                what = " and ".join(others) or "no frame"
+                what, example = " and ".join(others) or "no frame", (others or ["base_link"])[0]
                 raise InvalidOption(
                     f"{what} may be the robot{f' of node {node}' if node else ''}; say which frame "
-                    f"moves, as NEAR(x, y, radius, '{self._frame}', '{(others or ['base_link'])[0]}')"
+                    f"moves, as NEAR(x, y, radius, '{self._frame}', '{example}')"
                 )
             name = others[0]
         moving = self._tf()[0]

@@ -95,8 +95,9 @@ def bounds_of(
         for part in conjuncts(select.condition):
             bounds = _narrowed(bounds, part, named, runs)
         for leaf in leaves(select.condition) if named else ():
-            ordered = isinstance(leaf, Compare) and leaf.operator in _ORDERED
-            if ordered and isinstance(leaf.operand, KeyOperand):
+            if not isinstance(leaf, Compare) or leaf.operator not in _ORDERED:
+                continue
+            if isinstance(leaf.operand, KeyOperand):
                 reason = "is a name here, and names have no order; compare it with =, IN or LIKE"
                 raise StatementError(leaf.operand.position, f"KEY {reason}")
     except StatementError as exc:

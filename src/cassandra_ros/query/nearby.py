@@ -77,11 +77,11 @@ def _answered(near: Near, tables: Sequence[Table], node: Optional[str]) -> Near:
 
 def disk_of(near: Near) -> Disk:
     """Return what NEAR asks for, its values bound; StatementError: they cannot be meant."""
-    metres = [_metres(name, value) for name, value in zip(_METRES, near.values)]
+    x, y, radius = (_metres(name, value) for name, value in zip(_METRES, near.values))
     texts = [_text(name, value) for name, value in zip(_NAMES, near.values[3:])]
-    if metres[2] < 0:
+    if radius < 0:
         raise StatementError(near.values[2].position, "the radius is negative")
-    return Disk(*metres, *texts)
+    return Disk(x, y, radius)._replace(**dict(zip(("frame", "robot"), texts)))
 
 
 def _metres(name: str, literal: Literal) -> float:

@@ -211,7 +211,7 @@ class PlaceKeeper:
         """All poses up to here are noted, or were looked at, ns; -1 = none."""
 
     def take(self, source: Source, t: int, wire: bytes) -> None:
-        """Take a message in the order of arrival, if it tells where the robot is; wait for nothing."""
+        """Take a message, in their order, if it tells where the robot is; wait for nothing."""
         if not (source.tells_places and self._wanted) or self._ending.is_set():
             return
         self._came += len(wire)

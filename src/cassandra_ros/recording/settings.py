@@ -147,7 +147,9 @@ def check_condition(value: object) -> str:
     parsed = parse_condition(text)
     for leaf in leaves(parsed):
         if isinstance(leaf, Near):
-            reason = "NEAR asks where a robot was, which is known of stored messages: ask it of those"
+            reason = (
+                "NEAR asks where a robot was, which is known of stored messages: ask it of those"
+            )
             raise InvalidQuery(text, leaf.position, reason)
     for term in terms_of_condition(parsed):
         for part in inside(term):

@@ -227,7 +227,9 @@ class SideTables:
     ) -> None:
         """Write rows with these columns, for ttl seconds, 0 = ever."""
         marks = ", ".join("?" for _ in names)
-        cql = f"INSERT INTO {self.qualified(table)} ({', '.join(names)}) VALUES ({marks}) USING TTL ?"
+        cql = (
+            f"INSERT INTO {self.qualified(table)} ({', '.join(names)}) VALUES ({marks}) USING TTL ?"
+        )
         values = [(*row, ttl) for row in rows]
         self._cassandra.execute_many(cql, values, what=what, retry_sec=self.retry_sec)
 

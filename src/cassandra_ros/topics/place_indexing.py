@@ -68,9 +68,7 @@ def places_of_runs(catalog: Catalog, node: Optional[str], run: RunName) -> List[
     return [state for _, state in _states(catalog, node, run)]
 
 
-def _states(
-    catalog: Catalog, node: Optional[str], run: RunName
-) -> List[Tuple[Run, PlacesOfRun]]:
+def _states(catalog: Catalog, node: Optional[str], run: RunName) -> List[Tuple[Run, PlacesOfRun]]:
     check_nodes(node)
     writers = catalog.keyspace.runs.writers(run)
     runs = [
@@ -124,9 +122,9 @@ class _Look:
             return found._replace(state="not indexed")
         first, last = min(n.low for n in noted), max(n.high for n in noted)
         return found._replace(state="indexed", first_ns=first, last_ns=last)
+
     def _fixed(self, node: str) -> Mapping[str, str]:
         try:
             return fixed_frames(Frames(self._stored.find, node))
         except TopicNotFound:
             return {}
-
