@@ -178,3 +178,197 @@ def test_errors_say_what_there_is(husky):
         husky.executeCQL("select KEY from /joy where NEAR(?, 0, 1)", [math.nan])
     with pytest.raises(RunNotFound):
         husky.near(0, 0, 5, run="nobody")
+
+
+# -------------------------------------------------------------------- with the index, and without
+
+
+SPOTS = st.integers(-3, 3).map(float)
+STEPS = st.sampled_from([SEC // 10, SEC, 4 * SEC, GAP, GAP + 1, 200 * SEC])
+
+
+@st.composite
+def drives(draw):
+    """One or two runs of a robot: when it was where, and when messages came."""
+    runs, t = [], T0
+    for _ in range(draw(st.integers(1, 2))):
+        poses = []
+        for step in draw(st.lists(STEPS, min_size=1, max_size=6)):
+            t += step
+            poses.append((t, draw(SPOTS) * 5, draw(SPOTS) * 5))
+        runs.append(poses)
+        t += draw(STEPS)
+    every = [pose for poses in runs for pose in poses]
+    times = {t for t, _, _ in every} | {t + 1 for t, _, _ in every}
+    for (first, *_), (last, *_) in zip(every, every[1:]):
+        times |= {first + (last - first) * n // 4 for n in (1, 2, 3)}
+    return runs, sorted(times | {T0, t + SEC})
+
+
+def expected_of(runs, times, x, y, radius):
+    """The times at which the robot is on a disk, and those at which nobody knows; by hand."""
+    poses = [pose for poses in runs for pose in poses]
+    near, unknown = [], []
+    for t in times:
+        before = max((pose for pose in poses if pose[0] <= t), default=None)
+        after = min((pose for pose in poses if pose[0] >= t), default=None)
+        if not before or not after or after[0] - before[0] > GAP:
+            unknown.append(t)
+            continue
+        share = (t - before[0]) / ((after[0] - before[0]) or 1)
+        place = [b + share * (a - b) for b, a in zip(before[1:], after[1:])]
+        if math.hypot(place[0] - x, place[1] - y) <= radius:
+            near.append(t)
+    return near, unknown
+
+
+@pytest.fixture(scope="module")
+def drive_stores(fresh):
+    """A store for each example would take too long: each has a node of its own."""
+    with fresh() as store:
+        store.addTopic("/n", "binary", msg_type="std_msgs/Int32")
+        store.addTopic("/odom", "binary", msg_type="nav_msgs/Odometry")
+        store.addTopic("/tf", "binary", msg_type="tf2_msgs/TFMessage")
+        yield store
+
+
+def store_drive(store, node, runs, times, by_tf):
+    """Store the poses of runs, by tf or odometry, and messages."""
+    with Writer(store, node, f"n of {node}") as writer:
+        for t in times:
+            writer.put("/n", t, Int32(1))
+    for number, poses in enumerate(runs):
+        with Writer(store, node, f"{node} {number}") as writer:
+            for t, x, y in poses:
+                if by_tf:
+                    # A chain of which both parts move, and a turn that does not matter.
+                    parts = transform("map", "odom", x, 0.0), transform("odom", "base_link", 0.0, y)
+                    writer.put("/tf", t, tf(*parts))
+                else:
+                    writer.put("/odom", t, odometry(x, y, "map"))
+
+
+@given(drives(), st.tuples(SPOTS, SPOTS, st.sampled_from([0.0, 1.0, 5.0, 12.0])), st.booleans())
+@campaign(24, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_near_is_what_is_counted_by_hand(drive_stores, drive, disk, by_tf):
+    store, (runs, times) = drive_stores, drive
+    x, y, radius = disk[0] * 5, disk[1] * 5, disk[2]
+    near, unknown = expected_of(runs, times, x, y, radius)
+    node = f"r{Writer.next()}"
+    store_drive(store, node, runs, times, by_tf)
+
+    def check():
+        condition, params = "NEAR(?, ?, ?)", [x, y, radius]
+        assert asked(store, condition, params, nodeID=node) == near
+        away = asked(store, f"not {condition}", params, nodeID=node)
+        assert away == sorted(set(times) - set(near) - set(unknown))
+        both = asked(store, f"{condition} or KEY = ?", [*params, times[0]], nodeID=node)
+        assert both == sorted({*near, times[0]})
+        down = store.executeCQL(
+            f"select KEY from /n where {condition} and NEAR(?, ?, ?) order by KEY desc",
+            params * 2,
+            nodeID=node,
+        )
+        assert [key.to_nsec() for (key,) in down] == near[::-1]
+
+    check()
+    done = store.upkeep.indexPlaces(nodeID=node)
+    assert {each.state for each in done} == {"indexed", "no poses"}
+    check()
+
+
+# -------------------------------------------------------------------- the index
+
+
+def lane(store, node="", count=40, run="lane", start=T0, y=0.0, kind="recording"):
+    """A robot that drives 10 m a second along x, by tf, and a message each second."""
+    with Writer(store, node, run, kind=kind) as writer:
+        for n in range(count):
+            t = start + n * SEC
+            parts = transform("map", "odom", 0.0, y), transform("odom", "base_link", 10.0 * n, 0.0)
+            writer.put("/tf", t, tf(*parts))
+            writer.put("/n", t + 1, Int32(n))
+    return writer.number
+
+
+def read_keys(monkeypatch, store):
+    """Note which stretches of the poses are read."""
+    spans, topic = [], type(store.getTopic("/tf"))
+    original = topic.getArrays
+
+    def noting(self, fields, key=None, to_key=None, *args, **options):
+        spans.append((self.name, key, to_key))
+        return original(self, fields, key, to_key, *args, **options)
+
+    monkeypatch.setattr(topic, "getArrays", noting)
+    return spans
+
+
+def test_the_index_is_asked_and_right(rosCas, monkeypatch):
+    hour = 3600 * SEC
+    lane(rosCas, run="a")
+    lane(rosCas, run="b", start=T0 + hour, y=100.0)
+    lane(rosCas, run="c", start=T0 + 2 * hour)
+    expected = [T0 + 20 * SEC + 1, T0 + 2 * hour + 20 * SEC + 1]
+    condition = "NEAR(200, 0, 2)"
+    assert asked(rosCas, condition) == expected
+    states = rosCas.upkeep.placesIndex()
+    assert {each.state for each in states} == {"not indexed"}
+    done = {each.run: each for each in rosCas.upkeep.indexPlaces()}
+    assert {each.state for each in done.values()} == {"indexed"}
+    assert done["a"].first_ns == T0
+    assert done["a"].last_ns == T0 + 39 * SEC
+    assert done["a"].visits > 100 / 4
+    assert all(not each.visits for each in rosCas.upkeep.indexPlaces())  # again does nothing
+    spans = read_keys(monkeypatch, rosCas)
+    assert asked(rosCas, condition) == expected
+    # Run b is never near: of it, but for the looks at its frames, nothing is read.
+    whole = [low for _, low, high in spans if high.to_nsec() - low.to_nsec() > 5 * SEC]
+    assert whole
+    assert not any(T0 + hour <= low.to_nsec() <= T0 + hour + 40 * SEC for low in whole)
+    # Messages of other runs at the time, other frames, robots that are none.
+    with Writer(rosCas, "", "late") as writer:
+        writer.put("/n", T0 + 20 * SEC + 5, Int32(9))
+    assert asked(rosCas, condition) == sorted([*expected, T0 + 20 * SEC + 5])
+    assert asked(rosCas, "NEAR(200, 0, 2, 'odom')") != asked(rosCas, condition)
+    # Deleted poses are no poses, whatever the index holds.
+    rosCas.getTopic("/tf").removeData(T0, T0 + 40 * SEC)
+    assert asked(rosCas, condition) == expected[1:]
+    rosCas.removeTopic("/tf")
+    with pytest.raises(InvalidQuery, match="where robots were is not stored"):
+        asked(rosCas, condition)
+
+
+def test_poses_that_are_not_in_the_index_count(rosCas):
+    lane(rosCas, run="a")
+    rosCas.upkeep.indexPlaces()
+    # A part of a bag that goes on: the way from its last pose to the next one is not noted.
+    lane(rosCas, run="b", start=T0 + 41 * SEC, y=0.0)
+    with Writer(rosCas, "", "between") as writer:
+        writer.put("/n", T0 + 40 * SEC, Int32(1))  # on the way from 390 m to 0
+    assert asked(rosCas, "NEAR(195, 0, 1)") == [T0 + 40 * SEC]
+    rosCas.upkeep.indexPlaces()
+    assert asked(rosCas, "NEAR(195, 0, 1)") == [T0 + 40 * SEC]
+    assert asked(rosCas, "NEAR(200, 0, 2)") == [T0 + n * SEC + 1 for n in (20, 61)]
+
+
+def test_frames_that_are_fixed_in_another_way_since(rosCas):
+    """What was noted holds for the frames as they were: a map that is moved moves the robot."""
+    with Writer(rosCas, "", "still") as writer:
+        writer.put("/tf_static", T0, tf(transform("map", "odom", 0.0, 0.0)))
+    with Writer(rosCas, "", "moves") as writer:
+        for n in range(10):
+            writer.put("/tf", T0 + n * SEC, tf(transform("odom", "base_link", 10.0 * n, 0.0)))
+            writer.put("/n", T0 + n * SEC, Int32(n))
+    rosCas.upkeep.indexPlaces()
+    assert asked(rosCas, "NEAR(50, 0, 1)") == [T0 + 5 * SEC]
+    with Writer(rosCas, "", "later") as writer:
+        writer.put("/tf_static", T0 + 99 * SEC, tf(transform("map", "odom", 0.0, 500.0)))
+        writer.put("/tf_static", T0 + 99 * SEC, tf(transform("earth", "map", 0.0, 0.0)))
+    assert asked(rosCas, "NEAR(50, 0, 1)") == []
+    assert asked(rosCas, "NEAR(50, 500, 1)") == [T0 + 5 * SEC]
+    assert asked(rosCas, "NEAR(50, 500, 1, 'earth')") == [T0 + 5 * SEC]
+    states = {each.run: each.state for each in rosCas.upkeep.placesIndex()}
+    assert states == {"still": "no poses", "moves": "not indexed", "later": "no poses"}
+    rosCas.upkeep.indexPlaces()
+    assert asked(rosCas, "NEAR(50, 500, 1)") == [T0 + 5 * SEC]

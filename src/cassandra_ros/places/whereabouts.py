@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import threading
 from bisect import bisect_right
+from contextlib import contextmanager
 from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
-from weakref import WeakValueDictionary
 
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.places.coverage import Coverage
@@ -125,24 +125,29 @@ class Whereabouts:
     def __init__(self, stored: Stored, index: PlaceIndex) -> None:
         self._stored = stored
         self._coverage = Coverage(stored, index)
-        self._asked: WeakValueDictionary[Tuple[Disk, Optional[str]], RegionStays]
-        self._asked = WeakValueDictionary()
+        self._local = threading.local()
+
+    @contextmanager
+    def shared(self) -> Iterator[None]:
+        """Give the same answer to all that is asked by this thread meanwhile: poses are read once."""
+        self._local.answers = {}
+        try:
+            yield
+        finally:
+            del self._local.answers
 
     def stays(self, disk: Disk, node: Optional[str] = None) -> RegionStays:
         """Say when robots were on a disk; of one node, None = of all.
 
-        Who asks the same of several topics at once is given the same answer, whose poses are read
-        once.
-
         Raises:
             InvalidOption: Nothing tells it, or several robots may be meant.
         """
-        found = self._asked.get((disk, node))
-        if found is None:
+        answers: Dict[Tuple[Disk, Optional[str]], RegionStays]
+        answers = getattr(self._local, "answers", {})
+        if (disk, node) not in answers:
             region = Round(disk.x, disk.y, disk.radius)
-            found = self.within(region, disk.frame, disk.robot, node)
-            self._asked[disk, node] = found
-        return found
+            answers[disk, node] = self.within(region, disk.frame, disk.robot, node)
+        return answers[disk, node]
 
     def within(
         self, region: Region, frame: str, robot: str = "", node: Optional[str] = None

@@ -35,10 +35,11 @@ def near_rows(
     given = {catalog.get(name).name: condition for name, condition in (where or {}).items()}
     conditions: Dict[str, Where] = {name: _and_near(given.get(name), asked) for name in names}
     try:
-        filters = catalog.filters(conditions, names, nodeID, run)
+        with catalog.places.shared():
+            filters = catalog.filters(conditions, names, nodeID, run)
+            return catalog.merged(tables, filters, stretch, catalog.whose(nodeID, run))
     except InvalidQuery as exc:
         raise InvalidOption(exc.reason) from exc
-    return catalog.merged(tables, filters, stretch, catalog.whose(nodeID, run))
 
 
 def _and_near(where: Optional[Where], asked: Asked) -> Where:
