@@ -30,7 +30,9 @@ BELOW = {
     "transforms": {"query", "messages"},
     "places": {"transforms", "query", "arrays", "store", "messages"},
     "topics": {"places", "query", "arrays", "transforms", "formats", "store", "messages"},
-    "recording": {"topics", "places", "query", "formats", "store", "messages"},
+    "recording": {
+        *("topics", "places", "transforms", "arrays", "query", "formats", "store", "messages"),
+    },
     "playing": {"topics", "store", "messages"},
     "history": {"recording", "topics", "store", "messages"},
     "bag": {"topics", "formats", "store", "messages"},

@@ -141,10 +141,13 @@ def test_a_real_robot_by_its_odometry(husky):
     others = husky.executeCQL(f"select count(*) from /joy where not {near}")[0][0]
     unknown = count - len(expected) - others
     assert others > 0
-    assert unknown == husky.executeCQL(
-        "select count(*) from /joy where KEY < ? or KEY > ?",
-        [husky.getTopic("/encoder").first(), husky.getTopic("/encoder").last()],
-    )[0][0]
+    assert (
+        unknown
+        == husky.executeCQL(
+            "select count(*) from /joy where KEY < ? or KEY > ?",
+            [husky.getTopic("/encoder").first(), husky.getTopic("/encoder").last()],
+        )[0][0]
+    )
     # Everywhere a condition may stand.
     joy = husky.getTopic("/joy")
     assert joy.countTopicData(where=near) == len(expected)

@@ -206,7 +206,9 @@ class _Builder(Transformer):  # type: ignore[type-arg]
     def near(self, word: Token, *values: Optional[Term]) -> Near:
         given = tuple(_value(value) for value in values if value is not None)
         if not NEAR_VALUES[0] <= len(given) <= NEAR_VALUES[1]:
-            reason = f"NEAR takes 3 to 5 values, not {len(given)}: x, y, a radius in metres, a frame "
+            reason = (
+                f"NEAR takes 3 to 5 values, not {len(given)}: x, y, a radius in metres, a frame "
+            )
             reason += "('map' where none is given) and a robot, as NEAR(2.5, 0, 1.5, 'odom')"
             raise StatementError(_at(word), reason)
         return Near(given, _at(word))

@@ -81,7 +81,7 @@ def disk_of(near: Near) -> Disk:
     texts = [_text(name, value) for name, value in zip(_NAMES, near.values[3:])]
     if radius < 0:
         raise StatementError(near.values[2].position, "the radius is negative")
-    return Disk(x, y, radius)._replace(**dict(zip(("frame", "robot"), texts)))
+    return Disk(x, y, radius, *texts)
 
 
 def _metres(name: str, literal: Literal) -> float:
