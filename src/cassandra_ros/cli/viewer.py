@@ -34,7 +34,7 @@ from cassandra_ros.cli.options import (
 from cassandra_ros.cli.parsers import error_line, program_parser
 from cassandra_ros.cli.readers import byte_size
 from cassandra_ros.cli.studio_offer import install, offer
-from cassandra_ros.errors import KeyspaceNotFound
+from cassandra_ros.errors import KeyspaceNotFound, MissingDependency
 from cassandra_ros.installation import optional_module
 from cassandra_ros.store.address import from_environment
 from cassandra_ros.viewing.settings import (
@@ -128,6 +128,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     from cassandra_ros.viewing.serving import serve
 
     settings = read_settings(options)
+    _require_pages(settings.web)
     offer(PROGRAM, settings.studio)
     # It may be started before the recorder that makes the keyspace.
     with open_store(options, make=True) as ros_cas:
@@ -140,6 +141,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         serve(settings, ros_cas, ready)
     return 0
+
+
+def _require_pages(folder: Path) -> None:
+    # A relative one is where it was looked for last, the folder in which somebody works.
+    if not (folder.is_absolute() and (folder / "index.html").is_file()):
+        raise MissingDependency(
+            "the viewer's pages, folder web of cassandra_ros, are not where it is installed: "
+            "install it again, with all of its files"
+        )
 
 
 def _warn_of_nothing(ros_cas: RosCassandra) -> None:
