@@ -46,6 +46,7 @@ Object.assign(canvas, { timeline });
 /** @type {any} The last answer for all time. */
 let whole = null;
 let following = true;
+let updateTopics = (/** @type {any[]} */ lanes) => {};
 /** @type {number | undefined} */
 let waiting;
 let loading = new AbortController();
@@ -78,10 +79,11 @@ async function load({ again: known = false } = {}) {
   const nothing = !timeline.picture.lanes.length;
   panel.hidden = tables.hidden = nothing;
   empty.hidden = !nothing;
-  if (nothing) await explain();
   if (!known) showWindow();
   else if (following) timeline.show(timeline.whole);
+  if (nothing) await explain();
   if (keysOf(whole) !== before) await loadTables();
+  else if (!isFiltered()) updateTopics(whole.lanes);
   tell();
   ask();
   again();
@@ -158,6 +160,10 @@ function chosenParameters() {
   return { topics, nodes, runs: names };
 }
 
+function isFiltered() {
+  return Object.values(chosenParameters()).some((each) => each.length);
+}
+
 /** @param {number} windows How many windows wide. */
 function cellsOf(windows) {
   const plot = Math.max(200, timeline.size.width - timeline.size.names);
@@ -199,9 +205,10 @@ function note() {
 timeline.addEventListener("view", () => {
   const all = timeline.whole;
   following = timeline.view.start <= all.start && timeline.view.end >= all.end;
-  if (whole) note();
+  if (whole?.first) note();
   ask();
 });
+timeline.addEventListener("resize", ask);
 timeline.addEventListener("scroll", () => timeline.picture.lanes.length > MANY_LANES && ask());
 timeline.addEventListener("select", note);
 timeline.addEventListener("moment", note);
@@ -273,7 +280,7 @@ function plural(count, name) {
 /** Say how something comes into an empty store. */
 async function explain() {
   const { keyspace, text } = await api.get("/api/keyspace");
-  const filtered = Object.values(chosenParameters()).some((each) => each.length);
+  const filtered = isFiltered();
   empty.replaceChildren(
     make("h1", {}, filtered ? "Nothing is stored of what is chosen" : `Nothing is stored in keyspace ${keyspace} yet`),
     make("p", {}, text || "What is recorded or imported shows up here by itself."),
@@ -303,7 +310,7 @@ async function loadTables() {
   };
   const topics = make("div", { class: "scroll" });
   const runTable = make("div", { class: "scroll", hidden: true });
-  showTopics(topics, all.lanes);
+  updateTopics = showTopics(topics, all.lanes);
   showRuns(runTable, listed.runs, show);
   const tabs = [["Topics", topics], ["Runs", runTable]].map(([name, sheet]) => {
     const count = name === "Topics" ? distinct("topic").length : listed.runs.length;

@@ -22,6 +22,7 @@ const SECOND = 1_000_000_000n;
  * Show what is stored of each topic.
  * @param {HTMLElement} place
  * @param {any[]} lanes As /api/timeline has them, of all time.
+ * @returns {(lanes: any[]) => void} Shows what has become of them.
  */
 export function showTopics(place, lanes) {
   const robots = new Set(lanes.map((lane) => lane.node));
@@ -38,7 +39,7 @@ export function showTopics(place, lanes) {
     { name: "to", text: (lane) => time(lane.last), value: (lane) => BigInt(lane.last ?? 0) },
     { name: "", text: () => "", cell: (lane) => make("a", { href: state.link("/look.html", { topics: [lane.topic] }) }, "Look") },
   ];
-  showTable(place, columns.filter((column) => column.name !== "robot" || robots.size > 1), lanes);
+  return showTable(place, columns.filter((column) => column.name !== "robot" || robots.size > 1), lanes);
 }
 
 /**
@@ -72,7 +73,8 @@ export function showRuns(place, runs, show) {
 /** @param {HTMLElement} place @param {Column[]} columns @param {any[]} rows */
 function showTable(place, columns, rows) {
   const body = make("tbody");
-  const fill = (/** @type {any[]} */ ordered) => body.replaceChildren(...ordered.map((row) => rowOf(columns, row)));
+  let order = (/** @type {any[]} */ given) => given;
+  const fill = () => body.replaceChildren(...order(rows).map((row) => rowOf(columns, row)));
   const heads = columns.map((column) => {
     const head = make("th", { scope: "col", class: column.number ? "number" : "" });
     if (!column.name) return head;
@@ -82,13 +84,18 @@ function showTable(place, columns, rows) {
       const up = column.number ? down : !down;
       for (const each of heads) each.removeAttribute("aria-sort");
       head.setAttribute("aria-sort", up ? "ascending" : "descending");
-      fill(sorted(rows, column.value ?? column.text, up));
+      order = (given) => sorted(given, column.value ?? column.text, up);
+      fill();
     });
     head.append(button);
     return head;
   });
-  fill(rows);
+  fill();
   place.replaceChildren(make("table", { class: "data" }, make("thead", {}, make("tr", {}, ...heads)), body));
+  return (/** @type {any[]} */ given) => {
+    rows = given;
+    fill();
+  };
 }
 
 /** @param {Column[]} columns @param {any} row */

@@ -35,7 +35,7 @@ const MOST_TEXTS = 5000;
  */
 
 /**
- * Tells: `view` when the window changed, `scroll` when other rows are seen, `select` when something
+ * Tells: `view` when the window changed, `resize`, `scroll` when other rows are seen, `select` when something
  * was selected or no longer is, `moment` (its detail is {ns, lane}) when a time was clicked.
  */
 export class Timeline extends EventTarget {
@@ -169,6 +169,7 @@ export class Timeline extends EventTarget {
 
   resize() {
     const box = /** @type {HTMLElement} */ (this.canvas.parentElement);
+    if (!box.clientWidth) return; // it is hidden
     const ratio = devicePixelRatio || 1;
     this.size.width = box.clientWidth;
     this.size.height = box.clientHeight;
@@ -179,7 +180,7 @@ export class Timeline extends EventTarget {
     this.layOut();
     this.scrollTo(this.scrolled);
     this.draw();
-    this.tell("view");
+    this.tell("resize");
   }
 
   /** @returns {number} How high it is with all rows. */
