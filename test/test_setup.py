@@ -42,6 +42,7 @@ def test_a_second_set_up_skips_every_step():
         "packages",
         "python",
         "cassandra",
+        "studio",
         "workspace",
     ]
     assert all("skipped" in line or "was already" in line for line in lines[:-1])

@@ -170,7 +170,7 @@ def test_the_command_line_fetches_it_without_a_store(registry, capsys):
     assert viewer.main(["--install-studio"]) == 0
     assert f"Studio 1.48.0 is now in {studio.studio_folder()}" in capsys.readouterr().out
     assert viewer.main(["--install-studio"]) == 0
-    assert "Studio 1.48.0 is in" in capsys.readouterr().out
+    assert "Studio 1.48.0 was already in" in capsys.readouterr().out
 
 
 class Terminal(io.StringIO):

@@ -90,7 +90,10 @@ function openLater() {
 async function addMenus() {
   const place = page.make("div", { class: "row" });
   document.querySelector("#head nav")?.after(place);
-  const [{ topics }, { runs }] = await Promise.all([get("/api/topics", { counts: "0" }), get("/api/runs")]);
+  const [{ topics }, { runs }] = await Promise.all([
+    get("/api/topics", { counts: "0" }),
+    get("/api/runs", { counts: "0" }),
+  ]);
   const nodes = [...new Set(runs.map((/** @type {any} */ run) => run.node).filter(Boolean))].sort();
   page.addSelection(place, {
     topics: topics.map((/** @type {any} */ each) => ({ value: each.topic, text: `${each.topic} (${each.types.join(", ")})` })),

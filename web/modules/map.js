@@ -64,7 +64,10 @@ function fill(select, choices, name) {
 }
 
 async function begin() {
-  const [{ topics }, { runs }] = await Promise.all([get("/api/topics"), get("/api/runs")]);
+  const [{ topics }, { runs }] = await Promise.all([
+    get("/api/topics", { counts: "0" }),
+    get("/api/runs", { counts: "0" }),
+  ]);
   /** @param {string[]} types */
   const of = (types) => topics
     .filter((/** @type {any} */ topic) => topic.types.some((/** @type {string} */ type) => types.includes(type)))
@@ -75,7 +78,7 @@ async function begin() {
   fill(element("map-resolution"), [["", "5 cm"], ...RESOLUTIONS.filter((n) => n !== 0.05).map((n) => [String(n), metres(n)])], "resolution");
   fill(element("map-odom"), [["", "tf, or the best"], ...of(POSES).map((/** @type {string} */ name) => [name, name])], "odom");
   fill(element("map-scans"), [["", "1000 messages"], ...SCANS.filter((n) => n !== 1000).map((n) => [String(n), `${n} messages`])], "scans");
-  const nodes = [...new Set(topics.flatMap((/** @type {any} */ topic) => topic.nodes ?? []))].sort();
+  const nodes = [...new Set(runs.map((/** @type {any} */ run) => run.node))].sort();
   page.addSelection(element("map-selection"), {
     nodes: nodes.map((node) => ({ value: node, text: node || "(no name)" })).filter((node) => node.value),
     runs: runs.map((/** @type {any} */ run) => ({ value: String(run.run) })),

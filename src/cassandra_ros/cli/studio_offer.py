@@ -24,7 +24,7 @@ def install(folder: Path) -> None:
         DownloadFailed: It cannot be fetched or kept.
     """
     fetched = install_studio(folder, _say)
-    print(f"Studio {STUDIO_VERSION} {'is now' if fetched else 'is'} in {folder}")
+    print(f"Studio {STUDIO_VERSION} {'is now' if fetched else 'was already'} in {folder}")
 
 
 def offer(program: str, folder: Path) -> None:
