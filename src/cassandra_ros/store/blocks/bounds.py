@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Iterator, NamedTuple, Sequence, Tuple
 
-from cassandra_ros.store.blocks.block_row import HEADER, BlockRow
+from cassandra_ros.store.blocks.block_row import HEADER, BlockRow, read_block
 from cassandra_ros.store.blocks.bucket_read import BucketRead, Opened
 from cassandra_ros.store.names import quote_name
 from cassandra_ros.store.paging import Asked, RawRow
@@ -39,7 +39,8 @@ def ask_bounds(part: BucketRead, columns: Sequence[str]) -> Asked:
 def read_bounds(part: BucketRead, asked: Asked) -> Iterator[Bounded]:
     """Read what was asked for, of the blocks that hold messages which are wanted."""
     for values in asked.rows():
-        for header in part.blocks([values[:_WIDTH]]):
+        header = read_block(part.table, values[:_WIDTH])
+        if header is not None and part.wants(header):
             yield Bounded(header, values[_WIDTH:])
 
 

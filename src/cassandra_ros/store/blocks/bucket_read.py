@@ -16,7 +16,7 @@ from cassandra_ros.store.blocks.block_row import (
     Block,
     BlockRow,
     ask_blocks,
-    read_blocks,
+    read_block,
     stand_in,
 )
 from cassandra_ros.store.blocks.codec import Longs, Unpacked
@@ -115,9 +115,13 @@ class BucketRead:
 
     def blocks(self, page: Iterable[RawRow]) -> List[BlockRow]:
         """Read the blocks of a page, those that are wanted."""
-        low = self.ends[0][0]
-        found = read_blocks(self.table, page, self.writers)
-        return [block for block in found if block.last >= low and block.left > 0]
+        found = (read_block(self.table, values) for values in page)
+        return [block for block in found if block is not None and self.wants(block)]
+
+    def wants(self, block: BlockRow) -> bool:
+        """Say whether a block may hold messages that are wanted."""
+        written = self.writers is None or block.writer in self.writers
+        return written and block.last >= self.ends[0][0] and block.left > 0
 
     def open(self, row: BlockRow) -> Opened:
         """Unpack a block, and find what is wanted of it; it is noted what that took.
