@@ -37,7 +37,7 @@ def test_endings_groups_windows_and_robots(call, drive, tmp_path):
     svg = tmp_path / "x.svg"
     groups = "select time(5s) as t, max(altitude) from fix group by t"
     assert call("plot", groups, "-o", svg)[0] == 0
-    assert "<!-- max(altitude) [m] -->" in svg.read_text()
+    assert "<!-- max(altitude) -->" in svg.read_text()
     pdf = tmp_path / "x.PDF"
     window = ("--start", "1500000003", "--end", "1500000004")
     assert call("plot", "select data from speed", "-o", pdf, *window, "--node-id", "b")[0] == 0

@@ -40,21 +40,18 @@ def drawn(*every, ending="png", size=(400, 300), **options):
     return stream.getvalue()
 
 
-def test_a_line_goes_through_the_least_and_the_greatest():
-    (line,) = lines_of([series([[1, 2, 3, 4, 5, 6, 7, 8]], pixels=2)])
-    assert line.numbers.tolist() == [1, 4, 8, 5] or len(line.numbers) == 4
-    assert sorted(line.numbers.tolist())[0] == 1 and sorted(line.numbers.tolist())[-1] == 8
+def test_a_line_goes_from_the_least_to_the_greatest():
+    (line,) = lines_of([series([[1, 2, 3, 4, 5, 6, 7, 8]], pixels=1)])
+    assert (line.low.tolist(), line.high.tolist(), line.is_band) == ([1], [8], True)
     (line,) = lines_of([series([[1.5, math.nan, 3]])])
-    assert str(line.numbers.tolist()) == str([1.5, 1.5, math.nan, math.nan, 3.0, 3.0])
-    assert line.times.tolist() == [T0, T0, T0 + SEC, T0 + SEC, T0 + 2 * SEC, T0 + 2 * SEC]
+    assert str(line.low.tolist()) == str(line.high.tolist()) == str([1.5, math.nan, 3.0])
+    assert line.times.tolist() == [T0, T0 + SEC, T0 + 2 * SEC] and not line.is_band
 
 
 def test_a_line_is_broken_where_nothing_came():
     times = [T0 + n * SEC for n in (0, 1, 2, 3, 60, 61)]
     (line,) = lines_of([series([[1, 2, 3, 4, 5, 6]], times=times)])
-    numbers = line.numbers.tolist()
-    assert [n for n in numbers if n == n] == [1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6]
-    assert [n != n for n in numbers].index(True) == 8
+    assert str(line.low.tolist()) == str([1.0, 2.0, 3.0, 4.0, math.nan, 5.0, 6.0])
 
 
 def test_lines_of_several_topics_say_whose_they_are():
@@ -68,6 +65,13 @@ def test_a_picture_has_the_size_and_shows_each_line():
     assert picture.size == (500, 260)
     colours = {colour for _, colour in picture.getcolors(1 << 20)}
     assert {(0x2F, 0x6F, 0xDE), (0xD9, 0x62, 0x2B)} <= colours
+
+
+def test_between_the_least_and_the_greatest_all_is_filled():
+    picture = Image.open(io.BytesIO(drawn(series([[0, 9] * 200], pixels=4)))).convert("RGB")
+    data = np.asarray(picture).astype(int)
+    blue = (data[:, :, 2] > data[:, :, 0] + 40).mean()
+    assert blue > 0.3
 
 
 def test_every_ending_and_all_texts():

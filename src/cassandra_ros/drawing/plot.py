@@ -25,21 +25,27 @@ _DAY_NS = 86_400 * SECOND_NS
 _DPI = 100
 FEW_POINTS = 60
 """Up to here each point is marked."""
-_GRID, _TEXT = "#d8dde4", "#1a1f26"
+MAX_ABREAST = 4
+"""Names beside each other, above a panel."""
+_GRID = "#d8dde4"
 _COLOURS = ("#2f6fde", "#d9622b", "#0e7c66", "#a23ea8", "#b28a00", "#c4302b", "#4f6b8f", "#5d8f2a")
 
 
 class Line(NamedTuple):
-    """What is drawn of one column."""
+    """What is drawn of one column: what lies between its least and its greatest numbers."""
 
     label: str
     unit: str
     times: AnyArray
     """Of its points, ns."""
-    numbers: AnyArray
+    low: AnyArray
     """NaN where the line is broken."""
-    dotted: bool
-    """So few points that each is marked."""
+    high: AnyArray
+
+    @property
+    def is_band(self) -> bool:
+        """Whether some points have more than one number."""
+        return bool((self.low < self.high).any())
 
 
 def lines_of(series: Sequence[Series]) -> Sequence[Line]:
@@ -47,27 +53,15 @@ def lines_of(series: Sequence[Series]) -> Sequence[Line]:
     topics = {each.topic for each in series}
     found = []
     for each in series:
-        few = len(each.points.times) <= FEW_POINTS
+        times = each.points.times
+        behind = breaks(times) + 1
+        broken = np.insert(times, behind, times[behind - 1])
         for n, column in enumerate(each.columns):
-            times, numbers = _line(each, n)
+            ends = (each.points.low[n], each.points.high[n])
+            low, high = (np.insert(end, behind, np.nan) for end in ends)
             label = column.name if len(topics) == 1 else f"{each.topic} {column.name}"
-            found.append(Line(label, column.unit, times, numbers, few))
+            found.append(Line(label, column.unit, broken, low, high))
     return found
-
-
-def _line(series: Series, column: int) -> Tuple[AnyArray, AnyArray]:
-    """Return a line through the least and the greatest number of each pixel.
-
-    Of pixels with one message that is the line through the messages; of others it fills what lies
-    between, as a line through all of them would.
-    """
-    times, low, high = series.points.times, series.points.low[column], series.points.high[column]
-    ups = np.stack([low, high])
-    # Every other pixel downwards: so it is one stroke, without edges of its own.
-    ups[:, 1::2] = ups[::-1, 1::2]
-    xs, ys = np.repeat(times, 2), ups.T.ravel()
-    behind = 2 * (breaks(times) + 1)
-    return np.insert(xs, behind, xs[behind - 1]), np.insert(ys, behind, np.nan)
 
 
 def draw_plot(
@@ -109,23 +103,31 @@ def draw_plot(
 
 def _draw_panel(panel: Axes, lines: Sequence[Line], unit: str, colours: dict[int, str]) -> None:
     for line in lines:
-        mark: dict[str, Any] = {"marker": ".", "markersize": 5} if line.dotted else {}
-        panel.plot(
-            line.times / _DAY_NS,
-            line.numbers,
-            color=colours[id(line)],
-            label=_plain(line.label),
-            linewidth=1,
-            **mark,
-        )
+        _draw_line(panel, line, colours[id(line)])
     panel.grid(color=_GRID, linewidth=0.6)
     panel.set_axisbelow(True)
     for side in ("top", "right"):
         panel.spines[side].set_visible(False)
-    names = _plain(lines[0].label) if len(lines) == 1 else ""
-    panel.set_ylabel(" ".join(filter(None, [names, f"[{unit}]" if unit else ""])))
-    if len(lines) > 1:
-        panel.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, fontsize="small")
+    panel.set_ylabel(f"[{unit}]" if unit else "")
+    panel.legend(
+        loc="lower left",
+        bbox_to_anchor=(0, 1),
+        ncols=min(len(lines), MAX_ABREAST),
+        frameon=False,
+        fontsize="small",
+        borderaxespad=0.2,
+    )
+
+
+def _draw_line(panel: Axes, line: Line, colour: str) -> None:
+    days, label = line.times / _DAY_NS, _plain(line.label)
+    mark: dict[str, Any] = {"color": colour, "linewidth": 1}
+    if len(days) <= FEW_POINTS:
+        mark.update(marker=".", markersize=5)
+    panel.plot(days, line.high, label=label, **mark)
+    if line.is_band:
+        panel.plot(days, line.low, **mark)
+        panel.fill_between(days, line.low, line.high, color=colour, alpha=0.5, linewidth=0)
 
 
 def _draw_times(panel: Axes, series: Sequence[Series]) -> None:
