@@ -276,6 +276,8 @@ def test_whether_the_studio_is_here_is_told(store, tmp_path):
         policy = viewer.ask("/studio.html").headers["Content-Security-Policy"]
         assert "script-src 'self' 'unsafe-eval';" in policy
         assert "frame-ancestors 'self'" in policy
+        worker = viewer.ask("/studio/any.worker.js").headers["Content-Security-Policy"]
+        assert worker == policy
         policy = viewer.ask("/look.html").headers["Content-Security-Policy"]
         assert "frame-src 'self'" in policy
         assert "eval" not in policy

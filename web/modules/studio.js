@@ -10,7 +10,7 @@
 import * as state from "./state.js";
 import { layoutOf, pack, unpack } from "./studio_layout.js";
 import { StoreSource, toNs, toTime } from "./studio_source.js";
-import { Layouts, Settings, SHOWN } from "./studio_storage.js";
+import { Layouts, prepare, Settings, SHOWN } from "./studio_storage.js";
 import { isAbort } from "./api.js";
 
 const REACT = ["/studio/react/umd/react.production.min.js", "/studio/react-dom/umd/react-dom.production.min.js"];
@@ -166,6 +166,7 @@ async function keepLayout(layout) {
 }
 
 async function start() {
+  prepare();
   const asked = state.read();
   const source = new StoreSource(asked, showError);
   const [found] = await Promise.all([source.open(), loadStudio()]);

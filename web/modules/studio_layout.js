@@ -107,7 +107,7 @@ const GRID = {
 /** @param {Topic} topic */
 function drawing(topic) {
   if (topic.type === "sensor_msgs/LaserScan") {
-    return { visible: true, colorMode: "flat", flatColor: "#ff5a36ff", pointSize: 4 };
+    return { visible: true, colorField: "range", colorMode: "flat", flatColor: "#ff5a36ff", pointSize: 4 };
   }
   return { visible: true };
 }

@@ -7,6 +7,20 @@ const PREFIX = "cassandra_ros.studio.";
 /** The layout that the address carries, and which therefore is not kept here. */
 export const SHOWN = "cassandra_ros";
 
+/**
+ * Prepare what the Studio keeps by itself, where it kept nothing yet: panels have all the room, and who
+ * knows it needs no hint.
+ */
+export function prepare() {
+  const kept = {
+    "fox.workspace": { state: { sidebarItem: null }, version: 0 },
+    "studio.profile-data": { onboarding: { settingsTooltipShownForPanelTypes: ["3D"] } },
+  };
+  for (const [key, value] of Object.entries(kept)) {
+    if (localStorage.getItem(key) === null) localStorage.setItem(key, JSON.stringify(value));
+  }
+}
+
 /** Settings that differ from the Studio's own: it asks nobody, and sends nothing anywhere. */
 const DEFAULTS = {
   "colorScheme": "system",

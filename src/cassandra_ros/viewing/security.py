@@ -72,6 +72,11 @@ def check_settings(settings: ViewerSettings) -> None:
             )
 
 
+def policy_of(path: str) -> str:
+    """Return what may be loaded by what lies at a path; workers have their script's policy."""
+    return POLICIES.get("/studio.html" if path.startswith("/studio/") else path, PAGE_POLICY)
+
+
 class Guard:
     """Lets a request through, or not, and adds the headers that protect who asked.
 
@@ -108,7 +113,7 @@ class Guard:
         headers = response.headers
         headers["X-Content-Type-Options"] = "nosniff"
         headers["Referrer-Policy"] = "no-referrer"
-        headers["Content-Security-Policy"] = POLICIES.get(request.path, PAGE_POLICY)
+        headers["Content-Security-Policy"] = policy_of(request.path)
         headers["Vary"] = "Origin"
         origin = self._allowed(request)
         headers["Cross-Origin-Resource-Policy"] = "cross-origin" if origin else "same-origin"
