@@ -85,7 +85,7 @@ def running_viewer(store, routes=ROUTES, **settings):
             yield RunningViewer(port)
         finally:
             ended = manager.__aexit__(None, None, None)
-            asyncio.run_coroutine_threadsafe(ended, loop).result(30)
+            asyncio.run_coroutine_threadsafe(ended, loop).result(120)
     finally:
         loop.call_soon_threadsafe(loop.stop)
         thread.join()
