@@ -91,7 +91,7 @@ def seek(client: Client, t: int) -> None:
 def plot(client: Client, **window: int) -> bool:
     """Ask for the numbers of a field; return whether the answer is complete."""
     found = client.json("/api/plot", q=PLOT, pixels=PIXELS, **window)
-    assert len(found["times"]) > PIXELS // 4, len(found["times"])
+    assert len(found["times"]) > 1, found
     return bool(found["complete"])
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import rosbag
+from bag.truth import string_connection, string_wire
 from conftest import ROOT
 from mcap.reader import make_reader
 from std_msgs.msg import String
@@ -33,6 +34,7 @@ def store(fresh):
         import_bag(store, HUSKY, topics=topics, format="packed", nodeID="husky")
         topics = ["/tf_static", "/turtle1/pose"]
         import_bag(store, TURTLE, topics=topics, format="packed", nodeID="turtle")
+        import_bag(store, TURTLE, topics=["/tf_static"], format="packed", nodeID="third")
         yield store
 
 
@@ -126,9 +128,10 @@ def test_robots_runs_conditions_and_what_was_latched(store, viewer, tmp_path):
         return {topic: found.count(topic) for topic in sorted(set(found))}
 
     assert counts(nodes="husky") == {"/fix": 95, "/imu/data": 316}
-    assert counts(runs="turtlesim_tf.bag") == {"/tf_static": 1, "/turtle1/pose": 1344}
+    assert counts(runs="turtlesim_tf.bag") == {"/tf_static": 2, "/turtle1/pose": 1344}
     both = counts(nodes="husky,turtle", runs="turtlesim_tf.bag,husky_gps_data.bag")
-    assert both == counts() == {**counts(nodes="husky"), **counts(nodes="turtle")}
+    assert both == {**counts(nodes="husky"), **counts(nodes="turtle")}
+    assert counts() == {**both, "/tf_static": 2}
     condition = "latitude > 43.40990 AND altitude IN (272.4, 273.2)"
     few = store.getTopic("/fix").countTopicData(where=condition)
     where = f"/fix: {condition}"
@@ -164,6 +167,19 @@ def test_what_is_stored_since_makes_another_file(store, viewer, tmp_path):
     assert tag(viewer.ask("/window.bag", window)) not in (tag(first), tag(again))
     store.removeTopic("/notes")
     assert viewer.fail("/window.bag", **window)[0] == 404
+
+
+def test_what_was_latched_before_is_a_part_of_the_window(store, viewer, tmp_path):
+    with store.messageWriter() as writer:
+        handle = writer.connect(string_connection("/latched", latching="1"), 10**9)
+        for n in range(2):
+            writer.write(handle, 10**18 + n * 10**11, n, string_wire(str(n)))
+    window = {"topics": "/latched", "start": "1000000050"}
+    first = viewer.ask("/window.bag", window)
+    assert len(messages_in(bag_of(viewer, tmp_path, **window))) == 2
+    store.getTopic("/latched").removeData(10**18)
+    assert tag(viewer.ask("/window.bag", window)) != tag(first)
+    assert len(messages_in(bag_of(viewer, tmp_path, **window))) == 1
 
 
 def test_what_fails_says_why(viewer):
