@@ -16,12 +16,14 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup demo viewer test campaign lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer clean distclean
+.PHONY: help setup demo viewer screenshots test campaign lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, workspace .ws"
 	@echo "make demo           record, ask and export a real robot's topics, end to end"
+	@echo "                    (ARGS=--view: and let the viewer run, to look at it in a browser)"
 	@echo "make viewer         fetch the Studio for the viewer's page Look, and say how to start it"
+	@echo "make screenshots    take the README's pictures of the viewer anew"
 	@echo "make test           all tests, on a real Cassandra and a real roscore (ARGS='-k name')"
 	@echo "make campaign       random searches and faults, ten times as far (LENGTH=short: once, for CI)"
 	@echo "make lint           ruff, mypy, catkin_lint, make doc"
@@ -43,6 +45,9 @@ demo: setup
 viewer: setup
 	@PYTHONPATH=src $(PYTHON) scripts/viewer --install-studio
 	@echo "now, in a shell that has sourced .ws/devel/setup.bash: rosrun cassandra_ros viewer"
+
+screenshots: setup
+	@$(IN_WORKSPACE) $(PYTHON) examples/screenshots.py $(ARGS)
 
 test: setup
 	@$(IN_WORKSPACE) $(PYTHON) -m pytest -n 3 $(ARGS)

@@ -5,13 +5,14 @@
 
 Starts a Cassandra, a roscore and the recorder, plays the bag of a Clearpath Husky, compares what
 was recorded with it, asks over services, in Python and in CQL, imports and exports the bag, plays
-what is stored, records that again and compares it, and leaves nothing running. Pictures and the
-exported bag go to --out.
+what is stored, records that again and compares it, shows all of it in the viewer, and leaves nothing
+running; with --view all goes on until Ctrl-C. Pictures and the exported bag go to --out.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import re
 import shutil
@@ -20,7 +21,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import ExitStack
+import urllib.parse
+import urllib.request
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from cassandra_ros.local_server import LocalCluster, free_port
@@ -192,12 +195,41 @@ class Demo:
         text = self.run(*verify, "--keyspace", AGAIN, "--content", *maps)
         self.note("played and recorded again, equal", _equal(text))
 
+    def see(self) -> None:
+        self.say("See it in a browser, and take a window of it as a bag")
+        begin = time.monotonic()
+        port = str(_port_or(8080))
+        self.viewer = self.spawn("viewer", [*RUN, "viewer", "--port", port], r"http://\S+")
+        self.url = re.findall(r"http://[^\s,]+", self.viewer.text())[0].rstrip("/")
+        topics = json.loads(self.fetch("/api/topics"))["topics"]
+        self.note("viewer", f"{len(topics)} topics after {time.monotonic() - begin:.1f} s")
+        window = self.out / "window.bag"
+        fixes = {"topics": "/fix", "start": "2013-05-08T14:06:30Z", "end": "2013-05-08T14:06:40Z"}
+        window.write_bytes(self.fetch("/window.bag", **fixes))
+        text = self.run("rosbag", "info", "-y", "-k", "messages", window)
+        self.note("ten seconds of fixes, by URL", f"{int(text)} messages")
+
+    def fetch(self, path: str, **parameters: str) -> bytes:
+        """Return what the viewer answers."""
+        query = urllib.parse.urlencode(parameters, safe="/:")
+        address = self.url + path + (f"?{query}" if query else "")
+        print(f"$ {_shell(['curl', address])}", flush=True)
+        with urllib.request.urlopen(address, timeout=60) as answer:  # noqa: S310 (our own viewer)
+            return answer.read()
+
     def table(self) -> None:
         self.say("What was recorded, asked and verified")
         width = max(len(what) for what, _ in self.findings)
         for what, figure in self.findings:
             print(f"{what:{width}}  {figure}")
-        print(f"{'picture and bag':{width}}  {os.path.relpath(self.out)}")
+        print(f"{'pictures and bags':{width}}  {os.path.relpath(self.out)}")
+
+
+    def leave_open(self) -> None:
+        """Let the viewer run until Ctrl-C."""
+        print(f"\nSee it: {self.url}/ (Ctrl-C ends it)", flush=True)
+        with suppress(KeyboardInterrupt):
+            self.viewer.process.wait()
 
 
 class Node:
@@ -271,6 +303,7 @@ def _shell(words: list[str]) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--out", type=Path, default=HERE.parent / "demo-output")
+    parser.add_argument("--view", action="store_true", help="let the viewer run until Ctrl-C")
     parser.add_argument("--secure", action="store_true", help="log in with a password, over TLS")
     args = parser.parse_args()
     if shutil.which("rosrun") is None:
@@ -289,10 +322,15 @@ def main() -> int:
             demo.read,
             demo.bags,
             demo.replay,
+            demo.see,
             demo.table,
         ):
             step()
+        if args.view:
+            demo.leave_open()
     print("\nNothing is left running.")
+    if not args.view:
+        print(f"The viewer was at {demo.url}/; to see it: make demo ARGS=--view")
     return 0
 
 

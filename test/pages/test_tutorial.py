@@ -43,10 +43,17 @@ def home(ros_env, tmp_path, monkeypatch):
         LocalCluster(data).stop()
 
 
+def with_ports(text, cassandra, viewer):
+    """Return the page for a machine where others have its ports."""
+    text = text.replace("127.0.0.1:9042", f"127.0.0.1:{cassandra}")
+    text = text.replace("127.0.0.1:8080", f"127.0.0.1:{viewer}")
+    return text.replace("cassandra_ros viewer\n", f"cassandra_ros viewer --port {viewer}\n")
+
+
 def test_every_command_of_the_tutorial_does_what_it_shows(home):
     walk = Walk(home)
     try:
-        walk.follow(TUTORIAL.replace("127.0.0.1:9042", f"127.0.0.1:{home['CASSANDRA_ROS_PORT']}"))
+        walk.follow(with_ports(TUTORIAL, home["CASSANDRA_ROS_PORT"], free_port()))
     finally:
         walk.close()
     assert len(walk.typed) > 20

@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""One Chromium, one viewer and one keyspace for all tests that look at pages.
+
+Stored are five topics of the Husky (2013-05-08, 14:06:20 to 14:06:58 UTC) and, an hour later, a
+patrol that browser/patrol.py makes.
+"""
+
+from __future__ import annotations
+
+import chromium
+import pytest
+import rosbag
+from browser import patrol
+from browser.looking import HUSKY, HUSKY_TOPICS, Viewer, unable
+from nodes.children import PROGRAMS, Child
+
+from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.viewing.settings import studio_folder
+
+
+@pytest.fixture(scope="session")
+def window():
+    """The browser of this run."""
+    missing = chromium.missing_programs()
+    if missing:
+        unable(f"no {' and no '.join(missing)}")
+    with chromium.chromium() as browser:
+        yield browser
+
+
+@pytest.fixture(scope="session")
+def stored(keyspaces, connect, tmp_path_factory):
+    """What is looked at: the name of the keyspace, how many messages each topic has."""
+    path = tmp_path_factory.mktemp("patrol") / "patrol.bag"
+    counts = patrol.write(path)
+    with rosbag.Bag(str(HUSKY)) as bag:
+        for topic in HUSKY_TOPICS:
+            counts[topic] = counts.get(topic, 0) + bag.get_message_count(topic)
+    with keyspaces.lend() as name:
+        with connect(keyspace=name) as rosCas:
+            import_bag(rosCas, HUSKY, topics=HUSKY_TOPICS)
+            import_bag(rosCas, path)
+        yield name, counts
+
+
+@pytest.fixture(scope="session")
+def viewer(cassandra, stored, ros_env):
+    """A viewer of that keyspace, started as a person starts it."""
+    env = {
+        **ros_env,
+        "CASSANDRA_ROS_HOST": cassandra.host,
+        "CASSANDRA_ROS_PORT": str(cassandra.port),
+        # The ROS home of the tests is empty.
+        "CASSANDRA_ROS_STUDIO": str(studio_folder()),
+    }
+    command = [PROGRAMS / "viewer", "--port", 0, "--keyspace", stored[0]]
+    with Child(command, env) as process:
+        line = process.await_line("http://")
+        url = next(word for word in line.split() if word.startswith("http://"))
+        yield Viewer(url.rstrip("/.,"), process)
+        assert process.end() == 0, process.output
+
+
+@pytest.fixture
+def page(window, viewer):
+    """Opens pages of the viewer, which may show no error, nor have one in the console."""
+
+    def show(path, **state):
+        window.driver.get(viewer.at(path, **state))
+        return window
+
+    window.errors()
+    yield show
+    errors = window.errors()
+    banner = window.run("return document.getElementById('banner')?.textContent ?? ''")
+    # What goes on in a page would cost the other tests time.
+    window.driver.get("about:blank")
+    assert not errors, errors
+    assert not banner, banner
+
+
+@pytest.fixture(scope="session")
+def studio():
+    """Who asks for it needs the Studio's packages."""
+    folder = studio_folder()
+    if not folder.is_dir() or not any(folder.iterdir()):
+        unable(f"no Studio in {folder}")

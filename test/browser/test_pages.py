@@ -1,0 +1,68 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Every page as it comes: no error in the console, the state in its links, light and dark."""
+
+from __future__ import annotations
+
+import urllib.error
+
+import numpy as np
+import pytest
+from browser.looking import HUSKY_END, HUSKY_START, pixels
+
+PAGES = {"Home": "/", "Ask": "/ask.html", "Look": "/look.html", "Map": "/map.html"}
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_loads_without_an_error(page, viewer, stored, name):
+    window = page(PAGES[name])
+    window.wait_for("return document.querySelector('#head nav a')")
+    assert window.driver.title.startswith(f"{name} ")
+    links = window.run(
+        "return [...document.querySelectorAll('#head nav a')].map("
+        "a => [a.textContent, new URL(a.href).pathname, a.getAttribute('aria-current')])"
+    )
+    assert links == [[each, path, "page" if each == name else None] for each, path in PAGES.items()]
+    keyspace = window.wait_for("return document.getElementById('keyspace').textContent")
+    assert keyspace == f"keyspace {stored[0]}"
+
+
+def test_links_to_the_other_pages_keep_the_window(page):
+    window = page("/", start=HUSKY_START, end=HUSKY_END, topics="/fix,/imu/data")
+    for name, path in list(PAGES.items())[1:]:
+        window.wait_for("return document.querySelector('#head nav a')")
+        window.driver.find_element("link text", name).click()
+        window.wait_for(f"return location.pathname === '{path}' && document.title")
+        kept = window.run("return Object.fromEntries(new URLSearchParams(location.search))")
+        wanted = {"start": str(HUSKY_START), "end": str(HUSKY_END), "topics": "/fix,/imu/data"}
+        assert {key: kept.get(key) for key in wanted} == wanted
+
+
+def test_a_time_that_is_none_is_told_and_left_out(window, viewer):
+    window.errors()
+    window.driver.get(viewer.at("/", start="yesterday"))
+    told = window.wait_for("return document.querySelector('#banner .problem')?.textContent")
+    assert "yesterday" in told
+    window.driver.find_element("css selector", "#banner button[aria-label=Close]").click()
+    assert not window.run("return document.getElementById('banner').textContent")
+    assert not window.errors()
+    window.driver.get("about:blank")
+
+
+def test_pages_are_light_or_dark_as_the_system_is(page):
+    window = page("/")
+    brightness = {}
+    for scheme in ("dark", "light"):
+        window.prefer(scheme)
+        window.wait_for(
+            "return matchMedia(`(prefers-color-scheme: ${arguments[0]})`).matches", scheme
+        )
+        brightness[scheme] = np.median(pixels(window.picture()))
+    assert brightness["dark"] < 80 < 180 < brightness["light"]
+
+
+def test_there_is_nothing_but_the_pages(viewer):
+    for path in ("/nothing.html", "/modules/../../setup.py", "/%2e%2e/setup.py", "/modules/"):
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            viewer.ask(path)
+        assert refused.value.code in (403, 404), path
