@@ -3,3 +3,85 @@
 """Ask: a statement is typed, its rows and plot appear, and a row opens the viewer at its moment."""
 
 from __future__ import annotations
+
+import pytest
+from browser.looking import near, pixels
+from browser.studio import Studio
+
+BOX = "#ask-q"
+CONTROL_ENTER = "\ue009\ue007"
+FIRST_FIX = 1368021980238582676
+STATEMENT = "select KEY, altitude from /fix"
+ANSWERED = "return ['done', 'failed'].includes(document.body.dataset.state) && document.body.dataset.state"
+
+
+def write(window, text):
+    """Type into the box of the statement, which is empty."""
+    window.wait_for(f"return document.activeElement === document.querySelector('{BOX}')")
+    window.driver.switch_to.active_element.send_keys(text)
+
+
+def text_of(window, selector):
+    return window.run("return document.querySelector(arguments[0])?.textContent", selector)
+
+
+def test_a_statement_is_answered_by_rows_a_plot_and_its_plan(page):
+    window = page("/ask.html")
+    write(window, STATEMENT)
+    # What was offered meanwhile is not taken by it.
+    window.driver.switch_to.active_element.send_keys(CONTROL_ENTER)
+    assert window.wait_for(ANSWERED) == "done"
+    rows = window.run(
+        "return [...document.querySelectorAll('#ask-rows tbody tr')].map("
+        "row => [row.dataset.time, ...[...row.cells].slice(1).map(cell => cell.textContent)])"
+    )
+    assert len(rows) == 95
+    assert rows[0] == [str(FIRST_FIX), "2013-05-08T14:06:20.238582676Z", "273.2"]
+    curve = pixels(window.picture("#plot-panels"))
+    assert (~near(curve, (255, 255, 255))).sum() > 200
+    window.run("document.getElementById('ask-plan').open = true")
+    plan = window.wait_for("return document.querySelector('#ask-plan pre').textContent")
+    assert plan
+    # The address alone says it all.
+    address = window.driver.current_url
+    window.driver.get("about:blank")
+    window.driver.get(address)
+    assert window.wait_for(ANSWERED) == "done"
+    assert window.run("return document.querySelector(arguments[0]).value", BOX) == STATEMENT
+
+
+@pytest.mark.usefixtures("studio")
+def test_a_row_opens_the_viewer_at_its_moment(page):
+    window = page("/ask.html", q=f"{STATEMENT} where latitude > 43.40990")
+    assert window.wait_for(ANSWERED) == "done"
+    row = window.driver.find_elements("css selector", "#ask-rows tbody tr")[2]
+    moment = row.get_attribute("data-time")
+    row.find_elements("css selector", "td")[2].click()
+    window.wait_for("return location.pathname === '/look.html'")
+    assert Studio(window).time_ns == int(moment)
+
+
+def test_what_is_wrong_is_told_with_the_spot(page):
+    window = page("/ask.html")
+    write(window, "select altitud from /fix" + CONTROL_ENTER)
+    assert window.wait_for(ANSWERED) == "failed"
+    told = text_of(window, "#ask-error").splitlines()
+    assert "did you mean altitude" in told[0]
+    assert told[-1].strip() == "^"
+    assert told[-2][told[-1].index("^") :].startswith("altitud")
+    spot = "const b = document.querySelector(arguments[0]); "
+    spot += "return b.value.slice(b.selectionStart, b.selectionEnd)"
+    assert window.run(spot, BOX) == "altitud"
+    # The browser itself notes each answer that is an error.
+    assert all("status of 400" in error for error in window.errors())
+
+
+def test_topics_and_fields_are_completed(page):
+    window = page("/ask.html")
+    write(window, "select altitude from /fi")
+    window.wait_for("return document.querySelector('#ask-offers li')?.textContent.startsWith('/fix')")
+    window.driver.switch_to.active_element.send_keys("\ue004")
+    written = "return document.querySelector(arguments[0]).value"
+    assert window.run(written, BOX) == "select altitude from /fix"
+    window.driver.switch_to.active_element.send_keys(" where lat")
+    window.wait_for("return document.querySelector('#ask-offers li')?.textContent.startsWith('latitude')")

@@ -1,0 +1,78 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Map: the walls stand where they stood, a place of the robot's track leads to its moment."""
+
+from __future__ import annotations
+
+from urllib.parse import parse_qs, urlparse
+
+import pytest
+from browser import patrol
+from browser.looking import pixels
+from selenium.webdriver import ActionChains
+
+CANVAS = "#map"
+
+
+class Map:
+    """The map in the page, in metres.
+
+    Args:
+        window: The browser, with the page.
+    """
+
+    def __init__(self, window):
+        self.window = window
+        window.wait_for(
+            "return ['drawn', 'failed'].includes(document.querySelector('#map').dataset.state)"
+        )
+        self.data = window.run("return {...document.querySelector('#map').dataset}")
+        self.canvas = window.driver.find_element("css selector", CANVAS)
+        size = self.canvas.size
+        self._middle = size["width"] / 2, size["height"] / 2
+        self._centre = [float(text) for text in self.data["centre"].split(",")]
+        self._scale = float(self.data["scale"])
+
+    def from_middle(self, x, y):
+        """Return how many pixels a place is to the right of the canvas's middle, and below."""
+        return (
+            round((x - self._centre[0]) * self._scale),
+            round((self._centre[1] - y) * self._scale),
+        )
+
+    def click(self, x, y):
+        right, down = self.from_middle(x, y)
+        move = ActionChains(self.window.driver).move_to_element_with_offset(
+            self.canvas, right, down
+        )
+        move.click().perform()
+
+    def around(self, x, y, reach=5):
+        """Return the pixels about a place."""
+        right, down = self.from_middle(x, y)
+        column, row = round(self._middle[0] + right), round(self._middle[1] + down)
+        picture = pixels(self.window.picture(CANVAS))
+        return picture[row - reach : row + reach + 1, column - reach : column + reach + 1]
+
+
+@pytest.fixture
+def drawn(page):
+    """The map of the patrol."""
+    page("/").prefer("light")
+    window = page("/map.html", start=patrol.START, end=patrol.END, map=patrol.SCAN)
+    return Map(window)
+
+
+def test_the_walls_stand_where_they_stood_and_the_track_leads_to_its_moments(drawn):
+    assert drawn.data["state"] == "drawn"
+    assert int(drawn.data["points"]) > 20
+    x, y = patrol.HALF
+    # Each wall away from where the lines of the grid are.
+    for place in ((x, 0.4), (-x, 0.4), (0.4, y), (0.4, -y)):
+        assert drawn.around(*place, reach=6).max(axis=2).min() < 60, place
+    assert drawn.around(0.3, 0.3, reach=2).min() > 180
+    # A quarter of the circle after 5 s.
+    drawn.click(0, patrol.RADIUS)
+    link = drawn.window.wait_for("return document.querySelector('#map-picked a')?.href")
+    moment = int(parse_qs(urlparse(link).query)["time"][0])
+    assert moment == pytest.approx(patrol.START + 5 * patrol.SECOND, abs=patrol.SECOND)
