@@ -4,8 +4,11 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
+import json
 import time
+import zlib
 
 from browser.looking import pixels
 
@@ -32,9 +35,9 @@ class Studio:
     def time_ns(self):
         return int(self.data("time"))
 
-    def await_time(self, condition):
+    def await_time(self, condition, timeout_sec=60):
         """Wait until a condition holds of the moment that is shown."""
-        await_true(lambda: condition(self.time_ns), lambda: f"it is {self.time_ns}")
+        await_true(lambda: condition(self.time_ns), lambda: f"it is {self.time_ns}", timeout_sec)
 
     @contextlib.contextmanager
     def _inside(self):
@@ -84,3 +87,10 @@ def await_true(condition, told, timeout_sec=60):
     while not condition():
         assert time.monotonic() < deadline, told()
         time.sleep(0.1)
+
+
+def packed(layout):
+    """Return a layout as an address carries it."""
+    deflate = zlib.compressobj(wbits=-zlib.MAX_WBITS)
+    data = deflate.compress(json.dumps(layout).encode()) + deflate.flush()
+    return base64.urlsafe_b64encode(data).decode().rstrip("=")

@@ -3,3 +3,160 @@
 """Home: what was imported stands there, and a window of it is chosen with mouse and keyboard."""
 
 from __future__ import annotations
+
+import urllib.request
+from urllib.parse import parse_qs, urlparse
+
+import numpy as np
+import pytest
+import rosbag
+from browser import patrol
+from browser.looking import HUSKY_END, HUSKY_START, near, pixels
+from selenium.webdriver import ActionChains
+from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
+
+CANVAS = "#timeline"
+ROOM_NS = 10**9
+
+
+class Home:
+    """The timeline in the page.
+
+    Args:
+        window: The browser, with the page.
+    """
+
+    def __init__(self, window):
+        self.window = window
+        self.canvas = window.wait_for(f"return document.querySelector('{CANVAS}')")
+        self.settle()
+        size = self.canvas.size
+        self._middle = size["width"] / 2, size["height"] / 2
+
+    def settle(self):
+        """Wait until all is there that the window shows."""
+        self.window.wait_for(f"return document.querySelector('{CANVAS}').dataset.state === 'ready'")
+
+    def say(self, expression, *arguments):
+        """Return what an expression about its ``timeline`` is; times as texts."""
+        script = f"const timeline = document.querySelector('{CANVAS}').timeline; return {expression}"
+        return self.window.run(script, *arguments)
+
+    @property
+    def view(self):
+        """The window that is seen, ns."""
+        return tuple(map(int, self.say("[String(timeline.view.start), String(timeline.view.end)]")))
+
+    def x_of(self, ns):
+        return self.say("timeline.xOf(BigInt(arguments[0]))", str(ns))
+
+    def point(self, x, y):
+        """Return an action's pointer, moved to a pixel of the canvas."""
+        right, down = round(x - self._middle[0]), round(y - self._middle[1])
+        return ActionChains(self.window.driver, duration=0).move_to_element_with_offset(
+            self.canvas, right, down
+        )
+
+    def drag(self, start, end):
+        """Drag from one time to another, in the middle of the rows."""
+        y = self._middle[1]
+        action = self.point(self.x_of(start), y).click_and_hold()
+        for part in (0.5, 1):
+            x = self.x_of(start + round((end - start) * part))
+            action.move_to_element_with_offset(
+                self.canvas, round(x - self._middle[0]), round(y - self._middle[1])
+            )
+        action.release().perform()
+
+    def wheel(self, ns, down):
+        """Turn the wheel over a time."""
+        origin = ScrollOrigin.from_element(self.canvas, round(self.x_of(ns) - self._middle[0]), 0)
+        ActionChains(self.window.driver).scroll_from_origin(origin, 0, down).perform()
+        self.settle()
+
+    def links(self):
+        """Return the parameters of the links out of the window, by their texts."""
+        found = self.window.run(
+            "return Object.fromEntries([...document.querySelectorAll('#links a')].map("
+            "link => [link.textContent, link.href]))"
+        )
+        return {text: (href, parse_qs(urlparse(href).query)) for text, href in found.items()}
+
+
+def test_what_was_imported_stands_there(page, stored):
+    name, counts = stored
+    home = Home(page("/"))
+    rows = home.window.wait_for(
+        "const rows = [...document.querySelectorAll('#tables tbody tr')]; return rows.length && "
+        "rows.map(row => [...row.cells].map(cell => cell.textContent))"
+    )
+    heads = home.window.run(
+        "return [...document.querySelectorAll('#tables thead th')].map(head => head.textContent)"
+    )
+    told = {}
+    for row in rows:
+        cells = dict(zip(heads, row))
+        if cells.get("topic"):
+            told[cells["topic"]] = int(cells["messages"].replace(",", ""))
+    assert {topic: told.get(topic) for topic in counts} == counts
+    assert HUSKY_START - 10**12 < home.view[0] <= HUSKY_START
+    assert patrol.END - 10**9 < home.view[1]
+
+
+def drawn(home, topic):
+    """Return which columns of pixels of a topic's row are those of data, and where it begins."""
+    line = home.say(
+        "(({y}, scrolled, top) => [y - scrolled + 60, timeline.size.names])("
+        "timeline.lines.find(line => line.lane?.topic === arguments[0]), timeline.scrolled)",
+        topic,
+    )
+    y, left = round(line[0]), round(line[1])
+    row = pixels(home.window.picture(CANVAS))[y + 2 : y + 22]
+    colour = home.window.run(
+        "return getComputedStyle(document.documentElement).getPropertyValue('--data').trim()"
+    )
+    wanted = tuple(int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return near(row, wanted, within=12).any(axis=0), left
+
+
+def test_the_timeline_is_drawn_where_messages_are(page):
+    page("/").prefer("light")
+    # The Husky, a gap of an hour, the patrol: a tenth of the width each way.
+    home = Home(page("/", start=HUSKY_START - 300 * 10**9, end=patrol.END + 300 * 10**9))
+    columns, left = drawn(home, "/tf")
+    busy = np.flatnonzero(columns)
+    edges = [home.x_of(ns) for ns in (HUSKY_START, HUSKY_END, patrol.START, patrol.END)]
+    assert abs(busy.min() - edges[0]) <= 3
+    assert abs(busy.max() - edges[3]) <= 3
+    assert not columns[round(edges[1]) + 4 : round(edges[2]) - 4].any()
+    assert not columns[left : round(edges[0]) - 4].any()
+
+
+def test_a_window_is_chosen_by_wheel_drag_and_keys_and_leads_on(page, tmp_path):
+    home = Home(page("/", start=HUSKY_START - ROOM_NS, end=HUSKY_END + ROOM_NS))
+    before = home.view
+    middle = (HUSKY_START + HUSKY_END) // 2
+    home.wheel(middle, -400)
+    after = home.view
+    assert after[1] - after[0] < 0.7 * (before[1] - before[0])
+    assert after[0] < middle < after[1]
+    home.canvas.send_keys("-")
+    home.settle()
+    assert home.view[1] - home.view[0] > 1.8 * (after[1] - after[0])
+    start, end = middle - 2 * 10**9, middle + 2 * 10**9
+    home.drag(start, end)
+    links = home.links()
+    for text in ("Look", "Ask", ".bag", ".mcap"):
+        chosen = links[text][1]
+        pixel = (home.view[1] - home.view[0]) / 800
+        assert int(chosen["start"][0]) == pytest.approx(start, abs=2 * pixel), text
+        assert int(chosen["end"][0]) == pytest.approx(end, abs=2 * pixel), text
+    # The link is what rosbag reads.
+    href, chosen = links[".bag"]
+    target = tmp_path / "window.bag"
+    with urllib.request.urlopen(href, timeout=60) as answer:  # noqa: S310 (our own viewer)
+        target.write_bytes(answer.read())
+    with rosbag.Bag(str(target)) as bag:
+        times = [t.to_nsec() for _, _, t in bag.read_messages()]
+    assert len(times) > 100
+    assert int(chosen["start"][0]) <= min(times) <= max(times) <= int(chosen["end"][0])

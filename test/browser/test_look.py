@@ -5,9 +5,12 @@
 from __future__ import annotations
 
 import pytest
-from browser import patrol
+from browser import film, patrol
 from browser.looking import near
-from browser.studio import Studio, await_true
+from browser.studio import Studio, await_true, packed
+from campaign import LENGTH
+
+from cassandra_ros.bag.importer import import_bag
 
 pytestmark = pytest.mark.usefixtures("studio")
 
@@ -54,3 +57,32 @@ def test_play_goes_on_and_pause_ends_it(page):
     assert int(studio.data("messages")) >= 10
     studio.press("Seek forward")
     studio.await_time(lambda now: stopped < now <= stopped + patrol.SECOND)
+
+
+FILM_SEC = {"": 60, "short": 600, "long": 3600}[LENGTH]
+"""How much is recorded, which is played in a tenth of the time."""
+HEAP_BYTES = 400 << 20
+RESIDENT_BYTES = 1500 << 20
+
+
+@pytest.mark.campaign
+def test_memory_is_bounded_however_long_is_played(page, stored, connect, tmp_path, record_property):
+    film.write(tmp_path / "film.bag", FILM_SEC)
+    with connect(keyspace=stored[0]) as rosCas:
+        import_bag(rosCas, tmp_path / "film.bag")
+    panels = {"ImageViewPanel!film": {"cameraTopic": film.TOPIC, "mode": "fit"}}
+    layout = {"layout": next(iter(panels)), "configById": panels, "playbackConfig": {"speed": 10}}
+    whole = {"start": film.START, "end": film.START + FILM_SEC * 10**9, "time": film.START}
+    window = page("/look.html", topics=film.TOPIC, layout=packed(layout), **whole)
+    studio = Studio(window)
+    studio.press("Play")
+    heap = resident = 0
+    for part in range(1, 10):
+        moment = film.START + part * FILM_SEC * 10**8
+        studio.await_time(lambda now, moment=moment: now >= moment, timeout_sec=60 + FILM_SEC / 10)
+        heap, resident = max(heap, window.heap_bytes()), max(resident, window.resident_bytes())
+    # Whoever plays faster than pictures can be drawn leaves some out, but none is left unread.
+    assert int(studio.data("messages")) > 0.8 * FILM_SEC * film.RATE_HZ
+    record_property("told", f"{FILM_SEC} s at 10 x: heap {heap >> 20}, all {resident >> 20} MB")
+    assert heap < HEAP_BYTES
+    assert resident < RESIDENT_BYTES
