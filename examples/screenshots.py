@@ -33,20 +33,22 @@ MOMENT = 1368022000_000_000_000
 STATEMENT = (
     "select KEY, linear_acceleration.x, linear_acceleration.y, angular_velocity.z from /imu/data"
 )
+STUDIO = "document.querySelector('iframe#studio').contentDocument.body.dataset"
 PAGES = {
-    "home": ("/", {}),
-    "ask": ("/ask.html", {"q": STATEMENT}),
-    "look": ("/look.html", {"time": MOMENT}),
+    "home": ("/", {}, "document.getElementById('timeline').dataset.state === 'ready'"),
+    "ask": ("/ask.html", {"q": STATEMENT}, "document.body.dataset.state === 'done'"),
+    "look": ("/look.html", {"time": MOMENT}, f"{STUDIO}.presence === 'PRESENT'"),
 }
+"""Of each picture: page, what its address says, and when it has all that it shows."""
 COLOURS = 128
 """What a picture keeps of them: it is in the repository, and loads with the README."""
 
 
 def shoot(browser: Browser, url: str, name: str) -> Image.Image:
     """Open a page of a viewer; return its picture once it does not change any more."""
-    path, state = PAGES[name]
+    path, state, ready = PAGES[name]
     browser.driver.get(url.rstrip("/") + path + (f"?{urlencode(state)}" if state else ""))
-    browser.wait_for("return document.querySelector('main canvas')")
+    browser.wait_for(f"return {ready}", timeout_sec=120)
     picture = Image.open(io.BytesIO(browser.settled()))
     errors = browser.errors()
     if errors:

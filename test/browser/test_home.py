@@ -16,6 +16,8 @@ from selenium.webdriver import ActionChains
 from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
 
 CANVAS = "#timeline"
+TOP, ROW = 60, 24
+"""Where the rows begin, and how high one is, pixels."""
 ROOM_NS = 10**9
 
 
@@ -84,7 +86,7 @@ class Home:
 
 
 def test_what_was_imported_stands_there(page, stored):
-    name, counts = stored
+    counts = stored[1]
     home = Home(page("/"))
     rows = home.window.wait_for(
         "const rows = [...document.querySelectorAll('#tables tbody tr')]; return rows.length && "
@@ -105,13 +107,9 @@ def test_what_was_imported_stands_there(page, stored):
 
 def drawn(home, topic):
     """Return which columns of pixels of a topic's row are those of data, and where it begins."""
-    line = home.say(
-        "(({y}, scrolled, top) => [y - scrolled + 60, timeline.size.names])("
-        "timeline.lines.find(line => line.lane?.topic === arguments[0]), timeline.scrolled)",
-        topic,
-    )
-    y, left = round(line[0]), round(line[1])
-    row = pixels(home.window.picture(CANVAS))[y + 2 : y + 22]
+    line = "timeline.lines.find(line => line.lane?.topic === arguments[0])"
+    y, left = home.say(f"[{line}.y - timeline.scrolled, timeline.size.names]", topic)
+    row = pixels(home.window.picture(CANVAS))[y + TOP + 2 : y + TOP + ROW - 2]
     colour = home.window.run(
         "return getComputedStyle(document.documentElement).getPropertyValue('--data').trim()"
     )

@@ -8,6 +8,7 @@ import urllib.error
 
 import numpy as np
 import pytest
+import screenshots
 from browser.looking import HUSKY_END, HUSKY_START, pixels
 
 PAGES = {"Home": "/", "Ask": "/ask.html", "Look": "/look.html", "Map": "/map.html"}
@@ -66,3 +67,15 @@ def test_there_is_nothing_but_the_pages(viewer):
         with pytest.raises(urllib.error.HTTPError) as refused:
             viewer.ask(path)
         assert refused.value.code in (403, 404), path
+
+
+@pytest.mark.usefixtures("studio")
+@pytest.mark.parametrize("name", screenshots.PAGES)
+def test_the_readmes_pictures_show_their_pages(page, viewer, name):
+    window = page("/")
+    window.prefer("light")
+    picture = np.asarray(screenshots.shoot(window, viewer.url, name))
+    assert picture.shape[:2] == (800, 1280)
+    # Something is drawn in each part of it.
+    for part in np.array_split(picture, 3):
+        assert len(np.unique(part.reshape(-1, 3), axis=0)) > 20
