@@ -8,6 +8,8 @@ patrol that browser/patrol.py makes.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import chromium
 import pytest
 import rosbag
@@ -16,7 +18,7 @@ from browser.looking import HUSKY, HUSKY_TOPICS, Viewer, unable
 from nodes.children import PROGRAMS, Child
 
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.viewing.settings import studio_folder
+from cassandra_ros.viewing.studio import studio_folder, studio_installed
 
 
 @pytest.fixture(scope="session")
@@ -24,7 +26,9 @@ def window():
     """The browser of this run."""
     missing = chromium.missing_programs()
     if missing:
-        unable(f"no {' and no '.join(missing)}")
+        debian = "ID=debian" in Path("/etc/os-release").read_text(encoding="utf-8").split()
+        why = "make setup installs it" if debian else "make setup has no package of it here"
+        unable(f"no {' and no '.join(missing)}", why, debian)
     with chromium.chromium() as browser:
         yield browser
 
@@ -52,7 +56,7 @@ def viewer(cassandra, stored, ros_env):
         "CASSANDRA_ROS_HOST": cassandra.host,
         "CASSANDRA_ROS_PORT": str(cassandra.port),
         # The ROS home of the tests is empty.
-        "CASSANDRA_ROS_STUDIO": str(studio_folder()),
+        "CASSANDRA_ROS_STUDIO": str(studio_folder().parent),
     }
     command = [PROGRAMS / "viewer", "--port", 0, "--keyspace", stored[0]]
     with Child(command, env) as process:
@@ -83,6 +87,5 @@ def page(window, viewer):
 @pytest.fixture(scope="session")
 def studio():
     """Who asks for it needs the Studio's packages."""
-    folder = studio_folder()
-    if not folder.is_dir() or not any(folder.iterdir()):
-        unable(f"no Studio in {folder}")
+    if not studio_installed(studio_folder()):
+        unable(f"no Studio in {studio_folder()}", "make setup could not fetch it")
