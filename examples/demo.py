@@ -224,7 +224,6 @@ class Demo:
             print(f"{what:{width}}  {figure}")
         print(f"{'pictures and bags':{width}}  {os.path.relpath(self.out)}")
 
-
     def leave_open(self) -> None:
         """Let the viewer run until Ctrl-C."""
         print(f"\nSee it: {self.url}/ (Ctrl-C ends it)", flush=True)

@@ -57,7 +57,9 @@ def write(path):
             _put(bag, CAMERA, _picture(k / 2), k / 2)
         _put(bag, "/tf_static", TFMessage([_mount()]), 0, latching=True)
         _put(bag, MAP, _map(), 0, latching=True)
-        return {topic: info.message_count for topic, info in bag.get_type_and_topic_info()[1].items()}
+        return {
+            topic: info.message_count for topic, info in bag.get_type_and_topic_info()[1].items()
+        }
 
 
 def _put(bag, topic, msg, seconds, latching=False):

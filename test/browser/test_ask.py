@@ -12,7 +12,9 @@ BOX = "#ask-q"
 CONTROL_ENTER = "\ue009\ue007"
 FIRST_FIX = 1368021980238582676
 STATEMENT = "select KEY, altitude from /fix"
-ANSWERED = "return ['done', 'failed'].includes(document.body.dataset.state) && document.body.dataset.state"
+ANSWERED = (
+    "return ['done', 'failed'].includes(document.body.dataset.state) && document.body.dataset.state"
+)
 
 
 def write(window, text):
@@ -79,9 +81,13 @@ def test_what_is_wrong_is_told_with_the_spot(page):
 def test_topics_and_fields_are_completed(page):
     window = page("/ask.html")
     write(window, "select altitude from /fi")
-    window.wait_for("return document.querySelector('#ask-offers li')?.textContent.startsWith('/fix')")
+    window.wait_for(
+        "return document.querySelector('#ask-offers li')?.textContent.startsWith('/fix')"
+    )
     window.driver.switch_to.active_element.send_keys("\ue004")
     written = "return document.querySelector(arguments[0]).value"
     assert window.run(written, BOX) == "select altitude from /fix"
     window.driver.switch_to.active_element.send_keys(" where lat")
-    window.wait_for("return document.querySelector('#ask-offers li')?.textContent.startsWith('latitude')")
+    window.wait_for(
+        "return document.querySelector('#ask-offers li')?.textContent.startsWith('latitude')"
+    )

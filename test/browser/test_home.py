@@ -41,7 +41,9 @@ class Home:
 
     def say(self, expression, *arguments):
         """Return what an expression about its ``timeline`` is; times as texts."""
-        script = f"const timeline = document.querySelector('{CANVAS}').timeline; return {expression}"
+        script = (
+            f"const timeline = document.querySelector('{CANVAS}').timeline; return {expression}"
+        )
         return self.window.run(script, *arguments)
 
     @property

@@ -42,7 +42,9 @@ def test_a_moment_opens_with_its_picture_and_its_frames(page):
     studio.await_picture("ImageViewPanel", is_colour(patrol.COLOURS["late"]))
     studio.await_picture("3D", lambda now: has_axes(now) and (now != before).any())
     # An address that is copied opens there again.
-    window.wait_for("return new URLSearchParams(location.search).get('time') === arguments[0]", str(LATE))
+    window.wait_for(
+        "return new URLSearchParams(location.search).get('time') === arguments[0]", str(LATE)
+    )
 
 
 def test_play_goes_on_and_pause_ends_it(page):
