@@ -5,7 +5,7 @@
 
 Starts a Cassandra, a roscore and the recorder, plays the bag of a Clearpath Husky, compares what
 was recorded with it, asks over services, in Python and in CQL, imports and exports the bag, plays
-what is stored, records that again and compares it, shows all of it in the viewer, and leaves nothing
+what is stored, records that again and compares it, shows all in the viewer, and leaves nothing
 running; with --view all goes on until Ctrl-C. Pictures and the exported bag go to --out.
 """
 

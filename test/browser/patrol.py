@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A bag of a robot that we know all about: it drives a circle in a room, scans it, and takes pictures.
+"""A bag of a robot that we know all about: it drives a circle in a room, scans and looks.
 
 The circle is 2 m around the origin of ``odom``, once in 20 s, counterclockwise from (2, 0). The
 room's walls are at x = -4 and 4 m, y = -3 and 3 m. A picture has a quarter of one colour each; the
