@@ -8,6 +8,7 @@ patrol that browser/patrol.py makes.
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import chromium
@@ -37,15 +38,17 @@ def window():
 def stored(keyspaces, connect, tmp_path_factory):
     """What is looked at: the name of the keyspace, how many messages each topic has."""
     path = tmp_path_factory.mktemp("patrol") / "patrol.bag"
-    counts = patrol.write(path)
-    with rosbag.Bag(str(HUSKY)) as bag:
-        for topic in HUSKY_TOPICS:
-            counts[topic] = counts.get(topic, 0) + bag.get_message_count(topic)
+    patrol.write(path)
+    counts = Counter()
+    for file, topics in ((HUSKY, HUSKY_TOPICS), (path, None)):
+        with rosbag.Bag(str(file)) as bag:
+            found = bag.get_type_and_topic_info(topics)[1]
+            counts.update({topic: info.message_count for topic, info in found.items()})
     with keyspaces.lend() as name:
         with connect(keyspace=name) as rosCas:
             import_bag(rosCas, HUSKY, topics=HUSKY_TOPICS)
             import_bag(rosCas, path)
-        yield name, counts
+        yield name, dict(counts)
 
 
 @pytest.fixture(scope="session")

@@ -45,7 +45,7 @@ def pose(seconds):
 
 
 def write(path):
-    """Write the bag; return how many messages each topic has."""
+    """Write the bag."""
     with rosbag.Bag(str(path), "w") as bag:
         for k in range(LENGTH_SEC * 20):
             _put(bag, "/tf", TFMessage([_transform(k / 20)]), k / 20)
@@ -57,9 +57,6 @@ def write(path):
             _put(bag, CAMERA, _picture(k / 2), k / 2)
         _put(bag, "/tf_static", TFMessage([_mount()]), 0, latching=True)
         _put(bag, MAP, _map(), 0, latching=True)
-        return {
-            topic: info.message_count for topic, info in bag.get_type_and_topic_info()[1].items()
-        }
 
 
 def _put(bag, topic, msg, seconds, latching=False):
