@@ -6,12 +6,11 @@ from __future__ import annotations
 
 import math
 
-import genpy
 import numpy as np
 import pytest
 from campaign import campaign
 from conftest import ROOT
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped
+from geometry_msgs.msg import TransformStamped
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
@@ -22,7 +21,6 @@ from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import InvalidOption, InvalidQuery, RunNotFound
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import live_connection
-from cassandra_ros.recording.recording import Recording
 from cassandra_ros.store.registry import Run
 
 SEC = 10**9

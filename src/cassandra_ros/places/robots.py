@@ -38,6 +38,7 @@ from cassandra_ros.query.source import Writers
 
 BASES = ("base_link", "base_footprint", "base", "base_stabilized", "body", "chassis")
 """What robots call the frame of their body, behind a prefix or not; the first of them counts."""
+USUAL_FRAMES = ("map", "odom", "world")
 MOST_FRAMES = 1000
 """So many names of frames are remembered of a robot."""
 MOST_ROBOTS = 8
@@ -62,6 +63,8 @@ class Seen(NamedTuple):
     frames: FrozenSet[str]
     robots: Tuple[str, ...]
     """Those that may be the bodies of robots."""
+    tops: Tuple[str, ...] = ()
+    """Those that are in no other one."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +130,11 @@ def seen_in(frames: Frames, parts: Iterable[Samples]) -> Seen:
     fixed = {code for child, (parent, _) in frames.fixed.items() for code in (child, parent)}
     every = {frames.names[code] for code in moving | carrying | fixed if code != NO_FRAME}
     robots = _bodies(every) or sorted(frames.names[code] for code in moving - carrying)
-    return Seen(frozenset(sorted(every)[:MOST_FRAMES]), tuple(robots[:MOST_ROBOTS]))
+    tops = sorted(
+        frames.names[code] for code in (moving | carrying | fixed) - moving if code != NO_FRAME
+    )
+    tops = [name for name in tops if frames.code(name) not in frames.fixed]
+    return Seen(frozenset(sorted(every)[:MOST_FRAMES]), tuple(robots[:MOST_ROBOTS]), tuple(tops))
 
 
 def _bodies(frames: Iterable[str]) -> List[str]:
@@ -177,12 +184,12 @@ class Choice:
         """Topic -> the frames in which it tells poses, for the text of an error."""
         self._look = lru_cache(None)(lambda node: look(stored.find, node))
 
-    def robots(self, node: Optional[str] = None) -> List[Robot]:
-        """Return one for each node of which there is one; of one node, None = of all."""
+    def robots(self, nodes: Optional[Sequence[str]] = None) -> List[Robot]:
+        """Return one for each node of which there is one; of these nodes, None = of all."""
         named = self._named_topic()
         topics = [named] if named is not None else [*self._tf(), *self._candidates()]
         every = {each for topic in topics for each in self._stored.nodes(topic)}
-        asked = sorted(every if node is None else every & {node})
+        asked = sorted(every if nodes is None else every.intersection(nodes))
         found = [self._of_node(each, named) for each in asked]
         robots = [robot for robot in found if robot is not None]
         if not robots and every:
@@ -193,6 +200,17 @@ class Choice:
                 "nav_msgs/Odometry; record one, or import it"
             )
         return robots
+
+    def usual_frame(self) -> str:
+        """Return the frame in which places are mostly wanted: map or odom, else what there is."""
+        topics = [*self._tf(), *self._candidates()]
+        nodes = sorted({each for topic in topics for each in self._stored.nodes(topic)})
+        seen = [found for found in map(self._look, nodes) if found is not None]
+        told = {self._frame_of(topic, node) for topic in self._candidates() for node in nodes}
+        known = {frame for each in seen for frame in each.frames} | told
+        tops = [frame for each in seen for frame in each.tops]
+        found = [frame for frame in USUAL_FRAMES if frame in known]
+        return next(iter([*found, *sorted(filter(None, told)), *tops]), USUAL_FRAMES[0])
 
     def _tf(self) -> List[ArraySource]:
         found = []

@@ -17,8 +17,8 @@ from cassandra_ros.keys import MAX_NS
 from cassandra_ros.places.coverage import Coverage
 from cassandra_ros.places.paths import Span, clipped, merged
 from cassandra_ros.places.regions import Region, Round
-from cassandra_ros.places.robots import Choice
-from cassandra_ros.places.stored import Stored
+from cassandra_ros.places.robots import Choice, Robot
+from cassandra_ros.places.stored import Extent, Stored
 from cassandra_ros.places.windows import WINDOW_NS, Window, Windows
 from cassandra_ros.query.protocols import Disk
 from cassandra_ros.store.place_index import PlaceIndex
@@ -129,7 +129,7 @@ class Whereabouts:
 
     @contextmanager
     def shared(self) -> Iterator[None]:
-        """Give the same answer to all that is asked by this thread meanwhile: poses are read once."""
+        """Give the same answer to all that this thread asks meanwhile: poses are read once."""
         self._local.answers = {}
         try:
             yield
@@ -146,13 +146,32 @@ class Whereabouts:
         answers = getattr(self._local, "answers", {})
         if (disk, node) not in answers:
             region = Round(disk.x, disk.y, disk.radius)
-            answers[disk, node] = self.within(region, disk.frame, disk.robot, node)
+            nodes = None if node is None else [node]
+            answers[disk, node] = self.within(region, disk.frame, disk.robot, nodes)
         return answers[disk, node]
 
     def within(
-        self, region: Region, frame: str, robot: str = "", node: Optional[str] = None
+        self,
+        region: Region,
+        frame: str,
+        robot: str = "",
+        nodes: Optional[Sequence[str]] = None,
     ) -> RegionStays:
-        """Say when robots were in a region; the arguments are those of a Disk, and errors too."""
-        robots = Choice(self._stored, frame, robot).robots(node)
-        windows = {each.node: Windows(each, self._stored) for each in robots}
+        """Say when robots were in a region; arguments as a Disk has them, and errors of stays."""
+        every = self.robots(frame, robot, nodes)
+        windows = {each.node: Windows(each, self._stored) for each in every}
         return RegionStays(region, windows, self._coverage)
+
+    def robots(
+        self, frame: str, robot: str = "", nodes: Optional[Sequence[str]] = None
+    ) -> List[Robot]:
+        """Return what tells where robots were; arguments as of within, and errors, too."""
+        return Choice(self._stored, frame, robot).robots(nodes)
+
+    def usual_frame(self) -> str:
+        """Return the frame in which places are mostly wanted: map or odom, else what there is."""
+        return Choice(self._stored, "").usual_frame()
+
+    def extents(self, robot: Robot, low: int, high: int) -> Sequence[Extent]:
+        """List when poses of a robot may have been recorded, as far as it touches [low, high]."""
+        return self._stored.extents(robot.topic, robot.node, low, high)

@@ -55,14 +55,9 @@ def bounded_rows(
             columns=columns,
             chooser=chooser,
             run=run,
-            wanted=wanted,
+            wanted=limit if wanted is None else wanted,
         )
-        low, high, spans = bounds.low, bounds.high, bounds.spans
-        if spans is None:
-            return read(low, high, limit=limit)
-        if after is not None:
-            low, high = (low, min(high, after.t)) if reverse else (max(low, after.t), high)
-        parts = (read(*span) for span in spans(low, high, reverse))
+        parts = (read(low, high) for low, high in _stretches(bounds, after, reverse))
         return islice(chain.from_iterable(parts), limit)
     try:
         every = source.versions(bounds.name, nodeID=node, reverse=reverse, run=run)
@@ -75,6 +70,16 @@ def bounded_rows(
         if is_behind(row.position, after, reverse) and not _is_at(row, after, source)
     )
     return islice(behind, limit)
+
+
+def _stretches(bounds: Bounds, after: Optional[Position], reverse: bool) -> Iterator[Span]:
+    """Yield the stretches of time that are read, in the direction of reading."""
+    low, high = bounds.low, bounds.high
+    if bounds.spans is None:
+        return iter([(low, high)])
+    if after is not None:
+        low, high = (low, min(high, after.t)) if reverse else (max(low, after.t), high)
+    return bounds.spans(low, high, reverse)
 
 
 def _is_at(row: Row, place: Optional[Position], source: Source[RowT_co]) -> bool:
@@ -230,21 +235,15 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         watch: Watch = unwatched,
     ) -> None:
         tables = source.tables
-        self.select = select = settle(select, tables)
+        select = settle(select, tables)
         self._source, self._watch = source, watch
         named = any(table.named for table in tables)
         runs = next((table.runs for table in tables), None)
         bounds = bounds_of(select, node, named, run, runs)
         self.select = select = located(select, tables, bounds.node)
-        self._spans, self.stretches = spans_of(select.condition), 0
-        spans = None if self._spans is None else self._counted_spans
-        self._bounds = bounds = replace(bounds, spans=spans)
-        for found in () if named else meant_as_seconds(select.condition):
-            _log.warning(
-                "KEY is compared with %(ns)d, which means nanoseconds since 1970; did you mean "
-                "seconds, %(ns)d.0?",
-                {"ns": found.value},
-            )
+        self._bounds = bounds = self._spanned(bounds)
+        if not named:
+            _warn_of_seconds(select)
         self._place = place = read_place(after)
         self._given = self._skip = 0
         self._row: Optional[Row] = None
@@ -353,6 +352,11 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             self._watch()
             yield row
 
+    def _spanned(self, bounds: Bounds) -> Bounds:
+        """Return bounds that leave the stretches of time that NEAR leaves, and count these."""
+        self._spans, self.stretches = spans_of(self.select.condition), 0
+        return replace(bounds, spans=None if self._spans is None else self._counted_spans)
+
     def _counted_spans(self, low: int, high: int, reverse: bool) -> Iterator[Span]:
         for span in () if self._spans is None else self._spans(low, high, reverse):
             self.stretches += 1
@@ -381,6 +385,15 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         stored = self._read(bounds, reverse=select.descending)
         rows = chain.from_iterable(projections.of(row.table).rows(row) for row in stored)
         return gather(select, projections.names, rows, most)
+
+
+def _warn_of_seconds(select: Select) -> None:
+    for found in meant_as_seconds(select.condition):
+        _log.warning(
+            "KEY is compared with %(ns)d, which means nanoseconds since 1970; did you mean "
+            "seconds, %(ns)d.0?",
+            {"ns": found.value},
+        )
 
 
 class Rows(list):  # type: ignore[type-arg]

@@ -3,7 +3,7 @@
 """cr_place and cr_placed: in which squares of the ground robots were when, as far as it is noted.
 
 A row of cr_place is a visit: from t_in to t_out a robot may have been in a square, in coordinates
-of a frame. Visits are a superset: what is deleted later may stay in it, and what is written twice is
+of a frame. Visits are a superset: what is deleted later may stay in it; what is written twice is
 the same row. A row of cr_placed says of which poses all visits are there: those that one run put
 into one table with keys from low to high. Poses of which nothing says so are looked at themselves;
 so whoever writes visits notes how far they go behind them.

@@ -61,7 +61,7 @@ class Catalog:
         self._pending: dict[str, Wish] = {}
         self._mutex = threading.Lock()
         self.places = Whereabouts(StoredPlaces(self), keyspace.place_index)
-        keyspace.tables.places = self.places
+        keyspace.places = keyspace.tables.places = self.places
 
     def add(self, wanted: TopicMetadata, msg_type: Optional[str]) -> CassandraTopic:
         """Make a topic, or find it; see RosCassandra.addTopic. Format '' = as it is stored."""

@@ -32,6 +32,7 @@ from cassandra_ros.messages.definition import Definition, definition_of
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata, shadow_column
+from cassandra_ros.places.whereabouts import Whereabouts
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.directory import (
     MIN_SPAN_NS,
@@ -60,6 +61,9 @@ class Keyspace:
 
     Each of its parts, which are its attributes, does one thing in it; their classes say which.
     """
+
+    places: Whereabouts
+    """Set by the Catalog, which finds its topics."""
 
     def __init__(self, cassandra: Cassandra, name: str) -> None:
         self.cassandra = cassandra

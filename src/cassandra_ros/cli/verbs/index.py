@@ -5,11 +5,16 @@
   cassandra_bag index /cmd_vel linear.x
   cassandra_bag index /tf transforms.child_frame_id
   cassandra_bag index --list
+  cassandra_bag index --places
 
 What is stored already is taken in, with a bar that shows how far it is; topics may be recorded
 meanwhile: what a recorder is just writing is found without the index, and taken in when the same
 command is given again. That also goes on where one was interrupted. FIELD may be of any format; of
 an array, it finds the messages that contain a value.
+
+With --places it is noted where the robots of runs were, by tf or by topics of their poses, so that
+NEAR reads only the poses around a place. Recorders do so by themselves; this is for imports, and
+for what was recorded with --no-places. Runs that go on are left out; --list says which are in it.
 """
 
 from __future__ import annotations
@@ -18,8 +23,8 @@ import argparse
 from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.answers import add_json_option, print_json
-from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.text import MessageBar, format_table, shown
+from cassandra_ros.cli.options import add_origin_options, add_store_options, open_store
+from cassandra_ros.cli.text import MessageBar, format_table, format_time, shown
 from cassandra_ros.cli.topic_options import stored_topics
 
 if TYPE_CHECKING:
@@ -51,6 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="list the indexes of TOPIC (default: of all topics), and which is not finished",
     )
+    text = "make the index of places, of all runs or those of --run and --node-id"
+    add("--places", action="store_true", help=text)
+    add_origin_options(parser)
     add("-q", "--quiet", action="store_true", help="print errors only")
     add_json_option(parser)
     add_store_options(parser)
@@ -58,6 +66,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it, and say what was done."""
+    if options.places:
+        return _places(options)
+    if options.run is not None or options.node_id is not None:
+        options.parser.error("--run and --node-id go with --places")
     if options.list:
         if options.field is not None:
             options.parser.error("--list goes without FIELD")
@@ -100,6 +112,35 @@ def _list(options: argparse.Namespace) -> int:
         _print_states(states)
     else:
         print("there is no index")
+    return 0
+
+
+def _places(options: argparse.Namespace) -> int:
+    if options.topics or options.field or options.remove:
+        options.parser.error("--places goes without TOPIC and --remove")
+    whose = {"nodeID": options.node_id, "run": options.run}
+    with open_store(options) as ros_cas:
+        if options.list:
+            found = ros_cas.upkeep.placesIndex(**whose)
+        else:
+            with MessageBar("noting places, seconds") as bar:
+                found = ros_cas.upkeep.indexPlaces(**whose, progress=bar.reach)
+    if options.json:
+        print_json([each._asdict() for each in found])
+    elif not found:
+        print("there is no run")
+    elif not options.quiet:
+        rows = [
+            (
+                shown(each.run),
+                shown(each.node),
+                format_time(each.first_ns),
+                format_time(each.last_ns),
+                each.state,
+            )
+            for each in found
+        ]
+        print(format_table(("run", "node", "poses from", "to", "places"), rows))
     return 0
 
 

@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Places as the map's page asks for them: tracks, and what a lasso encloses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mapping.room import SHIFT, T0, Drive, driven, joined
+from viewers import running_viewer
+
+SEC = 10**9
+
+
+@pytest.fixture(scope="module")
+def store(fresh):
+    with fresh() as made:
+        Drive().store(made, ("/tf", "/tf_static", "/odom", "/scan"), "robot")
+        yield made
+
+
+@pytest.fixture(scope="module")
+def viewer(store):
+    with running_viewer(store) as running:
+        yield running
+
+
+def test_where_robots_were(viewer):
+    found = viewer.get("/api/places")
+    (track,) = found["tracks"]
+    assert (found["frame"], track["node"], track["frame"]) == ("map", "robot", "map")
+    times = np.array(track["times"], np.int64)
+    assert len(times) == len(track["x"]) == len(track["y"]) == len(track["joined"]) > 20
+    assert not track["joined"][0]
+    assert all(track["joined"][1:])
+    for n in (0, len(times) // 2, -1):
+        x, y, _ = joined(SHIFT, driven((int(times[n]) - T0) / SEC))
+        assert (track["x"][n], track["y"][n]) == pytest.approx((x, y), abs=0.05)
+    (few,) = viewer.get("/api/places", points=10, frame="odom", nodes="robot")["tracks"]
+    assert 2 <= len(few["x"]) <= 12
+    assert few["frame"] == "odom"
+    part = viewer.get("/api/places", start=str(T0), end=str(T0 + SEC))["tracks"][0]
+    assert int(part["times"][-1]) <= T0 + SEC
+    assert viewer.get("/api/places", start=str(T0 - 9 * SEC), end=str(T0 - SEC))["tracks"] == []
+
+
+def test_what_a_lasso_encloses(viewer, store):
+    x, y, _ = joined(SHIFT, driven(2.0))
+    disk = viewer.get("/api/near", x=x, y=y, radius=0.5)
+    assert disk["stays"]
+    assert not disk["more"]
+    stays = [(int(stay["start"]), int(stay["end"])) for stay in disk["stays"]]
+    assert any(start <= T0 + 2 * SEC <= end for start, end in stays)
+    # The same in a statement: each scan of these times, and no other.
+    times = [key.to_nsec() for (key,) in store.executeCQL(
+        "select KEY from /scan where NEAR(?, ?, 0.5)", [x, y]
+    )]
+    assert times
+    assert all(any(start <= t <= end for start, end in stays) for t in times)
+    square = f"{x - 0.5},{y - 0.5};{x + 0.5},{y - 0.5};{x + 0.5},{y + 0.5};{x - 0.5},{y + 0.5}"
+    lasso = viewer.get("/api/near", polygon=square, nodes="robot", frame="map", robot="/base_link")
+    (first, *_) = lasso["stays"]
+    assert first["node"] == "robot"
+    assert int(first["start"]) <= stays[0][0]
+    assert int(first["end"]) >= stays[0][1]
+    assert viewer.get("/api/near", polygon=square, limit=1)["more"] is (len(lasso["stays"]) > 1)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "text"),
+    [
+        ({}, "say where"),
+        ({"polygon": "0,0;1,1"}, "3 to 1000 corners"),
+        ({"polygon": "0,0;1;2,2"}, "give x,y;x,y;x,y"),
+        ({"x": 0, "y": 0, "radius": -1}, "0 or more metres"),
+        ({"x": 0, "y": 0, "radius": 1, "frame": "moon"}, "no pose in frame 'moon' is stored"),
+        ({"x": 0, "y": 0, "radius": 1, "limit": 0}, "limit is 1 to"),
+    ],
+)
+def test_questions_that_make_no_sense(viewer, parameters, text):
+    found = viewer.ask("/api/near", parameters)
+    assert found.status == 400
+    assert text in found.json()["text"]
