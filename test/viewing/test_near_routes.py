@@ -52,13 +52,14 @@ def test_what_a_lasso_encloses(viewer, store):
     stays = [(int(stay["start"]), int(stay["end"])) for stay in disk["stays"]]
     assert any(start <= T0 + 2 * SEC <= end for start, end in stays)
     # The same in a statement: each scan of these times, and no other.
-    times = [key.to_nsec() for (key,) in store.executeCQL(
-        "select KEY from /scan where NEAR(?, ?, 0.5)", [x, y]
-    )]
+    times = [
+        key.to_nsec()
+        for (key,) in store.executeCQL("select KEY from /scan where NEAR(?, ?, 0.5)", [x, y])
+    ]
     assert times
     assert all(any(start <= t <= end for start, end in stays) for t in times)
     square = f"{x - 0.5},{y - 0.5};{x + 0.5},{y - 0.5};{x + 0.5},{y + 0.5};{x - 0.5},{y + 0.5}"
-    lasso = viewer.get("/api/near", polygon=square, nodes="robot", frame="map", robot="/base_link")
+    lasso = viewer.get("/api/near", polygon=square, nodes="robot", frame="map", robot="/base")
     (first, *_) = lasso["stays"]
     assert first["node"] == "robot"
     assert int(first["start"]) <= stays[0][0]
@@ -74,6 +75,7 @@ def test_what_a_lasso_encloses(viewer, store):
         ({"polygon": "0,0;1;2,2"}, "give x,y;x,y;x,y"),
         ({"x": 0, "y": 0, "radius": -1}, "0 or more metres"),
         ({"x": 0, "y": 0, "radius": 1, "frame": "moon"}, "no pose in frame 'moon' is stored"),
+        ({"x": 0, "y": 0, "radius": 1, "robot": "arm"}, "'arm' is no frame of tf, and no topic"),
         ({"x": 0, "y": 0, "radius": 1, "limit": 0}, "limit is 1 to"),
     ],
 )

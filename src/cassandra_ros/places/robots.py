@@ -293,6 +293,8 @@ class Choice:
             known |= set() if seen is None else seen.frames
         of = f" of {self._robot}" if self._robot else ""
         text = f"no pose{of} in frame {self._frame!r} is stored"
+        if self._robot and not self._told and self._robot.lstrip("/") not in known:
+            text = f"{self._robot!r} is no frame of tf, and no topic of poses"
         if known:
             text += f"; the frames of tf are {', '.join(sorted(known)[:20])}"
         for topic, frames in self._told.items():
