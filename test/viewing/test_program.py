@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 from conftest import ROOT
-from nodes.children import Child
+from nodes.children import Child, await_true
 
 from cassandra_ros.cli.viewer import _require_pages, make_parser, read_settings
 from cassandra_ros.errors import MissingDependency
@@ -70,8 +70,12 @@ def test_it_prints_its_address_answers_and_ends_by_ctrl_c(env, new_keyspace, tmp
     assert list(tmp_path.iterdir()) == []
 
 
-def test_for_others_it_makes_a_token_and_prints_it(env, keyspace):
-    others = ["--host", "0.0.0.0", "--port", "0"]  # noqa: S104 -- what is tested
+def test_for_others_it_makes_a_token_and_prints_it(env, keyspace, tmp_path):
+    browser, opened = tmp_path / "browser", tmp_path / "opened"
+    browser.write_text(f'#!/bin/sh\necho "$1" > {opened}.new; mv {opened}.new {opened}\n')
+    browser.chmod(0o755)
+    env["BROWSER"] = str(browser)
+    others = ["--open", "--host", "0.0.0.0", "--port", "0"]  # noqa: S104 -- what is tested
     child = Child([*VIEWER, *others, "--keyspace", keyspace], env)
     try:
         line = child.await_line("http://")
@@ -79,6 +83,8 @@ def test_for_others_it_makes_a_token_and_prints_it(env, keyspace):
             rf"http://{socket.gethostname()}:(\d+)/\?token=(\S+)", line
         ).groups()
         assert len(token) > 20
+        await_true(opened.exists)
+        assert opened.read_text().strip() in line
         url = f"http://127.0.0.1:{port}/api/keyspace"
         with pytest.raises(urllib.error.HTTPError, match="401"):
             read(url)
