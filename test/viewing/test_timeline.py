@@ -171,7 +171,7 @@ def test_an_end_alone_is_enough(viewer):
 
 def test_more_keys_than_the_bound_are_spread_evenly(viewer, monkeypatch):
     window = {"start": T0, "end": T0 + 499 * SECOND_NS, "pixels": 1250, "detail": True}
-    monkeypatch.setattr(detail, "MAX_KEYS", 600)
+    monkeypatch.setattr(detail, "MAX_KEYS", 1200)  # for one of them
     found = lanes(viewer.get("/api/timeline", topics=["/even", "/paused"], **window))
     assert found["/even", "husky"]["even"] == []
     # Of blocks there are few: so much is known of the others that the pause is seen.
@@ -183,12 +183,19 @@ def test_more_keys_than_the_bound_are_spread_evenly(viewer, monkeypatch):
     assert all(lane["even"] for lane in found.values() if lane["node"] == "husky")
 
 
-def test_an_empty_keyspace_shows_nothing(fresh):
+def test_an_empty_keyspace_shows_nothing_and_then_what_is_stored(fresh, monkeypatch):
+    monkeypatch.setattr(reader, "KEEP_SEC", 0.0)
     with fresh() as store, running_viewer(store) as viewer:
         answer = viewer.get("/api/timeline")
         assert (answer["first"], answer["start"], answer["lanes"]) == (None, None, [])
-        add(store, "/even", EVEN[:3])
-        assert lanes(viewer.get("/api/timeline"))["/even", "husky"]["messages"] == 3
+        for count in (3, 5):
+            add(store, "/even", EVEN[:count], writer=count)
+        assert lanes(viewer.get("/api/timeline"))["/even", "husky"]["messages"] == 8
+        add(store, "/even", LATE, writer=9)
+        assert lanes(viewer.get("/api/timeline"))["/even", "husky"]["messages"] == 8 + len(LATE)
+        store.getTopic("/even").removeData(to_key=EVEN[-1])
+        answer = viewer.get("/api/timeline", detail=True)
+        assert lanes(answer)["/even", "husky"]["messages"] == len(LATE)
 
 
 def test_what_is_being_recorded_is_shown(fresh):
