@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import InvalidOption, InvalidQuery, RunNotFound
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.recording.recording import Recording
 from cassandra_ros.store.registry import Run
 
 SEC = 10**9
@@ -373,3 +375,99 @@ def test_frames_that_are_fixed_in_another_way_since(rosCas):
     assert states == {"still": "no poses", "moves": "not indexed", "later": "no poses"}
     rosCas.upkeep.indexPlaces()
     assert asked(rosCas, "NEAR(50, 500, 1)") == [T0 + 5 * SEC]
+
+
+# -------------------------------------------------------------------- while recording
+
+
+class Clock:
+    def __init__(self):
+        self.now = T0
+
+    def __call__(self):
+        return self.now
+
+
+def record(store, monkeypatch, moments, **options):
+    """Record messages at some times: each a time, a topic, and a message."""
+    clock, headers = Clock(), {}
+    recording = Recording(store, clock=clock, name="live", **options)
+    keeper = recording._places
+    for t, topic, message in moments:
+        clock.now = t
+        header = headers.setdefault(topic, header_of(message))
+        assert recording.received(topic, header, serialize(message))
+    return recording, keeper
+
+
+def drive_moments(count=60, start=T0):
+    yield start, "/tf_static", tf(transform("base_footprint", "base_link", 0.0, 0.0))
+    for n in range(count):
+        t = start + n * SEC
+        yield t, "/tf", tf(transform("map", "odom", 0.0, 0.0))
+        yield t, "/tf", tf(transform("odom", "base_footprint", 10.0 * n, 0.0))
+        yield t, "/odom", odometry(10.0 * n, 0.0)
+        yield t + 1, "/n", Int32(n)
+
+
+def test_a_recorder_notes_places(rosCas, monkeypatch):
+    recording, keeper = record(rosCas, monkeypatch, drive_moments(), node="husky")
+    assert recording.close()
+    tables = [t.name for name in ("/tf", "/odom") for t in rosCas.getTopic(name).tables]
+    placed = rosCas.parts.place_index.placed(tables)
+    assert {(p.node, p.writer) for p in placed} == {("husky", recording.writer_id)}
+    by_robot = {p.robot: p for p in placed}
+    assert set(by_robot) == {"base_link", tables[1]}
+    assert set(by_robot["base_link"].above) == {"base_link", "base_footprint", "odom", "map"}
+    assert (by_robot["base_link"].low, by_robot["base_link"].high) == (T0, T0 + 59 * SEC)
+    assert {each.state for each in rosCas.upkeep.placesIndex()} == {"indexed"}
+    spans = read_keys(monkeypatch, rosCas)
+    near = "NEAR(200, 0, 2)"
+    assert asked(rosCas, near) == [T0 + 20 * SEC + 1]
+    spans.clear()
+    assert asked(rosCas, "NEAR(200, 50, 2)") == []
+    # The cell is one in which the robot never was: only its frames were looked for.
+    assert all(high.to_nsec() - low.to_nsec() <= SEC for _, low, high in spans)
+
+
+def test_a_recorder_notes_part_by_part(rosCas, monkeypatch):
+    """What is not noted yet is found all the same; a clock that goes back is noted, too."""
+    moments = list(drive_moments(60))
+    recording, keeper = record(rosCas, monkeypatch, moments[:161])  # 40 s
+    wait_for(lambda: all(s.handle for s in recording._sources.values()))
+    keeper._note(last=False)
+    noted = keeper._noted
+    assert T0 < noted < T0 + 40 * SEC - GAP + SEC
+    clock_back = [(T0 - 100 * SEC + n * SEC, *rest) for n, (_, *rest) in enumerate(moments[:9])]
+    for t, topic, message in [*moments[161:], *clock_back]:
+        recording._clock.now = t
+        recording.received(topic, header_of(message), serialize(message))
+    keeper._note(last=False)
+    recording.close()
+    times = asked(rosCas, "NEAR(200, 0, 2)")
+    assert times == [T0 + 20 * SEC + 1]
+    assert asked(rosCas, "NEAR(0, 0, 15)") == brute_tf(rosCas, 0, 0, 15)
+
+
+def brute_tf(store, x, y, radius):
+    """Times of messages at which all of tf, read at once, has the robot on a disk."""
+    poses = store.parts.places.robots("map")[0].poses()
+    times = store.getTopic("/n").getArrays(["KEY"])["KEY"]
+    placed = poses.at(times)
+    near = placed.known & (np.hypot(placed.poses.x - x, placed.poses.y - y) <= radius)
+    return times[near].tolist()
+
+
+def test_without_places_nothing_is_noted(rosCas, monkeypatch):
+    recording, _ = record(rosCas, monkeypatch, drive_moments(5), places=False)
+    recording.close()
+    tables = [t.name for t in rosCas.getTopic("/tf").tables]
+    assert rosCas.parts.place_index.placed(tables) == []
+    assert asked(rosCas, "NEAR(20, 0, 2)") == [T0 + 2 * SEC + 1]
+
+
+def wait_for(holds, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.01)

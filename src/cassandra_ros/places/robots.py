@@ -85,14 +85,15 @@ class Robot:
         """What squares are noted under for it."""
         return (self.name,) if self.name else tuple(table.name for table in self.topic.tables)
 
+    def recording(self, writers: Writers = None) -> Recording:
+        """Return what these recorded of it; None = all."""
+        if self.name:
+            return Chain(Frames(self.find, self.node, writers), self.name, self.frame)
+        return PoseTopic(self.find, self.topic.name, self.node, writers)
+
     def poses(self, writers: Writers = None) -> Poses:
         """Return where it was, as these recorded it; None = all."""
-        if self.name:
-            frames = Frames(self.find, self.node, writers)
-            recording: Recording = Chain(frames, self.name, self.frame)
-        else:
-            recording = PoseTopic(self.find, self.topic.name, self.node, writers)
-        return Poses(recording)
+        return Poses(self.recording(writers))
 
     def fixed(self) -> Mapping[str, str]:
         """Return for each frame that does not move how it is fixed to another one."""

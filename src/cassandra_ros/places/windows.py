@@ -20,6 +20,7 @@ import numpy as np
 from cassandra_ros.places.paths import LONGEST_GAP_NS, Path
 from cassandra_ros.places.poses import MAX_SPAN_NS, Poses
 from cassandra_ros.places.robots import Robot
+from cassandra_ros.places.samples import Samples
 from cassandra_ros.places.stored import Extent, Stored
 from cassandra_ros.query.source import Writers
 
@@ -65,8 +66,9 @@ class Windows:
         """Its way where it never moves; None where it does."""
 
     def _still(self) -> Optional[Path]:
-        # Nothing that moves was recorded then: what is known is fixed.
-        poses, known = self._poses_of(None).at(np.zeros(1, np.int64))
+        # What is known without anything that moves is fixed.
+        nothing, once = Samples.none(), np.zeros(1, np.int64)
+        poses, known = self.robot.recording().placed(nothing, once, False, 0)
         return Path.still(float(poses.x[0]), float(poses.y[0])) if known[0] else None
 
     def _poses_of(self, writers: Writers) -> Poses:
