@@ -11,9 +11,12 @@ Then the viewer shows both from above: as a picture (--picture), or to be replay
 from __future__ import annotations
 
 import argparse
+import base64
+import json
 import os
 import subprocess
 import sys
+import zlib
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -29,8 +32,9 @@ from cassandra_ros.mapping.sensor_poses import PoseChoice, SensorPoses
 VIEWER = Path(__file__).resolve().parents[1] / "scripts" / "viewer"
 BAGS = Path(os.environ.get("CASSANDRA_ROS_BAGS", ""))
 SCAN, MAP = "sensor_msgs/LaserScan", "nav_msgs/OccupancyGrid"
-LAYOUT = "overhead"  # one panel, from above
+ABOVE_M = 0.1  # so far above the map a scan is drawn of which nobody knows the height
 SIZE = (1280, 800)
+POINTS = {"colorMode": "flat", "pointSize": 5}
 DRAWN = """
 const frame = document.querySelector('iframe#studio');
 const page = frame && frame.contentDocument.body;
@@ -76,9 +80,33 @@ def add_transforms(rosCas, scan, frame):
         moved = TransformStamped(child_frame_id=sensor)
         moved.header.frame_id, moved.header.stamp = frame, header.stamp
         to = moved.transform
-        to.translation.x, to.translation.y, to.translation.z = place
+        to.translation.x, to.translation.y = place[:2]
+        to.translation.z = place[2] or ABOVE_M
         to.rotation.x, to.rotation.y, to.rotation.z, to.rotation.w = turn
         tf.addData(TFMessage([moved]), key=key)
+
+
+def layout_of(grid, scan):
+    """One panel of the Studio, from above, as wide as the map; as an address carries it."""
+    message = grid.getData(grid.last())
+    info = message.info
+    width, height = info.width * info.resolution, info.height * info.resolution
+    middle = info.origin.position.x + width / 2, info.origin.position.y + height / 2, 0
+    config = {
+        "cameraState": {
+            **{"perspective": False, "phi": 0, "thetaOffset": 0, "targetOffset": middle},
+            "distance": 1.2 * max(width * SIZE[1] / SIZE[0], height),
+        },
+        "followTf": message.header.frame_id,
+        "topics": {
+            grid.name: {"visible": True},
+            scan.name: {"visible": True, "flatColor": "#e5322d", "colorField": "range", **POINTS},
+        },
+    }
+    text = json.dumps({"layout": "3D!map", "configById": {"3D!map": config}})
+    deflate = zlib.compressobj(wbits=-zlib.MAX_WBITS)
+    data = deflate.compress(text.encode()) + deflate.flush()
+    return base64.urlsafe_b64encode(data).decode().rstrip("=")
 
 
 @contextmanager
@@ -129,7 +157,8 @@ def main() -> None:
         store = ["--keyspace", args.keyspace]
         store += [] if args.host is None else ["--store-host", args.host]
         store += [] if args.port is None else ["--store-port", str(args.port)]
-        page = f"/look.html?layout={LAYOUT}&topics={','.join([grid.name, scan.name, *tf])}"
+        topics = ",".join([grid.name, scan.name, *tf])
+        page = f"/look.html?layout={layout_of(grid, scan)}&topics={topics}"
         page += f"&start={scan.first()}&end={scan.last()}&time={moment}"
     with viewer(store) as address:
         print(f"look at:  {address}{page}", flush=True)

@@ -14,6 +14,7 @@ import rosbag
 from conftest import ROOT
 from nodes.children import Child, start_recorder
 
+from cassandra_ros import RosCassandra
 from cassandra_ros.bag.importer import import_bag
 
 HUSKY = ROOT / "examples/data/husky_gps_data.bag"
@@ -190,3 +191,26 @@ def test_the_storyboard_replays_the_window(cassandra, keyspace, rosCas, roscore)
             ]
     finally:
         rosCas.cassandra.schema_change(f'DROP KEYSPACE "{rosCas.keyspace}"', what="cleaning up")
+
+
+def test_figure_3b_has_a_map_of_the_scans_and_says_where_to_look(cassandra, new_keyspace, bags):
+    """The bag has no tf: its odometry tells where the scans lie, and that is stored as tf."""
+    store = ("--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", new_keyspace)
+    command = [
+        sys.executable,
+        ROOT / "examples/figure3b.py",
+        bags / "luminar_stage_lz4.bag",
+        *store,
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "cells of 5 scans" in done.stdout
+    (address,) = re.findall(r"look at:  (http://\S+)", done.stdout)
+    state = dict(part.split("=") for part in address.split("?")[1].split("&"))
+    assert state["topics"] == "/map,/base_scan,/tf"
+    with RosCassandra(cassandra.host, cassandra.port, keyspace=new_keyspace) as rosCas:
+        info = rosCas.getTopic("/map").getData("figure3b").info
+        assert (info.width, info.height) > (100, 100)
+        scan = rosCas.getTopic("/base_scan").getData(int(state["time"]), nearest="before")
+        at = rosCas.lookupTransform("odom", scan.header.frame_id, scan.header.stamp)
+        assert at.transform.translation.z == pytest.approx(0.1)

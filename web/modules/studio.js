@@ -148,14 +148,13 @@ function follow(now) {
 
 /** @param {string} text @param {StoreSource} source */
 async function chooseLayout(text, source) {
-  const { topics } = source.found;
-  const options = { name: text, following: !source.isSmall };
-  if (!/^[A-Za-z0-9_-]{20,}$/.test(text)) return layoutOf(topics, options);
+  const usual = layoutOf(source.found.topics, !source.isSmall);
+  if (!text) return usual;
   try {
     return await unpack(text);
   } catch (error) {
     showError(error);
-    return layoutOf(topics, { ...options, name: "" });
+    return usual;
   }
 }
 

@@ -34,22 +34,18 @@ const FOLLOWED_SEC = 30;
 const MOST_CLOUDS = 6;
 /** What a link may carry: servers refuse lines of over 8 KB. */
 const MOST_PACKED = 5000;
-/** The camera over the map, as the paper's figure 3b has it. */
-const OVERHEAD = { perspective: false, phi: 0, thetaOffset: 0, distance: 40 };
 
 /**
  * Make the layout that a person would: of what can be drawn in space, cameras, curves, and a text.
  * @param {Topic[]} topics
- * @param {{name?: string, following?: boolean}} [options] name `overhead`: only what lies in space, from
- *   above; following: curves of what was played last, for the whole is too much to hold.
+ * @param {boolean} following Curves show what was played last, for the whole is too much to hold.
  * @returns {Layout}
  */
-export function layoutOf(topics, { name = "", following = false } = {}) {
+export function layoutOf(topics, following) {
   const present = topics.filter((topic) => topic.messages > 0 || [...MAPS, ...TRANSFORMS].includes(topic.type));
   /** @type {Record<string, any>} */
   const configById = {};
-  const space = addSpace(present, configById, name === "overhead");
-  if (name === "overhead" && space) return whole(space, configById);
+  const space = addSpace(present, configById);
   const cameras = addCameras(present, configById);
   const texts = [...addCurves(present, configById, following), ...addTexts(present, configById)];
   const above = split("row", [space, split("column", cameras)], 68);
@@ -80,18 +76,18 @@ function ofTypes(topics, types) {
   return topics.filter((topic) => types.includes(topic.type));
 }
 
-/** @param {Topic[]} topics @param {Record<string, any>} configById @param {boolean} overhead */
-function addSpace(topics, configById, overhead) {
+/** @param {Topic[]} topics @param {Record<string, any>} configById */
+function addSpace(topics, configById) {
   const drawn = [
     ...ofTypes(topics, MAPS), ...ofTypes(topics, CLOUDS).slice(0, MOST_CLOUDS), ...ofTypes(topics, SHAPES),
   ];
   if (!drawn.length && !ofTypes(topics, TRANSFORMS).length) return undefined;
   const visible = drawn.map((topic) => [topic.topic, drawing(topic)]);
   configById["3D!space"] = {
-    cameraState: overhead ? OVERHEAD : {},
+    cameraState: { distance: 15 },
     followMode: "follow-pose",
     topics: Object.fromEntries(visible),
-    layers: overhead ? {} : { grid: GRID },
+    layers: { grid: GRID },
     scene: {},
     transforms: {},
     publish: {},
