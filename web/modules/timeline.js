@@ -36,7 +36,7 @@ const MOST_TEXTS = 5000;
 
 /**
  * Tells: `view` when the window changed, `resize`, `scroll` when other rows are seen, `select` when something
- * was selected or no longer is, `moment` (its detail is {ns, lane}) when a time was clicked.
+ * was selected or no longer is, `moment` when a time was clicked.
  */
 export class Timeline extends EventTarget {
   /**
@@ -54,6 +54,8 @@ export class Timeline extends EventTarget {
     this.selection = null;
     /** @type {bigint | null} */
     this.moment = null;
+    /** @type {import("./timeline_data.js").Lane | null} In which something was clicked or selected last. */
+    this.lane = null;
     this.scrolled = 0;
     /** @type {Line[]} */
     this.lines = [];
@@ -224,9 +226,9 @@ export class Timeline extends EventTarget {
     return y < TOP ? undefined : this.lines[Math.floor((y - TOP + this.scrolled) / ROW)];
   }
 
-  /** @param {string} name @param {object} [detail] */
-  tell(name, detail) {
-    this.dispatchEvent(new CustomEvent(name, { detail }));
+  /** @param {string} name */
+  tell(name) {
+    this.dispatchEvent(new Event(name));
   }
 
   // ------------------------------------------------------------------ mouse and keyboard
@@ -274,6 +276,8 @@ export class Timeline extends EventTarget {
     if (y < STRIP) kind = "strip";
     else if (x < this.size.names) kind = "scroll";
     else if (y < TOP || event.shiftKey || event.button === 1 || event.pointerType === "touch") kind = "pan";
+    const line = this.lineAt(y);
+    if (kind === "select" && line?.kind === "lane") this.lane = line.lane;
     this.drag = { kind, x, y, moved: false, view: this.view, scrolled: this.scrolled };
     if (kind === "strip") this.centre(x);
   }
@@ -317,7 +321,7 @@ export class Timeline extends EventTarget {
       this.moment = ns;
       const run = line?.kind === "robot" ? this.runAt(line.node, ns) : undefined;
       if (run) this.select({ start: run.first, end: run.last });
-      this.tell("moment", { ns, lane: line?.kind === "lane" ? line.lane : null });
+      this.tell("moment");
       this.redraw();
     }
   }
@@ -483,6 +487,18 @@ export class Timeline extends EventTarget {
       }
       last = Math.max(last, from + wide);
     }
+    pen.fillStyle = this.colours.mark;
+    for (const mark of this.picture.marks.filter((each) => each.kind !== "loss" && each.node === node)) {
+      const x = Math.round(this.xOf(mark.start));
+      if (x < names || x > width) continue;
+      const way = mark.kind === "end" ? -6 : 6; // towards what was recorded
+      pen.beginPath();
+      pen.moveTo(x, y + 1);
+      pen.lineTo(x + way, y + 5);
+      pen.lineTo(x, y + 9);
+      pen.fill();
+      pen.fillRect(x, y + 1, 1, ROW - 3);
+    }
     this.drawName(pen, node || "runs", y, true);
   }
 
@@ -617,6 +633,9 @@ export class Timeline extends EventTarget {
     const found = [shown(ns, (this.view.end - this.view.start) / BigInt(Math.max(1, this.size.width)))];
     if (line?.kind === "robot") {
       const run = this.runAt(line.node, ns);
+      for (const mark of this.marksAt(line.node, ns)) {
+        found.push(`${mark.run} ${mark.kind === "end" ? "ended" : "began"}${mark.text ? `: ${mark.text}` : ""}`);
+      }
       if (run) found.push(run.run, `${run.messages.toLocaleString("en")} messages, ${length(run.last - run.first)}`);
     } else if (line) {
       found.push(line.lane.topic, ...this.tellOfLane(line.lane, ns));
@@ -639,6 +658,14 @@ export class Timeline extends EventTarget {
       found.push(`lost ${loss.count ?? "some"}: ${loss.text}`);
     }
     return found;
+  }
+
+  /** @param {string} node @param {bigint} ns @returns {any[]} Beginnings and ends of recordings near a time. */
+  marksAt(node, ns) {
+    const reach = scaled(this.view.end - this.view.start, CLICK_PX / this.size.width);
+    return this.picture.marks
+      .filter((mark) => mark.kind !== "loss" && mark.node === node && mark.start - reach <= ns && ns <= mark.start + reach)
+      .slice(0, 4);
   }
 
   /** @param {string} node @param {bigint} ns @returns {import("./timeline_data.js").Run | undefined} */
