@@ -56,6 +56,7 @@ class _Drawn:
     t: int
     node: str
     cell: Cell
+    """Its caption is not written yet."""
     problem: CassandraRosError | None = None
 
 
@@ -96,7 +97,9 @@ def run(options: argparse.Namespace) -> int:
     _tell_problems(drawn)
     first, last = _clock(drawn[0].t), _clock(drawn[-1].t)
     title = f"{topic.name}   {kind}   {first} to {last} UTC"
-    sheet = draw_sheet([each.cell for each in drawn], options.columns, options.width, title)
+    one_day = first[:10] == last[:10]
+    cells = [each.cell._replace(caption=_caption(each, one_day)) for each in drawn]
+    sheet = draw_sheet(cells, options.columns, options.width, title)
     size = save_picture(sheet, path)
     damaged = sum(each.problem is not None for each in drawn)
     if options.json:
@@ -141,13 +144,12 @@ def _draw(
     every_ns = seconds_to_ns(options.every) if options.every else 0
     rows = spaced_rows(ros_cas, topic, _chosen(ros_cas, topic, options), count, every_ns)
     for row in rows:
-        caption = " ".join(filter(None, (_clock(row.t), row.node)))
         try:
             picture = picture_of(row, options.width)
             picture.thumbnail((options.width, 2 * options.width))  # some are very high
-            yield _Drawn(row.t, row.node, Cell(caption, picture))
+            yield _Drawn(row.t, row.node, Cell("", picture))
         except (CorruptMessage, UnknownEncoding, MessageNotFound) as exc:
-            yield _Drawn(row.t, row.node, Cell(f"{caption}: cannot be drawn", None), exc)
+            yield _Drawn(row.t, row.node, Cell("", None), exc)
 
 
 def _chosen(ros_cas: RosCassandra, topic: str, options: argparse.Namespace) -> Chosen:
@@ -168,6 +170,13 @@ def _tell_problems(drawn: list[_Drawn]) -> None:
         raise problems[0]
     for problem in problems:
         print(f"cassandra_bag: {' '.join(str(problem).split())}", file=sys.stderr)
+
+
+def _caption(drawn: _Drawn, one_day: bool) -> str:
+    """Say what a picture is of; the title has the day where there is but one."""
+    problem = "cannot be drawn" if drawn.problem is not None else ""
+    clock = _clock(drawn.t)[11 if one_day else 0 :]
+    return " ".join(filter(None, (clock, problem, drawn.node)))
 
 
 def _clock(ns: int) -> str:
