@@ -69,11 +69,12 @@ def _add_outputs(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
     text = "write it there: .png, or .pgm or .yaml for map_server (default: map.png, where neither "
     add("-o", "--output", metavar="OUT", help=text + "--store nor --publish is given)")
-    text = "store it on this topic, under the name of --as"
+    text = "store it on this topic, under the name of --as (default: it is not stored)"
     add("--store", metavar="MAPS", help=text)
     text = "name of the map that is stored, or of the stored one that is shown (default: TOPIC)"
     add("--as", dest="map_name", metavar="NAME", help=text)
-    add("--publish", metavar="MAP", help="publish it on this topic, latched, until Ctrl-C")
+    text = "publish it on this topic, latched, until Ctrl-C (default: it is not published)"
+    add("--publish", metavar="MAP", help=text)
 
 
 def _add_beams(group: argparse._ArgumentGroup) -> None:
