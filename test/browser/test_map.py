@@ -10,6 +10,7 @@ import pytest
 from browser import patrol
 from browser.looking import pixels
 from selenium.webdriver import ActionChains
+from selenium.webdriver.common.keys import Keys
 
 CANVAS = "#map"
 
@@ -76,3 +77,32 @@ def test_the_walls_stand_where_they_stood_and_the_track_leads_to_its_moments(dra
     link = drawn.window.wait_for("return document.querySelector('#map-picked a')?.href")
     moment = int(parse_qs(urlparse(link).query)["time"][0])
     assert moment == pytest.approx(patrol.START + 5 * patrol.SECOND, abs=patrol.SECOND)
+
+
+def test_a_lasso_tells_when_the_robot_was_there(drawn):
+    window, canvas = drawn.window, drawn.canvas
+    window.driver.find_element("css selector", "#map-lasso").click()
+    corners = [drawn.from_middle(*at) for at in ((-1, 1.2), (1, 1.2), (1, 2.6), (-1, 2.6))]
+    move = ActionChains(window.driver, duration=20)
+    move.move_to_element_with_offset(canvas, *corners[0]).click_and_hold()
+    for before, after in zip(corners, corners[1:]):
+        move.move_by_offset(after[0] - before[0], after[1] - before[1])
+    move.release().perform()
+    window.wait_for("return document.querySelector('#map').dataset.stays")
+    links = window.run("return [...document.querySelectorAll('#map-near a')].map((a) => a.href)")
+    look, home, bag = links
+    # From a quarter of the circle minus 30 degrees on, for 60 degrees.
+    start = int(parse_qs(urlparse(look).query)["time"][0])
+    assert start == pytest.approx(patrol.START + 10 / 3 * patrol.SECOND, abs=patrol.SECOND / 5)
+    ends = parse_qs(urlparse(home).query)
+    assert int(ends["end"][0]) - start == pytest.approx(10 / 3 * patrol.SECOND, abs=patrol.SECOND)
+    assert urlparse(bag).path == "/window.bag"
+    # The address holds it: who opens it sees the same, and Escape takes it away.
+    window.driver.refresh()
+    again = window.wait_for("return document.querySelector('#map').dataset.stays")
+    assert again == "1"
+    window.driver.find_element("css selector", "#map").send_keys(Keys.ESCAPE)
+    window.wait_for("return !document.querySelector('#map-near a')")
+    # Without a pointer: around the middle, where it never was.
+    window.driver.find_element("css selector", "#map").send_keys("n")
+    window.wait_for("return document.querySelector('#map').dataset.stays === '0'")

@@ -4,6 +4,7 @@
 /** The page of maps: an occupancy grid of scans or clouds, and where the robots were. */
 
 import { ask, get, isAbort } from "./api.js";
+import { Lasso } from "./map_lasso.js";
 import { MapView, colour, metres } from "./map_view.js";
 import * as page from "./page.js";
 import * as state from "./state.js";
@@ -117,6 +118,7 @@ function refresh() {
 function done(how) {
   showAll();
   view.canvas.classList.remove("working");
+  lasso.refresh();
   // Tests wait for it; it stands there when the picture does.
   requestAnimationFrame(() => requestAnimationFrame(() => { view.canvas.dataset.state = how; }));
 }
@@ -242,6 +244,8 @@ function tell(text) {
 }
 
 view.layers.push(drawTracks);
+const places = { tracks: () => tracks, frame: () => view.image?.frame || tracks[0]?.frame || "" };
+export const lasso = new Lasso(view, places, element("map-more"), element("map-near"));
 view.onClick = pick;
 view.onHover = (at) => {
   element("map-cursor").textContent = at ? `x ${at.x.toFixed(2)}  y ${at.y.toFixed(2)} m` : "";
