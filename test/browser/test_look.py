@@ -15,7 +15,7 @@ from cassandra_ros.bag.importer import import_bag
 pytestmark = pytest.mark.usefixtures("studio")
 
 EARLY, LATE = patrol.START + 5 * patrol.SECOND, patrol.START + 15 * patrol.SECOND
-X_AXIS, Y_AXIS = (0x9C, 0x39, 0x48), (0x88, 0xDD, 0x04)
+X_AXIS, Y_AXIS = (0x78, 0x28, 0x38), (0x68, 0xA8, 0x08)
 """How the Studio draws the axes of a frame."""
 
 

@@ -88,7 +88,7 @@ function addSpace(topics, configById) {
     followMode: "follow-pose",
     topics: Object.fromEntries(visible),
     layers: { grid: GRID },
-    scene: {},
+    scene: { transforms: { axisScale: 3 } },
     transforms: {},
     publish: {},
   };
