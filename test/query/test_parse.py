@@ -12,13 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.query.changes import CreateIndex, Delete, DropIndex, Truncate
 from cassandra_ros.query.parse import parse_condition, parse_select, parse_statement
 from cassandra_ros.query.syntax import (
     All,
     Compare,
-    CreateIndex,
-    Delete,
-    DropIndex,
     DurationNs,
     Either,
     IsNull,
@@ -28,7 +26,6 @@ from cassandra_ros.query.syntax import (
     NodeOperand,
     OneOf,
     Select,
-    Truncate,
 )
 
 

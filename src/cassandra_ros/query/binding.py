@@ -19,14 +19,13 @@ from typing import (
 )
 
 from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.query.changes import Change, Delete
 from cassandra_ros.query.computed import fold
 from cassandra_ros.query.syntax import (
     LEAVES,
     Aggregate,
     Call,
-    Change,
     Compare,
-    Delete,
     Expression,
     IsNull,
     Leaf,

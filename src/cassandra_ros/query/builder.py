@@ -11,6 +11,7 @@ from typing import Optional, Sequence, Union
 
 from lark import Token, Transformer, v_args
 
+from cassandra_ros.query.changes import CreateIndex, Delete, DropIndex, Indexed, IndexName, Truncate
 from cassandra_ros.query.syntax import (
     AGGREGATES,
     QUANTIFIERS,
@@ -19,15 +20,10 @@ from cassandra_ros.query.syntax import (
     All,
     Call,
     Compare,
-    CreateIndex,
     DecimalText,
-    Delete,
-    DropIndex,
     DurationNs,
     Either,
     Expression,
-    Indexed,
-    IndexName,
     IsNull,
     KeyOperand,
     Literal,
@@ -46,7 +42,6 @@ from cassandra_ros.query.syntax import (
     Selected,
     StatementError,
     Term,
-    Truncate,
     is_constant,
     parts,
 )

@@ -18,15 +18,9 @@ from cassandra_ros.arguments import MAX_LIMIT
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.binding import Binding, terms_of_condition, terms_of_statement
 from cassandra_ros.query.builder import tree_builder
+from cassandra_ros.query.changes import Change, Delete
 from cassandra_ros.query.names import nearest
-from cassandra_ros.query.syntax import (
-    Change,
-    Delete,
-    Expression,
-    Literal,
-    Select,
-    StatementError,
-)
+from cassandra_ros.query.syntax import Expression, Literal, Select, StatementError
 
 SHORT_TEXT = 1000
 """Texts up to here are not parsed twice."""

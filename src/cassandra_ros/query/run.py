@@ -14,6 +14,7 @@ from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import MAX_NS, Position, decode_cursor, encode_cursor, is_behind
 from cassandra_ros.messages.stamps import Stamp, is_time, iso_time, to_ns
 from cassandra_ros.query.bounds import Bounds, bounds_of, meant_as_seconds
+from cassandra_ros.query.changes import Delete
 from cassandra_ros.query.gathered import gather
 from cassandra_ros.query.nearby import Span, located, spans_of
 from cassandra_ros.query.parse import parse_condition
@@ -22,7 +23,7 @@ from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.pushdown import Pushdown, Watch, unwatched
 from cassandra_ros.query.settle import settle
 from cassandra_ros.query.source import Columns, RowT_co, Source, Writers
-from cassandra_ros.query.syntax import Delete, Select
+from cassandra_ros.query.syntax import Select
 from cassandra_ros.shown import MOST_ROWS, html_table
 
 _log = logging.getLogger(__name__)

@@ -18,21 +18,21 @@ from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, Topic
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.query.bounds import meant_as_seconds
-from cassandra_ros.query.explain import Explanation, explain
-from cassandra_ros.query.names import nearest
-from cassandra_ros.query.parse import parse_select, parse_statement
-from cassandra_ros.query.pushdown import Watch, unwatched
-from cassandra_ros.query.run import Condition, Cursor, QueryResult, Rows
-from cassandra_ros.query.syntax import (
+from cassandra_ros.query.changes import (
     Change,
     CreateIndex,
     Delete,
     DropIndex,
     Indexed,
     IndexName,
-    Select,
     Truncate,
 )
+from cassandra_ros.query.explain import Explanation, explain
+from cassandra_ros.query.names import nearest
+from cassandra_ros.query.parse import parse_select, parse_statement
+from cassandra_ros.query.pushdown import Watch, unwatched
+from cassandra_ros.query.run import Condition, Cursor, QueryResult, Rows
+from cassandra_ros.query.syntax import Select
 from cassandra_ros.store.schema import Schema
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
