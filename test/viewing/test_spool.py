@@ -177,6 +177,22 @@ def test_no_more_than_some_may_wait(tmp_path):
     spool.close()
 
 
+def test_the_end_does_not_wait_for_what_finds_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_PATIENCE_SEC", 0.01)
+    spool, writing, gone = Spool(tmp_path, 1000, 1), Writing(), threading.Event()
+    with ThreadPoolExecutor(1) as pool:
+        asked = pool.submit(get, spool, writing, gone=gone)
+        assert writing.begun.wait(PATIENCE_SEC)
+        gone.set()
+        with pytest.raises(StoreUnavailable):
+            asked.result(PATIENCE_SEC)
+    spool.close()
+    assert not writing.ended.is_set()
+    assert list(tmp_path.iterdir()) == []
+    writing.let(1)
+    assert writing.ended.wait(PATIENCE_SEC)
+
+
 def test_folders_of_viewers_that_were_killed_are_removed(tmp_path, monkeypatch):
     alive = Spool(tmp_path, 1000, 1)
     dead = tmp_path / f"{module._PREFIX}dead"

@@ -36,6 +36,8 @@ _KEPT_SEC = 10.0
 """So long a file stays after it was asked for: it is opened meanwhile."""
 _ORPHAN_SEC = 60.0
 """A folder that nobody has locked is an orphan from this age on."""
+_PATIENCE_SEC = 2.0
+"""So long the end waits for what is being written."""
 _CHUNK_BYTES = 1 << 18
 
 
@@ -260,13 +262,18 @@ class Spool:
         shutil.rmtree(entry.path.parent, ignore_errors=True)
 
     def close(self) -> None:
-        """End what is being written and remove all files. Twice is harmless."""
+        """End what is being written and remove all files. Twice is harmless.
+
+        What looks for messages that satisfy a condition, and finds none, notices that when it finds
+        the next one, or when the store is closed.
+        """
         with self._mutex:
             threads = list(self._threads)
             for entry in self._entries.values():
                 entry.abandoned = True
+        patience = time.monotonic() + _PATIENCE_SEC
         for thread in threads:
-            thread.join()
+            thread.join(max(0.0, patience - time.monotonic()))
         shutil.rmtree(self._folder, ignore_errors=True)
         self._lock.close()
 
