@@ -119,11 +119,11 @@ class Recording:
         self._most_waiting, self._waiting_bytes = buffer_bytes // 2 or 2**63, 0
         self._waiting: list[Source] = []
         self._tables = TableMaker(self._connect, self._buffer.wake)
-        self._ended, self._saving = threading.Event(), threading.Lock()
-        ros_cas.cassandra.outage.waiting = self._waiting_for_long
         self._start()
 
     def _start(self) -> None:
+        self._ended, self._saving = threading.Event(), threading.Lock()
+        self._rosCas.cassandra.outage.waiting = self._waiting_for_long
         self._thread = self._thread_of(self._run, "recorder-writer")
         self._thread_of(self._keep, "recorder-losses")
 

@@ -79,8 +79,7 @@ class TopicTable(RowTable):
         """The key field whose index holds the md5 of a whole array, where there is one."""
         self.msg_type = metadata.msg_type
         self.by_field = self.format.BY_FIELD
-        self.connections = connections
-        self.runs = runs
+        self.connections, self.runs = connections, runs
         self.robots: Callable[[], RobotPlaces] = _unknown_robots
         self.message_class: Callable[[int], Any] = lru_cache(MAX_CLASSES)(self._message_class)
         """Return the class for a connection, by its number: installed, generated or RawMessage."""
