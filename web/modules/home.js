@@ -8,7 +8,7 @@ import { showRuns, showTopics } from "./home_tables.js";
 import * as page from "./page.js";
 import * as state from "./state.js";
 import { Timeline } from "./timeline.js";
-import { length, shown } from "./times.js";
+import { LAST, length, shown } from "./times.js";
 
 const SETTLED_MS = 120;
 const DETAIL_MS = 250;
@@ -70,7 +70,7 @@ async function load({ again: known = false } = {}) {
     api.get("/api/timeline", { ...choice, pixels: cellsOf(1) }, { signal }),
     api.get("/api/marks", choice, { signal }),
   ]);
-  const before = known ? keysOf(whole) : "";
+  const before = keysOf(whole);
   whole = answer;
   timeline.picture.take(answer, { all: true, whole: true });
   timeline.picture.takeMarks(marks.marks);
@@ -82,8 +82,8 @@ async function load({ again: known = false } = {}) {
   if (!known) showWindow();
   else if (following) timeline.show(timeline.whole);
   if (nothing) await explain();
-  if (keysOf(whole) !== before) await loadTables();
-  else if (!isFiltered()) updateTopics(whole.lanes);
+  if (known && keysOf(whole) !== before) await loadTables();
+  else if (known) updateTopics((await askAll()).lanes);
   tell();
   ask();
   again();
@@ -218,6 +218,7 @@ state.onChange(() => {
   const now = JSON.stringify(chosenParameters());
   if (now === choice) return;
   choice = now;
+  page.clearErrors();
   load().catch(failed);
 });
 window.addEventListener("popstate", () => {
@@ -293,10 +294,15 @@ async function explain() {
   }
 }
 
+/** Ask how much there is of all topics, also of what was stored long behind what was recorded. */
+function askAll() {
+  return api.get("/api/timeline", { pixels: 1, start: 0n, end: LAST });
+}
+
 /** Fill menus and tables of all there is, whatever is chosen of it. */
 async function loadTables() {
   const [all, listed] = await Promise.all([
-    api.get("/api/timeline", { pixels: 1 }),
+    askAll(),
     api.get("/api/runs", { limit: MOST_RUNS }),
   ]);
   const distinct = (/** @type {string} */ name) => [...new Set(all.lanes.map((/** @type {any} */ lane) => lane[name]))].filter(Boolean);
@@ -330,4 +336,6 @@ async function loadTables() {
   tables.replaceChildren(make("header", { role: "tablist" }, ...tabs.map(({ tab }) => tab)), topics, runTable);
 }
 
+// Also where what is chosen is not there: something else is chosen in the menus then.
+loadTables().catch(failed);
 load().catch(failed);

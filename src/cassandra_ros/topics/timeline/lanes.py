@@ -145,7 +145,8 @@ class Picture(NamedTuple):
     """What is to be seen in a window."""
 
     extent: Optional[Ends]
-    """When the first and the last message come of all that is chosen; None: there is none."""
+    """When the first and the last message come of all that is chosen; None: there is none. Of what
+    lies under names it is told only where nothing else is chosen."""
     scale: Optional[Scale]
     """None: there is no window."""
     lanes: List[Lane]
@@ -216,7 +217,8 @@ class Timeline:
         named = [
             piece for table in tables if table.named for piece in named_pieces(table, view.whose)
         ]
-        extent = _wider(self._reader.extent(tables, view.whose), named)
+        # A map that is stored today of a recording of last year would leave little to be seen.
+        extent = self._reader.extent(tables, view.whose) or _extent(named)
         ends = _window(view, extent)
         if ends is None:
             return Picture(None, None, self._lanes(tables, [], view.whose, (0, 0)))
@@ -251,11 +253,10 @@ class Timeline:
         return [lane for lane in found if lane.times[0] is not None]
 
 
-def _wider(extent: Optional[Ends], named: Sequence[Piece]) -> Optional[Ends]:
-    """Return an extent with the messages under names."""
-    times = [time for piece in named for time in (piece.keys.times.min(), piece.keys.times.max())]
-    every = [*map(int, times), *(extent or ())]
-    return (min(every), max(every)) if every else None
+def _extent(named: Sequence[Piece]) -> Optional[Ends]:
+    """Tell when the first and the last message under a name was stored; None: there is none."""
+    times = Keys.joined([piece.keys for piece in named]).times
+    return (int(times.min()), int(times.max())) if len(times) else None
 
 
 def _window(view: View, extent: Optional[Ends]) -> Optional[Ends]:
