@@ -471,3 +471,86 @@ def wait_for(holds, seconds=20.0):
     while not holds():
         assert time.monotonic() < end
         time.sleep(0.01)
+
+
+# -------------------------------------------------------------------- whose robot
+
+
+def test_each_robot_of_a_fleet_by_its_own_poses(rosCas):
+    lane(rosCas, "ant", run="a")
+    lane(rosCas, "bee", run="b", y=50.0)
+    with Writer(rosCas, "cat", "c") as writer:  # of which nobody knows where it was
+        writer.put("/n", T0 + 20 * SEC + 1, Int32(1))
+    for indexed in (False, True):
+        rows = rosCas.executeCQL("select NODE, KEY from /n where NEAR(200, 50, 2)")
+        assert [(node, key.to_nsec()) for node, key in rows] == [("bee", T0 + 20 * SEC + 1)]
+        assert len(list(rosCas.near(200, 25, 30))) == 2 * (3 + 3)
+        assert asked(rosCas, "NEAR(200, 50, 2)", nodeID="ant") == []
+        rows = list(rosCas.near(200, 0, 2, topics="/n", where={"/n": "data > 5"}, run="a"))
+        assert [row.node for row in rows] == ["ant"]
+        assert list(rosCas.near(200, 0, 2, topics="/n", where={"/n": ("data < ?", [5])})) == []
+        if not indexed:
+            rosCas.upkeep.indexPlaces()
+    assert rosCas.parts.places.robots("map", nodes=["bee"])[0].node == "bee"
+
+
+def test_two_robots_to_which_nobody_gave_a_name(rosCas):
+    """Of runs at the same time each message goes by the poses of its own."""
+    lane(rosCas, run="a")
+    lane(rosCas, run="b", y=50.0)
+    expected = T0 + 20 * SEC + 1
+    for _ in range(2):
+        rows = rosCas.executeCQL("select RUN, KEY from /n where NEAR(200, 50, 2)")
+        assert [(run, key.to_nsec()) for run, key in rows] == [("b", expected)]
+        rows = rosCas.executeCQL("select RUN from /n where NEAR(200, 0, 2)")
+        assert rows == [("a",)]
+        rosCas.upkeep.indexPlaces()
+
+
+def test_what_may_be_meant_in_two_ways_is_asked_for(rosCas):
+    with Writer(rosCas, "", "turtles") as writer:
+        for n in range(3):
+            t = T0 + n * SEC
+            turtles = transform("world", "turtle1", n, 0.0), transform("world", "turtle2", 0.0, n)
+            writer.put("/tf", t, tf(*turtles))
+            writer.put("/wheels", t, odometry(float(n), 0.0))
+            writer.put("/vision", t, odometry(0.0, float(n)))
+            writer.put("/goal", t, odometry(99.0, 0.0, "site"))
+            writer.put("/n", t, Int32(n))
+    with pytest.raises(InvalidQuery, match=r"turtle1 and turtle2 may be the robot.*'turtle1'\)"):
+        asked(rosCas, "NEAR(0, 2, 0.5, 'world')")
+    assert asked(rosCas, "NEAR(0, 2, 0.5, 'world', 'turtle2')") == [T0 + 2 * SEC]
+    assert asked(rosCas, "NEAR(2, 0, 0.5, '/world', '/turtle1')") == [T0 + 2 * SEC]
+    with pytest.raises(InvalidQuery, match=r"/vision and /wheels tell poses in frame 'odom'"):
+        asked(rosCas, "NEAR(0, 2, 0.5, 'odom')")
+    assert asked(rosCas, "NEAR(0, 2, 0.5, 'odom', '/vision')") == [T0 + 2 * SEC]
+    with pytest.raises(InvalidQuery, match="no pose in frame 'site' is stored"):
+        asked(rosCas, "NEAR(99, 0, 1, 'site')")  # a goal is where nobody is yet
+    rosCas.upkeep.indexPlaces()
+    assert asked(rosCas, "NEAR(0, 2, 0.5, 'odom', '/vision')") == [T0 + 2 * SEC]
+    assert asked(rosCas, "NEAR(0, 2, 0.5, 'world', 'turtle2')") == [T0 + 2 * SEC]
+
+
+def test_time_that_begins_at_0_and_a_robot_that_never_moves(rosCas):
+    lane(rosCas, start=0, count=5, run="simulated")
+    assert asked(rosCas, "NEAR(20, 0, 2)") == [2 * SEC + 1]
+    with Writer(rosCas, "post", "fixed") as writer:
+        writer.put("/tf_static", T0, tf(transform("map", "base_link", 3.0, 4.0)))
+        for t in (T0 - 900 * SEC, T0 + 900 * SEC):
+            writer.put("/n", t, Int32(1))
+    assert asked(rosCas, "NEAR(0, 0, 5)", nodeID="post") == [T0 - 900 * SEC, T0 + 900 * SEC]
+    assert asked(rosCas, "NEAR(0, 0, 4.9)", nodeID="post") == []
+
+
+def test_messages_under_names_and_deleting(rosCas):
+    lane(rosCas)
+    topic = rosCas.addTopic("/map_of", key_format="manual", msg_type="std_msgs/Int32")
+    topic.addData(Int32(1), key="kitchen")  # now, when nobody knows where the robot is
+    assert rosCas.executeCQL("select KEY from /map_of where NEAR(0, 0, 1000)") == []
+    assert rosCas.executeCQL("delete from /n where NEAR(200, 0, 15)") == [(3,)]
+    assert rosCas.getTopic("/n").countTopicData() == 37
+    with rosCas.iterCQL("select data from /n where NEAR(200, 0, 100)") as result:
+        first = [next(result) for _ in range(5)]
+        cursor = result.cursor
+    rest = list(rosCas.iterCQL("select data from /n where NEAR(200, 0, 100)", after=cursor))
+    assert [n for (n,) in first + rest] == [n for n in range(10, 30) if n not in (19, 20, 21)]

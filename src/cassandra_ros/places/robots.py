@@ -53,6 +53,7 @@ _TYPES = (
     "geometry_msgs/TransformStamped",
 )
 """Of topics that tell poses without being named; of those of several types the first counts."""
+_UNTOLD = "no frame"
 _NO_POSES = ("goal", "initialpose", "initial_pose", "clicked")
 """A topic that is called so tells where a robot is to be."""
 
@@ -284,7 +285,7 @@ class Choice:
 
     def _frame_of(self, topic: ArraySource, node: str) -> str:
         frame = PoseTopic(self._stored.find, topic.name, node).frame
-        self._told.setdefault(topic.name, []).append(frame or "no frame")
+        self._told.setdefault(topic.name, []).append(frame or _UNTOLD)
         return frame
 
     def _nothing(self, nodes: Sequence[str]) -> str:
@@ -298,9 +299,11 @@ class Choice:
             text = f"{self._robot!r} is no frame of tf, and no topic of poses"
         if known:
             text += f"; the frames of tf are {', '.join(sorted(known)[:20])}"
+        example = "odom"
         for topic, frames in self._told.items():
             text += f"; {topic} tells poses in {', '.join(sorted(set(frames)))}"
-        return f"{text}: name another frame, as NEAR(x, y, radius, 'odom')"
+            example = next(iter(sorted(set(frames) - {_UNTOLD})), example)
+        return f"{text}: name another frame, as NEAR(x, y, radius, '{example}')"
 
 
 def _is_of(topic: ArraySource, kind: str) -> bool:

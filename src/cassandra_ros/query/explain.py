@@ -82,13 +82,15 @@ class Explanation:
             f"blocks:        {self.blocks} of {self.unpacked} messages unpacked, of which "
             f"{self.sifted} were sifted out; not read: those of {self.unread} messages"
         ]
+        of = "of" if self.stretches is None else "reads, of"
         near = [f"near:          read in {self.stretches} stretches of time"]
         ways = [f"{count} {how}" for how, count in counts.items() if count]
         return "\n".join(
             [
                 self.statement.strip(),
                 f"topic:         {self.topic}",
-                f"buckets:       {read} of {self.buckets}" + (f": {', '.join(ways)}" * bool(ways)),
+                f"buckets:       {read} {of} {self.buckets}"
+                + (f": {', '.join(ways)}" * bool(ways)),
                 *(blocks if self.blocks or self.unread else ()),
                 f"server:        {'; '.join(self.server) or 'checks nothing'}",
                 f"client alone:  {'; '.join(self.client) or 'nothing'}",

@@ -123,7 +123,8 @@ def _places(options: argparse.Namespace) -> int:
         if options.list:
             found = ros_cas.upkeep.placesIndex(**whose)
         else:
-            with MessageBar("noting places, seconds") as bar:
+            with MessageBar("noting places") as bar:
+                bar.unit = " s"
                 found = ros_cas.upkeep.indexPlaces(**whose, progress=bar.reach)
     if options.json:
         print_json([each._asdict() for each in found])
