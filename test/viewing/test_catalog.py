@@ -9,9 +9,12 @@ from std_msgs.msg import Int64, String
 from viewers import running_viewer
 
 from cassandra_ros import Stamp
+from cassandra_ros.errors import AccessDenied
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.messages.stamps import to_ns
+from cassandra_ros.store import counting
+from cassandra_ros.store.directory import Directory
 from cassandra_ros.store.registry import Loss, LossKind, Run
 
 NS = 1368021980238582676
@@ -174,3 +177,19 @@ def test_nothing_that_is_asked_writes(viewer, stored, cql):
     for path in ("/api/keyspace", "/api/topics", "/api/runs", "/api/marks"):
         viewer.get(path)
     assert str(state()) == str(before)
+
+
+def test_who_may_only_read_counts_what_a_killed_recording_left(rosCas, monkeypatch):
+    rosCas.addTopic("/open").addData(String("x"), key=NS)
+    refused = []
+
+    def refuse(*place):
+        refused.append(place)
+        raise AccessDenied("no right to MODIFY")
+
+    monkeypatch.setattr(counting, "STALE_SEC", -1.0)  # whoever writes is long gone
+    monkeypatch.setattr(Directory, "put_recount", refuse)
+    with running_viewer(rosCas) as viewer:
+        (topic,) = viewer.get("/api/topics")["topics"]
+    assert topic["messages"] == 1
+    assert refused

@@ -6,7 +6,7 @@
   rosrun cassandra_ros viewer --keyspace field --port 9000 --open
   rosrun cassandra_ros viewer --host 0.0.0.0
 
-It prints the address to open, and runs until Ctrl-C. Nothing in it writes to the store. It listens
+It prints the address to open, and runs until Ctrl-C. It changes nothing that is stored. It listens
 on this machine only; with --host also for others, who then need the token that ends the address:
 it is sent as it is, so over networks that you do not trust put TLS in front or use 'ssh -L'.
 

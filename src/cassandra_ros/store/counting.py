@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 from typing import FrozenSet, Iterator, Optional
 
-from cassandra_ros.errors import ConnectionFailed, StoreUnavailable
+from cassandra_ros.errors import AccessDenied, ConnectionFailed, StoreUnavailable
 from cassandra_ros.keys import split_seq, writer_of
 from cassandra_ros.store.blocks.bucket_read import BucketRead
 from cassandra_ros.store.blocks.counts import count_part as count_blocks
@@ -101,6 +101,6 @@ def _write_back(
 ) -> None:
     try:
         directory.put_recount(table.name, row, totals, table.metadata.ttl)
-    except (StoreUnavailable, ConnectionFailed) as exc:
+    except (AccessDenied, StoreUnavailable, ConnectionFailed) as exc:
         # A reader may lack the right to write, or meet another one: the count is true all the same.
         _log.debug("the recount of topic %s was not kept: %s", table.metadata.topic, exc)
