@@ -77,7 +77,9 @@ def cloud_at(t, ns, frame, beams=180):
     lengths = to_wall(x, y, yaw + angles)
     points = np.concatenate(
         [
-            np.stack([s * lengths * np.cos(angles), s * lengths * np.sin(angles), 0 * angles + z], 1)
+            np.stack(
+                [s * lengths * np.cos(angles), s * lengths * np.sin(angles), 0 * angles + z], 1
+            )
             for s, z in ((0.5, -0.3), (1, 0.7), (0.8, 4))
         ]
     ).astype("<f4")

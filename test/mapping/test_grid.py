@@ -142,10 +142,7 @@ def test_rays_go_through_the_cells_that_bresenham_says(begin, rays):
     grid.add((np.array(begin) + 0.5) * SQUARE, centre, np.array([hit for *_, hit in rays]))
     odds, (left, bottom) = grid.trimmed()
     column, row = round(left / SQUARE), round(bottom / SQUARE)
-    where = {
-        (int(x) + column, int(y) + row): float(odds[y, x])
-        for y, x in zip(*np.nonzero(odds))
-    }
+    where = {(int(x) + column, int(y) + row): float(odds[y, x]) for y, x in zip(*np.nonzero(odds))}
     struck = {(x, y) for x, y, hit in rays if hit}
     assert {cell for cell, value in where.items() if value > 0} == struck
     free = {cell for cell, value in where.items() if value < 0}

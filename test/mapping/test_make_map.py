@@ -146,7 +146,9 @@ def test_what_no_map_can_be_made_of_says_why(store, fresh):
         makeMap(store, "/scan", nodeID="tidy", options=MapOptions(resolution=1e-4))
     with fresh() as alone:
         Drive().store(alone, ("/scan",))
-        with pytest.raises(TransformException, match="neither /tf nor /tf_static is stored, and no"):
+        with pytest.raises(
+            TransformException, match="neither /tf nor /tf_static is stored, and no"
+        ):
             makeMap(alone, "/scan")
 
 

@@ -9,6 +9,7 @@ from typing import Any, Callable, Mapping, NamedTuple, Optional, Tuple
 
 import numpy as np
 
+from cassandra_ros.arrays.array_types import AnyArray
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.places.rigid import Floats
 from cassandra_ros.places.samples import Flags
@@ -104,7 +105,7 @@ def _points(cloud: Any) -> Floats:
     except (TypeError, ValueError) as exc:
         raise CorruptMessage(f"a cloud's fields do not fit into its points: {exc}") from exc
     shape, strides = (height, width), (row_step, step)
-    read = np.ndarray(shape, point, data.tobytes(), strides=strides).reshape(-1)
+    read: AnyArray = np.ndarray(shape, point, data.tobytes(), strides=strides).reshape(-1)
     points = np.zeros((len(read), 3))
     for name in names:
         points[:, "xyz".index(name)] = read[name]

@@ -132,8 +132,8 @@ def makeMap(
     """Make an occupancy grid of stored sensor_msgs/LaserScan or PointCloud2.
 
     Poses are those of recorded tf, each robot's own (by nodeID), or of a topic of Odometry,
-    PoseStamped or PoseWithCovarianceStamped; they are interpolated at the stamps of the headers, and
-    where nothing was recorded that has such stamps, at the times of reception. Of a topic of
+    PoseStamped or PoseWithCovarianceStamped; they are interpolated at the stamps of the headers,
+    and where nothing was recorded that has such stamps, at the times of reception. Of a topic of
     nav_msgs/OccupancyGrid the newest map is returned as it was stored.
 
     Args:
@@ -216,13 +216,18 @@ def _stored_map(wanted: _Rows, name: Optional[str]) -> MadeMap:
         rows = wanted.read(reverse=True, limit=1)
     else:
         rows = heapq.merge(
-            *(topic.versions(name, nodeID=n, reverse=True, run=wanted.writers) for n in wanted.nodes),
+            *(
+                topic.versions(name, nodeID=n, reverse=True, run=wanted.writers)
+                for n in wanted.nodes
+            ),
             key=lambda row: row.position,
             reverse=True,
         )
     row = next(rows, None)
     if row is None:
-        raise MessageNotFound(f"topic {topic.name} has no map there" + (f": {name}" if name else ""))
+        raise MessageNotFound(
+            f"topic {topic.name} has no map there" + (f": {name}" if name else "")
+        )
     return MadeMap(OccupancyMap.of_message(row.message()), 1, 0, 0, 0, [f"stored on {topic.name}"])
 
 
@@ -313,7 +318,7 @@ class _Work:
         if len(set(self._frames.values())) > 1:
             told = ", ".join(f"{who} in {frame}" for who, frame in self._frames.items())
             raise InvalidOption(
-                f"the poses lie in several frames ({told}): give the frame that all have, or a nodeID"
+                f"the poses lie in several frames ({told}): give the frame that all have, or a node"
             )
 
     def _draw(self, pose: Rigid, measured: _Measured) -> None:

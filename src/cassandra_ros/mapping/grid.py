@@ -45,7 +45,9 @@ class LogOddsGrid:
         if not (0 < resolution < math.inf):
             raise InvalidOption(f"resolution={resolution!r}: give metres above 0, as 0.05")
         if not (0.5 < hit < 1 and 0 < miss < 0.5):
-            raise InvalidOption(f"hit={hit!r}, miss={miss!r}: give 0.5 < hit < 1 and 0 < miss < 0.5")
+            raise InvalidOption(
+                f"hit={hit!r}, miss={miss!r}: give 0.5 < hit < 1 and 0 < miss < 0.5"
+            )
         self.resolution = resolution
         self._hit, self._miss = (np.float32(math.log(p / (1 - p))) for p in (hit, miss))
         self._low: Cells = np.zeros(2, np.int64)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Maps as map_server keeps them: an image of three greys, and a YAML file that says what it means."""
+"""Maps as map_server keeps them: an image of three greys, and a YAML file that explains it."""
 
 from __future__ import annotations
 

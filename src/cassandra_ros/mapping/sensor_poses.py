@@ -180,7 +180,13 @@ class SensorPoses:
             tf, tf_static = self._choice.tf, self._choice.tf_static
             try:
                 found = self._store.lookupTransform(
-                    robot, sensor, 0, nodeID=self._node, tf=tf, tf_static=tf_static, run=self._writers
+                    robot,
+                    sensor,
+                    0,
+                    nodeID=self._node,
+                    tf=tf,
+                    tf_static=tf_static,
+                    run=self._writers,
                 )
             except (TransformException, TopicNotFound):
                 pass

@@ -154,9 +154,7 @@ class Frames:
         """Say why there is no pose at a time; '' where tf2 would have one."""
         when = Stamp.from_ns(max(1, time))
         try:
-            lookup_transform(
-                self._find, self._node, self._writers, frame, of, when, *self._topics
-            )
+            lookup_transform(self._find, self._node, self._writers, frame, of, when, *self._topics)
         except TransformException as exc:
             return str(exc)
         return ""
@@ -206,9 +204,7 @@ class Chain:
                 return on_way & ~np.isin(samples.children, still)
             above = wider
 
-    def placed(
-        self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int
-    ) -> Placed:
+    def placed(self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int) -> Placed:
         """Return the poses at some times, ns, out of samples around them."""
         climb = _Climb(self._frames, samples, times, stamped, longest_gap_ns)
         poses, known = Rigid.none(len(times)), np.zeros(len(times), bool)

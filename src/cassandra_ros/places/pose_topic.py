@@ -74,8 +74,8 @@ class PoseTopic:
         if not told:
             types = ", ".join(sorted({t.msg_type for t in self._topic.tables})) or "no type yet"
             raise TypeMismatch(
-                f"topic {self._topic.name} ({types}) tells no poses: give one of nav_msgs/Odometry, "
-                "geometry_msgs/PoseStamped or PoseWithCovarianceStamped"
+                f"topic {self._topic.name} ({types}) tells no poses: give one of "
+                "nav_msgs/Odometry, geometry_msgs/PoseStamped or PoseWithCovarianceStamped"
             )
         self._fields = list(pose_fields(told[0].definition))
         names = {ref.name for ref in all_fields(told[0].definition)} if told[0].definition else ()
@@ -123,9 +123,7 @@ class PoseTopic:
         """Say which samples have a say in the poses: all of them."""
         return np.ones(len(samples), bool)
 
-    def placed(
-        self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int
-    ) -> Placed:
+    def placed(self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int) -> Placed:
         """Return the poses at some times, ns, out of samples around them."""
         (poses, known), _ = samples.track(1, stamped).at(times, longest_gap_ns)
         return Placed(poses @ self._offset, known)
@@ -134,8 +132,6 @@ class PoseTopic:
 def _numbers(columns: Sequence[Floats]) -> Floats:
     """Return (n, 7) numbers of what the fields of a pose hold."""
     if len(columns) == len(_PLANAR):
-        flat = Rigid.planar(*columns)
+        flat = Rigid.planar(*columns[:3])
         return np.concatenate([flat.moved, flat.turned], 1)
     return np.stack(columns, 1)
-
-

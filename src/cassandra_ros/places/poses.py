@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Where a robot, or a sensor on it, was at many times: poses as numpy arrays.
 
-``poses_in_frame`` takes them from recorded tf, ``poses_of_topic`` from a topic that tells poses. Each
-gives a ``Poses``, of one robot:
+``poses_in_frame`` takes them from recorded tf, ``poses_of_topic`` from a topic that tells poses.
+Each gives a ``Poses``, of one robot:
 
     poses = poses_in_frame(store.getTopic, "base_link", "map", node="husky")
     found, known = poses.at(times)          # ns; x, y, yaw: found.x[known], found.y[known], …
@@ -46,9 +46,7 @@ class Recording(Protocol):
     def read(self, low: int, high: int) -> Samples:
         """Read what was recorded in [low, high], row keys, ns."""
 
-    def placed(
-        self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int
-    ) -> Placed:
+    def placed(self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int) -> Placed:
         """Return the poses at some times, ns, out of samples around them."""
 
     def on_way(self, samples: Samples) -> Flags:
@@ -121,7 +119,7 @@ class Poses:
         Args:
             stamped: The times are the stamps of headers instead of those of reception.
         """
-        start = max(0, low)
+        start, high = max(0, low), min(high, MAX_NS)
         while start <= high:
             end = min(high, start + MAX_SPAN_NS - 1)
             around = self._samples(start - self._reach, end + self._reach)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Numbers = Union[Floats, Sequence[float]]
 Rows = Union[NDArray[Any], slice]
 """Which of many: their numbers, or a bool for each."""
 
@@ -38,7 +39,7 @@ class Rigid:
         return cls(np.zeros((count, 3)), turned)
 
     @classmethod
-    def planar(cls, x: Sequence[float], y: Sequence[float], yaw: Sequence[float]) -> Rigid:
+    def planar(cls, x: Numbers, y: Numbers, yaw: Numbers) -> Rigid:
         """Return poses in the plane: metres, and radians counterclockwise."""
         half = np.asarray(yaw, np.float64) / 2
         none = np.zeros_like(half)

@@ -105,8 +105,13 @@ class Samples:
 
     def take(self, rows: Flags) -> Samples:
         """Return some of them."""
-        mine = (self.keys, self.stamps, self.parents, self.children)
-        return Samples(*(column[rows] for column in mine), self.poses.take(rows))
+        return Samples(
+            self.keys[rows],
+            self.stamps[rows],
+            self.parents[rows],
+            self.children[rows],
+            self.poses.take(rows),
+        )
 
     def followed(self, others: Samples) -> Samples:
         """Return these and those that arrived behind them."""

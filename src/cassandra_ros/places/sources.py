@@ -57,4 +57,6 @@ def key_behind(
 
 def last_key(topic: ArraySource, node: Optional[str], writers: Writers) -> Optional[int]:
     """Return the last row key of a topic; None where it has no message."""
-    return next((row.t for row in topic.rows(nodeID=node, limit=1, reverse=True, run=writers)), None)
+    return next(
+        (row.t for row in topic.rows(nodeID=node, limit=1, reverse=True, run=writers)), None
+    )

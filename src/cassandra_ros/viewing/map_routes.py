@@ -101,7 +101,8 @@ def _writers(call: Call) -> Optional[FrozenSet[int]]:
 def _answer(made: MadeMap) -> Bytes:
     if not made.map.cells.size:
         raise InvalidOption(
-            f"nothing was seen in {made.used} messages: ask for a larger max_range, or other heights"
+            f"nothing was seen in {made.used} messages: ask for a larger max_range, or for other "
+            "heights"
         )
     told = {
         **map_info(made.map),
@@ -121,9 +122,9 @@ ROUTES: tuple[Route, ...] = (
         "GET",
         "/api/map",
         _map,
-        "An occupancy grid as a picture: a pixel a cell, dark where something is, transparent where "
-        "nothing was seen. Header X-Map says as JSON where it lies (frame, resolution in metres, "
-        "pose x, y, yaw of the lower left corner) and what it was made of.",
+        "An occupancy grid as a picture: a pixel a cell, dark where something is, transparent "
+        "where nothing was seen. Header X-Map says as JSON where it lies (frame, resolution in "
+        "metres, pose x, y, yaw of the lower left corner) and what it was made of.",
         (
             Parameter(
                 "topic",

@@ -8,18 +8,18 @@
   cassandra_bag map /scan --publish /map
   cassandra_bag map /maps --as office -o again.pgm
 
-Where the sensor was is taken from recorded tf, interpolated at the stamps of the headers; the map is
-in frame map where that is above the sensor, else in odom, else in the topmost frame. Where no tf was
-recorded, or with --odom, it is taken from a topic of Odometry, PoseStamped or
+Where the sensor was is taken from recorded tf, interpolated at the stamps of the headers; the map
+is in frame map where that is above the sensor, else in odom, else in the topmost frame. Where no tf
+was recorded, or with --odom, it is taken from a topic of Odometry, PoseStamped or
 PoseWithCovarianceStamped, and the sensor's place on the robot from --sensor-offset, else from tf.
 Messages of which no place is known are left out and counted.
 
-Of a scan +Inf (or range_max itself) means that nothing was seen so far; NaN and what lies outside of
-its ranges say nothing. Of a cloud the points from --min-height to --max-height in the map's frame are
-obstacles, and those below are floor.
+Of a scan +Inf (or range_max itself) means that nothing was seen so far; NaN and what lies outside
+of its ranges say nothing. Of a cloud the points from --min-height to --max-height in the map's
+frame are obstacles, and those below are floor.
 
-A .png is the darker the likelier something is there. A .pgm or .yaml is written for map_server, both
-files. Stored with --store a map lies under a name, and getData(name) gives the newest of that name.
+A .png is the darker the likelier something is there. A .pgm or .yaml is written for map_server,
+both files. Stored with --store a map lies under a name, and getData(name) gives its newest version.
 """
 
 from __future__ import annotations
@@ -223,8 +223,9 @@ def _text(made: MadeMap, files: list[str], options: argparse.Namespace) -> str:
     found = made.map
     across, up = found.width * found.resolution, found.height * found.resolution
     lines = [
-        f"map of {made.used} messages of {shown(options.topic)}, {across:.1f} x {up:.1f} m in frame "
-        f"{shown(found.frame)}, {found.width} x {found.height} cells of {found.resolution:g} m",
+        f"map of {made.used} messages of {shown(options.topic)}, {across:.1f} x {up:.1f} m in "
+        f"frame {shown(found.frame)}, "
+        f"{found.width} x {found.height} cells of {found.resolution:g} m",
         f"poses: {shown('; '.join(made.sources))}",
     ]
     if made.without_pose:
