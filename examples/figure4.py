@@ -4,7 +4,8 @@
 """The paper's figure 4: occupancy grids out of stored LaserScan and PointCloud2.
 
 A bag is imported, and of each of its topics of scans and clouds a map is made, with the poses that
-were recorded: by tf, else by a topic of Odometry or of poses. All maps come into one picture.
+were recorded: by tf, else by a topic of Odometry or of poses. All maps come into one picture; where
+no pose is known it is drawn as if the sensor had stood still, and that is told.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy as np
 
 from cassandra_ros import CassandraRosError, MapOptions, PoseChoice, RosCassandra, makeMap
 from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.errors import TransformException
 from cassandra_ros.places.rigid import Rigid
 
 BAGS = Path(os.environ.get("CASSANDRA_ROS_BAGS", ""))
@@ -31,6 +33,16 @@ def sensors(rosCas):
     """The topics of which a map can be made, scans first."""
     found = [topic for topic in rosCas.getAllTopics() if topic.getMeta["msg_type"] in KINDS]
     return sorted(found, key=lambda topic: (KINDS.index(topic.getMeta["msg_type"]), topic.name))
+
+
+def mapped(rosCas, topic, options, poses):
+    """Make a map; of a sensor that stood still where nothing that was recorded knows its place."""
+    try:
+        return makeMap(rosCas, topic.name, options=options, poses=poses)
+    except TransformException as exc:
+        print(f"{topic.name}: as if it stood still, for {exc}")
+        frame = topic.getData(topic.first()).header.frame_id
+        return makeMap(rosCas, topic.name, options=options, poses=PoseChoice(frame=frame))
 
 
 def draw(axes, topic, made):
@@ -86,7 +98,7 @@ def main() -> None:
                 max_height=high if cloud else None,
             )
             try:
-                made = makeMap(rosCas, topic.name, options=options, poses=poses)
+                made = mapped(rosCas, topic, options, poses)
             except CassandraRosError as exc:
                 print(f"{topic.name}: no map: {exc}")
                 continue

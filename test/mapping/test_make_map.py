@@ -69,7 +69,8 @@ def test_a_map_of_scans_by_tf(store):
     part = makeMap(store, "/scan", Stamp.from_ns(T0), Stamp.from_ns(T0 + SEC), nodeID="tidy")
     assert part.used == 10
     few = MapOptions(most=10, resolution=0.1)
-    assert makeMap(store, "/scan", nodeID="tidy", options=few).used == 10
+    made = makeMap(store, "/scan", nodeID="tidy", options=few)
+    assert made.used + made.without_pose == 10
 
 
 def test_a_map_of_clouds_takes_what_stands_between_two_heights(store):
@@ -231,10 +232,15 @@ def test_maps_of_a_real_lidar_and_a_simulated_laser(bags, fresh):
         assert scans.used >= 4
         assert scans.sources == ["/base_pose_ground_truth, no sensor offset"]
         assert (scans.map.cells >= 65).sum() > 50
-        wanted = PoseChoice(odom="/base_pose_ground_truth", sensor_offset=Rigid.none(1))
+        # The clouds came before the first pose.
+        with pytest.raises(TransformException, match="of none of 5 .* tells no pose at 2020-03"):
+            makeMap(made, "/luminar_pointcloud")
+        frame = made.getTopic("/luminar_pointcloud").getData(0, nearest="after").header.frame_id
         coarse = MapOptions(resolution=0.2, max_range=100, min_height=-1, max_height=3)
-        clouds = makeMap(made, "/luminar_pointcloud", options=coarse, poses=wanted)
-        assert clouds.received == clouds.used >= 1
+        still = PoseChoice(frame=frame)
+        clouds = makeMap(made, "/luminar_pointcloud", options=coarse, poses=still)
+        assert (clouds.used, clouds.map.frame) == (5, frame.strip("/"))
+        assert clouds.sources == [f"none: {frame.strip('/')} itself is the frame of the map"]
         assert (clouds.map.cells >= 65).sum() > 1000
         assert math.hypot(clouds.map.width, clouds.map.height) * 0.2 < 400
 

@@ -79,7 +79,7 @@ def test_what_cannot_be_drawn_is_told(viewer):
         (400, "TypeMismatch", {"topic": "/odom"}),
         (400, "InvalidOption", {"topic": "/scan", "resolution": "-1"}),
         (400, "InvalidOption", {"topic": "/scan", "resolution": "0.0001"}),
-        (400, "InvalidOption", {"topic": "/scan", "min_height": "50"}),
+        (400, "InvalidOption", {"topic": "/scan", "max_height": "-50"}),
         (404, "MessageNotFound", {"topic": "/scan", "end": "1.5"}),
         (400, "InvalidOption", {"topic": "/scan", "colour": "red"}),
     ):

@@ -18,9 +18,9 @@ MAX_CELLS = 50_000_000
 """200 MB."""
 _MARGIN = 128
 """Cells by which it grows beyond what is asked: it is seldom copied then."""
-_CERTAIN = 3.5
+_CERTAIN = np.float32(3.5)
 """Log-odds at which a cell is certain enough (97 %): it can still be talked out of it."""
-_BLOCK = 1 << 14
+_BLOCK = 1 << 15
 """Cells of rays that are computed together; they stay in the processor's cache."""
 
 Cells = NDArray[np.int64]
@@ -76,16 +76,17 @@ class LogOddsGrid:
         flat = local[:, 1] * width + local[:, 0]
         struck = np.unique(flat[hit])
         passed = np.setdiff1d(flat[~hit], struck)
-        free = np.zeros(height * width, bool)
-        free[passed] = True
+        change = np.zeros(height * width, np.float32)
+        change[passed] = self._miss
         for crossed in _crossed(begin, np.union1d(struck, passed), width):
-            free[crossed] = True
-        free[struck] = False
+            change[crossed] = self._miss
+        change[struck] = self._hit
         (column, row) = (int(n) for n in low - self._low)
         window = self._odds[row : row + height, column : column + width]
-        np.add(window, self._miss, out=window, where=free.reshape(height, width))
-        window[struck // width, struck % width] += self._hit
-        np.clip(window, -_CERTAIN, _CERTAIN, out=window)
+        window += change.reshape(height, width)
+        # Four times as quick as np.clip.
+        np.maximum(window, -_CERTAIN, out=window)
+        np.minimum(window, _CERTAIN, out=window)
 
     def _cells(self, points: Floats) -> Cells:
         cells: Cells = np.floor(points / self.resolution).astype(np.int64)
@@ -125,7 +126,7 @@ class LogOddsGrid:
         return self._odds[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].copy(), (x, y)
 
 
-def _crossed(begin: Cells, ends: Cells, width: int) -> Iterator[Cells]:
+def _crossed(begin: Cells, ends: Cells, width: int) -> Iterator[NDArray[np.int32]]:
     """Yield the cells on the straight ways from one cell to others, without these, flat.
 
     As Bresenham's they have one cell in each column, or in each row where they are steep.
@@ -145,9 +146,11 @@ def _crossed(begin: Cells, ends: Cells, width: int) -> Iterator[Cells]:
         step = np.minimum(np.arange(longest, dtype=np.float32)[None, :], count - 1)
         columns = _along(step, dx[mine, None] / count, begin[0])
         rows = _along(step, dy[mine, None] / count, begin[1])
-        yield rows * width + columns
+        rows *= np.int32(width)
+        rows += columns
+        yield rows.ravel()
 
 
-def _along(step: Odds, slope: Floats, begin: int) -> Cells:
+def _along(step: Odds, slope: Floats, begin: int) -> NDArray[np.int32]:
     """Return the columns, or rows, at some steps; none of them is below 0."""
-    return (step * slope.astype(np.float32) + np.float32(begin + 0.5)).astype(np.int64)
+    return (step * slope.astype(np.float32) + np.float32(begin + 0.5)).astype(np.int32)

@@ -14,7 +14,7 @@ from cassandra_ros.places.frames import TF, TF_STATIC, Chain, Frames
 from cassandra_ros.places.pose_topic import PoseTopic, tells_poses
 from cassandra_ros.places.poses import LONGEST_GAP_SEC, Poses
 from cassandra_ros.places.rigid import Rigid
-from cassandra_ros.places.samples import Placed, Times
+from cassandra_ros.places.samples import Flags, Placed, Samples, Times
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.runs import Writers
 
@@ -117,10 +117,13 @@ class SensorPoses:
 
     def _find(self, sensor: str) -> Poses:
         choice = self._choice
+        if self._stands(sensor):
+            self._sources[sensor] = f"none: {sensor.lstrip('/')} itself is the frame of the map"
+            return Poses(_Standing(sensor.lstrip("/")))
         if self._frames is not None:
             above = self._frames.above(sensor, self._times) if sensor.strip("/") else []
             frame = choice.frame or self._best(sensor, above)
-            if frame is not None and (above or frame.strip("/") == sensor.strip("/")):
+            if frame is not None and above:
                 self._sources[sensor] = f"tf ({frame.lstrip('/')} to {sensor.lstrip('/')})"
                 return Poses(Chain(self._frames, sensor, frame), choice.longest_gap_sec)
         topic = choice.odom or self._best_topic(sensor)
@@ -135,6 +138,12 @@ class SensorPoses:
         placed = PoseTopic(self._store.getTopic, topic, self._node, self._writers, offset)
         placed.frame = (choice.frame or "").strip("/") or told.frame or FRAMES[1]
         return Poses(placed, choice.longest_gap_sec)
+
+    def _stands(self, sensor: str) -> bool:
+        """Say whether the map is to be in the sensor's own frame, where it never moves."""
+        choice = self._choice
+        own = choice.frame is not None and choice.frame.strip("/") == sensor.strip("/")
+        return own and not choice.odom and choice.sensor_offset is None
 
     def _best(self, sensor: str, above: Sequence[str]) -> Optional[str]:
         """Return the frame of those above a sensor for its map; None where a topic does better."""
@@ -195,3 +204,25 @@ class SensorPoses:
                 numbers = [moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w]
                 return Rigid.of_numbers(np.array([numbers])), f"sensor on {robot} as tf has it"
         return Rigid.none(1), "no sensor offset"
+
+
+class _Standing:
+    """Where a sensor is in its own frame: always at the origin."""
+
+    def __init__(self, frame: str) -> None:
+        self.frame = frame
+
+    def read(self, low: int, high: int) -> Samples:
+        return Samples.none()
+
+    def placed(self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int) -> Placed:
+        return Placed(Rigid.none(len(times)), np.ones(len(times), bool))
+
+    def on_way(self, samples: Samples) -> Flags:
+        return np.zeros(len(samples), bool)
+
+    def next_key(self, time: int) -> Optional[int]:
+        return None
+
+    def explain(self, time: int) -> str:
+        return ""

@@ -105,7 +105,7 @@ class PoseTopic:
 
     def explain(self, time: int) -> str:
         """Say why there is no pose at a time."""
-        whose = "" if self._node is None else f" of node {self._node}"
+        whose = f" of node {self._node}" if self._node else ""
         first = key_behind(self._topic, -1, self._node, self._writers)
         last = last_key(self._topic, self._node, self._writers)
         if first is None or last is None:

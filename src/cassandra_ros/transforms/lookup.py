@@ -189,7 +189,7 @@ class Failure:
         return f"{' and '.join(self.topics)}{self._whose()}"
 
     def _whose(self) -> str:
-        return "" if self.node is None else f" of node {self.node}"
+        return f" of node {self.node}" if self.node else ""
 
 
 def _shown(ns: int) -> str:
