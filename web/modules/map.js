@@ -104,7 +104,7 @@ function refresh() {
   const { signal } = going;
   page.clearErrors();
   view.canvas.dataset.state = "working";
-  Promise.all([loadMap(wanted, signal), loadTracks(wanted, signal)]).then(
+  load(wanted, signal).then(
     () => done("drawn"),
     (error) => {
       if (isAbort(error)) return;
@@ -121,6 +121,23 @@ function done(how) {
   lasso.refresh();
   // Tests wait for it; it stands there when the picture does.
   requestAnimationFrame(() => requestAnimationFrame(() => { view.canvas.dataset.state = how; }));
+}
+
+/**
+ * Ask for the map, and then for the tracks in its frame; without a map, in the usual one.
+ * @param {ReturnType<typeof question>} wanted
+ * @param {AbortSignal} signal
+ */
+async function load(wanted, signal) {
+  let failure = null;
+  try {
+    await loadMap(wanted, signal);
+  } catch (error) {
+    if (isAbort(error)) throw error;
+    failure = error;
+  }
+  await loadTracks(wanted, signal);
+  if (failure) throw failure;
 }
 
 /**
@@ -167,8 +184,9 @@ function described(topic, meta) {
  * @param {AbortSignal} signal
  */
 async function loadTracks(wanted, signal) {
-  const { start, end, nodes, runs } = wanted;
-  const found = await get("/api/places", { start, end, nodes, runs }, { signal }).catch((error) => {
+  const { start, end, nodes, odom } = wanted;
+  const where = { start, end, nodes, frame: view.image?.frame, robot: odom };
+  const found = await get("/api/places", where, { signal }).catch((error) => {
     // A store without poses has no tracks; a stored map can be shown all the same.
     if (error?.status === 404 || error?.status === 400) return { tracks: [] };
     throw error;

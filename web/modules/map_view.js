@@ -23,6 +23,7 @@
  * @property {number} x Of the lower left corner.
  * @property {number} y Of the lower left corner.
  * @property {number} yaw Radians, about that corner.
+ * @property {string} [frame] In which it is.
  */
 /**
  * What takes the place of moving the plane while it is set; each is given a place in metres.
