@@ -8,14 +8,14 @@ import math
 import struct
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import Float64, Header, Int64, String
 
 from cassandra_ros.arrays.envelope import Grid
 from cassandra_ros.messages.connection import api_connection
-from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.definition import definition_of, parse_definition
 from cassandra_ros.topics import bucket_envelope
 from cassandra_ros.topics.bucket_envelope import PieceReader
 from cassandra_ros.topics.envelopes import EnvelopeCache, spread
@@ -35,7 +35,8 @@ def message(n):
     single = struct.unpack("<f", struct.pack("<f", math.sin(n / 50) * 3))[0]
     single = math.nan if n % 97 == 0 else math.inf if n == 600 else single
     double = math.nan if 200 <= n < 260 else n / 7
-    whole, large = n % 200 - 100, 2**64 - 1 - n
+    # Those that are deleted again stand out.
+    whole, large = 127 if 400 <= n < 410 else n % 200 - 100, 2**64 - 1 - n
     length = (-1, 999_999_999 - n) if n % 2 else (n, 5)
     numbers = struct.pack("<fdbQBii", single, double, whole, large, n % 3 == 0, *length)
     text, array = b"x" * (n % 5), struct.pack(f"<{n % 3}d", *range(n % 3))
@@ -121,6 +122,9 @@ ENDS = st.one_of(st.none(), st.integers(-STEP, COUNT * STEP + 61 * SEC).map(lamb
     ENDS,
     st.sampled_from([1, 2, 7, 100, 3000]),
 )
+@example("packed", ["i"], "", None, None, 1)
+@example("packed", ["d", "u"], "", time_of(333) + 1, time_of(777), 1)
+@example("packed", ["d"], "where NODE = 'a'", time_of(20), time_of(21), 2)
 def test_each_pixel_shows_what_lies_in_it(stored, fmt, names, where, low, high, pixels):
     if None not in (low, high):
         low, high = min(low, high), max(low, high)
@@ -212,6 +216,12 @@ def test_what_is_written_meanwhile_is_seen(rosCas):
     assert topic.removeData(T0 + SEC) == 1
     found = rosCas.statements.series("select data from live", cache=cache)
     assert found.points.low.tolist() == [[0.0, 2.0, 3.0, 4.0]]
+    for writer_id in (2, 3, 4):  # of a bucket that is closed each time
+        with rosCas.messageWriter(writer_id=writer_id) as writer:
+            handle = writer.connect(api_connection("/late", definition_of(Float64), "/x"))
+            writer.write(handle, T0, 0, struct.pack("<d", writer_id))
+        found = rosCas.statements.series("select data from late", cache=cache)
+        assert found.points.rows.tolist() == [writer_id - 1]
 
 
 def test_a_cache_is_bounded():
@@ -332,6 +342,11 @@ def test_whoever_went_away_ends_the_reading(stored):
             calls.clear()
             with pytest.raises(Gone):
                 list(stored.statements.select(statement.format(fmt), watch=watch))
+    # Also where a bucket gives block after block of which no message is wanted.
+    calls.clear()
+    none = f"select d from packed where i = -37 and i != -37 and KEY < {T0 + SEC}"
+    with pytest.raises(Gone):
+        list(stored.statements.select(none, watch=watch))
 
 
 def test_a_large_message_is_drawn_by_its_bounds(rosCas):
