@@ -127,6 +127,7 @@ def test_two_clusters_have_two_names():
 def test_a_new_directory_has_no_settings(tmp_path):
     assert load_settings(tmp_path / "new") is None
     (tmp_path / "jars").mkdir()
+    (tmp_path / "studio").mkdir()  # the viewer's, of the same home
     assert load_settings(tmp_path) is None
 
 

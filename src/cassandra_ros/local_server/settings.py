@@ -168,6 +168,7 @@ def _foreign(directory: Path) -> list[str]:
         return []
     except NotADirectoryError:
         raise ServerError(f"{directory} is a file; choose a directory with --dir") from None
-    # The jars of the default directory may have been installed before the first start, and a
-    # start that was killed early leaves its lock, and a draft of its settings.
-    return sorted(names - {"jars", "lock", SETTINGS_FILE, _DRAFT})
+    # The jars of the default directory may have been installed before the first start, the Studio
+    # of the viewer, too; and a start that was killed early leaves its lock, and a draft of its
+    # settings.
+    return sorted(names - {"jars", "studio", "lock", SETTINGS_FILE, _DRAFT})
