@@ -395,7 +395,8 @@ function wide(start, end) {
  * @param {number | null} high
  */
 function bar(low, high) {
-  return low === null || high === null ? null : [low, (low + high) / 2, high];
+  // The line goes along the greatest: what lies in the middle was never measured.
+  return low === null || high === null ? null : [low, high, high];
 }
 
 /**
