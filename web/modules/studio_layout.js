@@ -84,11 +84,12 @@ function addSpace(topics, configById) {
   if (!drawn.length && !ofTypes(topics, TRANSFORMS).length) return undefined;
   const visible = drawn.map((topic) => [topic.topic, drawing(topic)]);
   configById["3D!space"] = {
-    cameraState: { distance: 15 },
+    // A robot by itself is looked at from nearer than the room around it.
+    cameraState: { distance: drawn.length ? 15 : 5 },
     followMode: "follow-pose",
     topics: Object.fromEntries(visible),
     layers: { grid: GRID },
-    scene: { transforms: { axisScale: 3 } },
+    scene: { transforms: drawn.length ? { axisScale: 3 } : { axisScale: 1.5, labelSize: 0.08 } },
     transforms: {},
     publish: {},
   };
@@ -133,7 +134,7 @@ function addCurves(topics, configById, following) {
   configById["Plot!curves"] = {
     paths: paths.slice(0, MOST_CURVES).map((value) => ({ value, enabled: true, timestampMethod: "receiveTime" })),
     showXAxisLabels: true, showYAxisLabels: true, showLegend: true, legendDisplay: "top",
-    showPlotValuesInLegend: false, isSynced: true, xAxisVal: "timestamp", sidebarDimension: 240,
+    showPlotValuesInLegend: false, isSynced: true, xAxisVal: "timestamp", sidebarDimension: 64,
     ...(following && { followingViewWidth: FOLLOWED_SEC }),
   };
   return ["Plot!curves"];
