@@ -26,7 +26,7 @@ from cassandra_ros.errors import TransformException
 from cassandra_ros.places.rigid import Rigid
 
 BAGS = Path(os.environ.get("CASSANDRA_ROS_BAGS", ""))
-KINDS = ("sensor_msgs/LaserScan", "sensor_msgs/PointCloud2")
+KINDS = ("sensor_msgs/LaserScan", "sensor_msgs/MultiEchoLaserScan", "sensor_msgs/PointCloud2")
 
 
 def sensors(rosCas):
@@ -90,7 +90,7 @@ def main() -> None:
         print(f"stored:   {report.messages} messages of {args.bag.name}")
         drawn = []
         for topic in sensors(rosCas):
-            cloud = topic.getMeta["msg_type"] == KINDS[1]
+            cloud = topic.getMeta["msg_class"] == "PointCloud2"
             options = MapOptions(
                 resolution=args.resolution or (0.2 if cloud else 0.05),
                 max_range=args.max_range or (100 if cloud else None),

@@ -266,3 +266,23 @@ def test_figure_4_is_drawn_of_a_bag(bags, cassandra, keyspace, ros_env, tmp_path
     assert re.search(r"^/luminar_pointcloud: \d+ x \d+ cells of \d messages", done.stdout, re.M)
     with Image.open(out) as image:
         assert image.width > 1.5 * image.height
+
+
+def test_first_echoes_of_a_real_backpack(bags, fresh):
+    """Nobody recorded where it was: in the laser's own frame the map is as if it had stood."""
+    with fresh() as made:
+        bag = bags / "backpack_multiecho_bz2.bag"
+        import_bag(made, bag, topics=["horizontal_laser_2d"], format="packed")
+        topic = made.getTopic("horizontal_laser_2d")
+        with pytest.raises(TransformException, match="name what tells poses with odom="):
+            makeMap(made, topic.name)
+        first = topic.getData(topic.first())
+        still = PoseChoice(frame=first.header.frame_id)
+        one = makeMap(made, topic.name, topic.first(), topic.first(), poses=still).map
+        seen = [echo.echoes[0] for echo in first.ranges if len(echo.echoes)]
+        rows, columns = np.nonzero(one.cells >= 65)
+        x, y = one.x + (columns + 0.5) * 0.05, one.y + (rows + 0.5) * 0.05
+        far = [echo for echo in seen if first.range_min <= echo < first.range_max]
+        assert len(rows) > 100
+        assert np.hypot(x, y).max() == pytest.approx(max(far), abs=0.1)
+        assert makeMap(made, topic.name, options=MapOptions(most=50), poses=still).used >= 45

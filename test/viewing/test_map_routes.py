@@ -81,6 +81,7 @@ def test_what_cannot_be_drawn_is_told(viewer):
         (400, "InvalidOption", {"topic": "/scan", "resolution": "0.0001"}),
         (400, "InvalidOption", {"topic": "/scan", "max_height": "-50"}),
         (404, "MessageNotFound", {"topic": "/scan", "end": "1.5"}),
+        (404, "TransformException", {"topic": "/scan", "frame": "attic"}),
         (400, "InvalidOption", {"topic": "/scan", "colour": "red"}),
     ):
         found, told = viewer.fail("/api/map", **parameters)

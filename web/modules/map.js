@@ -10,7 +10,12 @@ import * as page from "./page.js";
 import * as state from "./state.js";
 import * as times from "./times.js";
 
-const MAPPED = ["sensor_msgs/LaserScan", "sensor_msgs/PointCloud2", "nav_msgs/OccupancyGrid"];
+const MAPPED = [
+  "sensor_msgs/LaserScan",
+  "sensor_msgs/MultiEchoLaserScan",
+  "sensor_msgs/PointCloud2",
+  "nav_msgs/OccupancyGrid",
+];
 const POSES = ["nav_msgs/Odometry", "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped"];
 const RESOLUTIONS = [0.02, 0.05, 0.1, 0.2, 0.5];
 const SCANS = [200, 1000, 5000, 20000];

@@ -19,6 +19,7 @@ CLOUD_RANGE = 30.0
 CLOUD_HEIGHTS = (0.1, 2.0)
 """Metres above the floor of the map's frame; a cloud's points between them are obstacles."""
 
+_ANY_HEIGHT = (-math.inf, math.inf)
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """PointField's numbers of types, as numpy calls them."""
 
@@ -41,7 +42,20 @@ def beams_of_scan(scan: Any, max_range: Optional[float]) -> Beams:
     Args:
         max_range: Metres; what is further away counts as not seen. None = range_max.
     """
-    ranges = np.asarray(scan.ranges, np.float64)
+    return _beams(scan, np.asarray(scan.ranges, np.float64), max_range)
+
+
+def beams_of_echoes(scan: Any, max_range: Optional[float]) -> Beams:
+    """Return the beams of a sensor_msgs/MultiEchoLaserScan to their first echoes.
+
+    A beam without an echo says nothing; the rest is as beams_of_scan has it.
+    """
+    first = [each.echoes[0] if len(each.echoes) else math.nan for each in scan.ranges]
+    return _beams(scan, np.array(first, np.float64), max_range)
+
+
+def _beams(scan: Any, ranges: Floats, max_range: Optional[float]) -> Beams:
+    """Return the beams of one of the two, of which the ranges are known."""
     angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
     most = scan.range_max if scan.range_max > 0 else math.inf  # a driver that fills in nothing
     limit = most if max_range is None else min(most, max_range)
@@ -122,6 +136,7 @@ class Sensor(NamedTuple):
 
 
 SENSORS: Mapping[str, Sensor] = {
-    "sensor_msgs/LaserScan": Sensor(beams_of_scan, (-math.inf, math.inf)),
+    "sensor_msgs/LaserScan": Sensor(beams_of_scan, _ANY_HEIGHT),
+    "sensor_msgs/MultiEchoLaserScan": Sensor(beams_of_echoes, _ANY_HEIGHT),
     "sensor_msgs/PointCloud2": Sensor(beams_of_cloud, CLOUD_HEIGHTS),
 }

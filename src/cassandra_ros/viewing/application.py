@@ -16,6 +16,7 @@ from cassandra_ros.errors import (
     InvalidQuery,
     KeyspaceNotFound,
     StoreUnavailable,
+    TransformException,
 )
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.viewing.answers import Json
@@ -133,6 +134,7 @@ def status_of(error: CassandraRosError) -> int:
     """Return the status that tells an error: whose fault it is, and whether to try again."""
     if isinstance(error, (ConnectionFailed, StoreUnavailable)):
         return 503
-    if isinstance(error, (KeyError, KeyspaceNotFound)):  # TopicNotFound and its like
+    # TopicNotFound and its like are KeyErrors.
+    if isinstance(error, (KeyError, KeyspaceNotFound, TransformException)):
         return 404
     return 400 if isinstance(error, ValueError) else 500
