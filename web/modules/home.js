@@ -112,10 +112,12 @@ async function askWindow(detail) {
   const names = [...new Set(timeline.seen.map((lane) => lane.topic))];
   const choice = chosenParameters();
   const topics = many && names.length ? names : choice.topics;
-  const asked = { ...choice, topics, start: from, end: to, pixels: cellsOf(parts), detail };
+  const robots = [...new Set(timeline.seen.map((lane) => lane.node))];
+  const nodes = many && robots.length && robots.every(Boolean) ? robots : choice.nodes;
+  const asked = { ...choice, topics, nodes, start: from, end: to, pixels: cellsOf(parts), detail };
   const answer = await api.get("/api/timeline", asked, { signal });
   const { runs: known } = timeline.picture;
-  timeline.picture.take(answer, { topics });
+  timeline.picture.take(answer, { topics, nodes });
   timeline.picture.runs = known;
   timeline.redraw();
   canvas.setAttribute("aria-label", timeline.describe());

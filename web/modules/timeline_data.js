@@ -143,15 +143,16 @@ export class Picture {
   /**
    * Take an answer of /api/timeline.
    * @param {any} answer
-   * @param {{all?: boolean, whole?: boolean, topics?: string[]}} of all: it has all lanes, those that it
-   *   lacks are gone; whole: its window is all time; topics: what was asked for, none = all of them.
+   * @param {{all?: boolean, whole?: boolean, topics?: string[], nodes?: string[]}} of all: it has all lanes, those that it
+   *   lacks are gone; whole: its window is all time; topics, nodes: what was asked for, none = all.
    */
-  take(answer, { all = false, whole = false, topics = [] }) {
+  take(answer, { all = false, whole = false, topics = [], nodes = [] }) {
     const scale = scaleOf(answer);
     const before = this.byKey;
     for (const lane of all ? [] : this.lanes) {
       // Of a run there are only the lanes in which it has something.
-      if (!topics.length || topics.includes(lane.topic)) lane.clear();
+      const asked = !topics.length || topics.includes(lane.topic);
+      if (asked && (!nodes.length || nodes.includes(lane.node))) lane.clear();
     }
     if (all) {
       this.byKey = new Map();

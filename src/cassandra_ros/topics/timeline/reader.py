@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.store.bucket_columns import BucketColumns, Place, Wanted
@@ -22,7 +22,7 @@ from cassandra_ros.topics.timeline.pieces import Piece, piece_of, slots_between,
 from cassandra_ros.topics.topic_table import TopicTable
 
 MAX_PARTITIONS = 2000
-"""Partitions of the directory that one picture reads."""
+"""Partitions of the directory that one picture reads, or one of each table and node."""
 MAX_BUCKETS = 200_000
 """Rows of the directory that one picture reads, about."""
 LEAST_BUCKETS = 128
@@ -41,6 +41,10 @@ Ends = Tuple[int, int]
 """Of a stretch of time, ns, or of buckets; both included."""
 Listed = List[Tuple[int, str]]
 """Slots of a table and the nodes that have buckets in them, in their order."""
+
+
+Part = Tuple[TopicTable, Place, Ends]
+"""A partition of the directory, and which of its buckets are wanted."""
 
 
 class _Kept(NamedTuple):
@@ -125,16 +129,14 @@ class Reader:
         found: List[Piece] = []
         parts = list(self._parts(tables, ends, whose))
         stride = max(1, -(-len(parts) // MAX_PARTITIONS))
-        chosen = parts[::stride]
+        chosen, left = _thinned(parts, stride)
         limit = max(LEAST_BUCKETS, MAX_BUCKETS // max(1, len(chosen)))
         answers = self._columns([(place, inside) for _, place, inside in chosen], limit)
         for (table, (_, node, _), _), (columns, each) in zip(chosen, answers):
             found.append(piece_of(table, node, columns, each, whose))
-        return found if stride == 1 else [*found, *_rest(parts, stride, found)]
+        return [*found, *_rest(left, found)]
 
-    def _parts(
-        self, tables: Sequence[TopicTable], ends: Ends, whose: Whose
-    ) -> Iterator[Tuple[TopicTable, Place, Ends]]:
+    def _parts(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> Iterator[Part]:
         """Yield the partitions that hold buckets in a stretch of time, and which of them may."""
         slots = self.slots(tables)
         for table in tables:
@@ -207,14 +209,23 @@ def _outmost_slots(slots: Listed, reverse: bool) -> Dict[str, int]:
     return {node: slot for slot, node in ordered}  # the one that comes last stays
 
 
-def _rest(
-    parts: Sequence[Tuple[TopicTable, Place, Ends]], stride: int, read: Sequence[Piece]
-) -> Iterator[Piece]:
-    """Yield what is left of partitions of which every so manieth was read."""
+def _thinned(parts: Sequence[Part], stride: int) -> Tuple[List[Part], List[Part]]:
+    """Choose every so manieth partition of each table and node, the first one always."""
+    met: Counter[Tuple[str, str]] = Counter()
+    chosen: List[Part] = []
+    left: List[Part] = []
+    for part in parts:
+        lane = part[1][:2]
+        (left if met[lane] % stride else chosen).append(part)
+        met[lane] += 1
+    return chosen, left
+
+
+def _rest(parts: Sequence[Part], read: Sequence[Piece]) -> Iterator[Piece]:
+    """Yield what is probably in partitions that nobody read."""
     left: Dict[Tuple[str, str], Tuple[TopicTable, List[Ends]]] = {}
-    for number, (table, (_, node, _), inside) in enumerate(parts):
-        if number % stride:
-            left.setdefault((table.name, node), (table, []))[1].append(inside)
+    for table, (_, node, _), inside in parts:
+        left.setdefault((table.name, node), (table, []))[1].append(inside)
     for (name, node), (table, ends) in left.items():
         own = [piece for piece in read if piece.node == node and piece.table.name == name]
         yield unread(table, node, ends, own)
