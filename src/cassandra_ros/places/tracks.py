@@ -14,17 +14,17 @@ from typing import Callable, Dict, Iterator, List, Optional, Sequence, Tuple, Un
 
 import numpy as np
 
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.places.paths import LONGEST_GAP_NS, LONGEST_WAY_M, Path, merged
 from cassandra_ros.places.robots import Robot
 from cassandra_ros.places.samples import Times
 from cassandra_ros.places.whereabouts import Whereabouts
-from cassandra_ros.places.windows import WINDOW_NS
 
-WHOLE_NS = 60 * WINDOW_NS
+WHOLE_NS = 7200 * SECOND_NS
 """Up to so much time with poses is read whole."""
 _LOOKS = 400
 """So many moments are looked at of more."""
-_LOOK_NS = 1_000_000_000
+_LOOK_NS = SECOND_NS
 
 Points = Union[List[str], List[float], List[bool], str]
 

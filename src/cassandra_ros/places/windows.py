@@ -17,14 +17,15 @@ from typing import Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.places.paths import LONGEST_GAP_NS, Path
-from cassandra_ros.places.poses import MAX_SPAN_NS, Poses
+from cassandra_ros.places.poses import Poses
 from cassandra_ros.places.robots import Robot
 from cassandra_ros.places.samples import Samples
 from cassandra_ros.places.stored import Extent, Stored
 from cassandra_ros.query.source import Writers
 
-WINDOW_NS = MAX_SPAN_NS
+WINDOW_NS = 30 * SECOND_NS
 KEPT = 8
 """Windows that are kept."""
 FRESH_SEC = 2.0
