@@ -9,6 +9,7 @@ import json
 import math
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
+from pathlib import Path
 
 import pytest
 from bag.truth import string_connection, string_wire
@@ -19,6 +20,8 @@ from cassandra_ros.cli.text import sparkline
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
 from cassandra_ros.errors import InvalidOption, TopicNotFound
 from cassandra_ros.store.registry import LossKind
+
+HUSKY = Path(__file__).resolve().parents[2] / "examples/data/husky_gps_data.bag"
 
 
 @pytest.fixture
@@ -157,3 +160,17 @@ def test_values_of_an_answer():
     assert found == {"1": [None, None, 2.5], "b": "AP8=", "c": ["x"]}
     with pytest.raises(TypeError):
         plain(object())
+
+
+def test_the_index_of_places(call):
+    assert call("import", HUSKY, "-q", "--topics", "/encoder", "/fix") == (0, "", "")
+    assert "not indexed" in call("index", "--places", "--list")[1]
+    (made,) = json.loads(call("index", "--places", "--run", HUSKY.name, "--json")[1])
+    assert (made["state"], made["node"]) == ("indexed", "")
+    assert made["visits"] > 3
+    status, out, _ = call("index", "--places", "--list")
+    assert (status, out.splitlines()[1].split()[-1]) == (0, "indexed")
+    query = "select count(*) from /fix where NEAR(-4.5, 3, 1, 'odom_combined')"
+    assert call("query", query, "--output", "csv")[1].split() == ["count(*)", "10"]
+    assert call("index", "--places", "/fix")[0] == 2
+    assert call("index", "/fix", "altitude", "--run", "x")[0] == 2
