@@ -28,6 +28,7 @@ from cassandra_ros.errors import (
     TransformException,
     TypeMismatch,
 )
+from cassandra_ros.mapping.beams import CLOUD_HEIGHTS, CLOUD_RANGE
 from cassandra_ros.mapping.occupancy import OccupancyMap
 from cassandra_ros.places.rigid import Rigid
 
@@ -218,6 +219,20 @@ def test_options_that_make_no_sense_are_refused(bag):
         status, _, err = bag("map", "/scan", "--node-id", "tidy", *words)
         assert status in (1, 2)
         assert text in " ".join(err.split())
+
+
+def test_the_help_tells_the_defaults_that_the_library_has(bag):
+    text = " ".join(bag("map", "--help")[1].split())
+    for known in (
+        f"metres (default: {MapOptions().resolution:g})",
+        f"moving transforms (default: {PoseChoice().tf})",
+        f"fixed transforms (default: {PoseChoice().tf_static})",
+        f"nothing is known between (default: {PoseChoice().longest_gap_sec:g})",
+        f"range_max of scans, {CLOUD_RANGE:g} of clouds",
+        f"of clouds {CLOUD_HEIGHTS[0]:g})",
+        f"of clouds {CLOUD_HEIGHTS[1]:g})",
+    ):
+        assert known in text
 
 
 # -------------------------------------------------------------------------------- real bags

@@ -28,7 +28,7 @@ import argparse
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import (
@@ -79,8 +79,8 @@ def _add_outputs(group: argparse._ArgumentGroup) -> None:
 
 def _add_beams(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
-    text = "length of a cell, metres (default: %(default)s)"
-    add("--resolution", metavar="M", type=factor, default=0.05, help=text)
+    text = "length of a cell, metres (default: 0.05)"
+    add("--resolution", metavar="M", type=factor, help=text)
     text = "leave out what is further away, metres (default: range_max of scans, 30 of clouds)"
     add("--max-range", metavar="M", type=factor, help=text)
     text = "what lies below is floor, metres (default: everything is an obstacle; of clouds 0.1)"
@@ -92,9 +92,6 @@ def _add_beams(group: argparse._ArgumentGroup) -> None:
 
 
 def _add_poses(group: argparse._ArgumentGroup) -> None:
-    from cassandra_ros.places.frames import TF, TF_STATIC
-    from cassandra_ros.places.poses import LONGEST_GAP_SEC
-
     add = group.add_argument
     add("--frame", metavar="F", help="the map's frame (default: map, odom, or the topmost one)")
     text = "take the robot's poses from this topic (default: from tf, else from the best topic)"
@@ -103,11 +100,11 @@ def _add_poses(group: argparse._ArgumentGroup) -> None:
     add("--sensor-offset", nargs=3, type=float, metavar=("X", "Y", "YAW"), help=text)
     text = "and how high above the robot's origin, metres (default: 0)"
     add("--sensor-height", metavar="M", type=float, help=text)
-    add("--tf", metavar="TF", default=TF, help="moving transforms (default: %(default)s)")
-    text = "fixed transforms (default: %(default)s)"
-    add("--tf-static", metavar="TF", default=TF_STATIC, help=text)
-    text = "where poses are further apart, seconds, nothing is known between (default: %(default)g)"
-    add("--longest-gap", metavar="SEC", type=factor, default=LONGEST_GAP_SEC, help=text)
+    # The library has the defaults; to ask it for them here would slow down every verb.
+    add("--tf", metavar="TF", help="moving transforms (default: /tf)")
+    add("--tf-static", metavar="TF", help="fixed transforms (default: /tf_static)")
+    text = "where poses are further apart, seconds, nothing is known between (default: 10)"
+    add("--longest-gap", metavar="SEC", type=factor, help=text)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -121,11 +118,13 @@ def run(options: argparse.Namespace) -> int:
         raise InvalidName(f"-o {options.output}: give a name that ends in {', '.join(_FILES)}")
     (start, end), choice = read_times(options), _choice(options)
     wanted = MapOptions(
-        resolution=options.resolution,
-        max_range=options.max_range,
-        min_height=options.min_height,
-        max_height=options.max_height,
-        most=options.limit,
+        **_given(
+            resolution=options.resolution,
+            max_range=options.max_range,
+            min_height=options.min_height,
+            max_height=options.max_height,
+            most=options.limit,
+        )
     )
     with open_store(options) as ros_cas, MessageBar(f"mapping {options.topic}") as bar:
         made = makeMap(
@@ -161,13 +160,20 @@ def _choice(options: argparse.Namespace) -> PoseChoice:
         offset = Rigid.planar([x], [y], [yaw])
         offset.moved[:, 2] = options.sensor_height or 0.0
     return PoseChoice(
-        frame=options.frame,
-        odom=options.odom,
-        sensor_offset=offset,
-        tf=options.tf,
-        tf_static=options.tf_static,
-        longest_gap_sec=options.longest_gap,
+        **_given(
+            frame=options.frame,
+            odom=options.odom,
+            sensor_offset=offset,
+            tf=options.tf,
+            tf_static=options.tf_static,
+            longest_gap_sec=options.longest_gap,
+        )
     )
+
+
+def _given(**values: Any) -> dict[str, Any]:
+    """Return what is not None: the library has the defaults."""
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _save(made: OccupancyMap, output: Path) -> list[str]:
