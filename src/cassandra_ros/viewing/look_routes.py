@@ -7,7 +7,6 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict
-from itertools import chain
 from typing import Iterator, Sequence
 
 from cassandra_ros.errors import InvalidOption
@@ -16,9 +15,11 @@ from cassandra_ros.topics.latest import Latest
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.selection import LAST_NS, Stretch, Whose
 from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.timeline.lanes import Lane, View
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.viewing.answers import Json, Stream
 from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.catalog_routes import shown_ns
 from cassandra_ros.viewing.choice import (
     END,
     NODES,
@@ -28,11 +29,12 @@ from cassandra_ros.viewing.choice import (
     tables_chosen,
     whose_chosen,
 )
-from cassandra_ros.viewing.look_window import Held, default_window, held
+from cassandra_ros.viewing.look_window import Held, default_window
 from cassandra_ros.viewing.message_frames import CONTENT_TYPE, describe_channel, frames
 from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.settings import ViewerSettings
 from cassandra_ros.viewing.studio import STUDIO_VERSION, studio_installed
+from cassandra_ros.viewing.timeline_routes import timeline_of
 
 PAGE_BYTES = 4 * 2**20
 MAX_PAGE_BYTES = 64 * 2**20
@@ -42,33 +44,35 @@ _FINDER_SEC = 30
 
 
 def _connections(call: Call) -> Json:
-    tables, whose, keyspace = tables_chosen(call), whose_chosen(call), call.store.parts
+    tables, whose = tables_chosen(call), whose_chosen(call)
     start, end, moment = (call.time_ns(name) for name in ("start", "end", "time"))
-    window = default_window(keyspace, tables, whose, start, end, moment)
-    _check_order(window)
     problems: list[Json] = []
-    by_topic: dict[str, list[tuple[TopicTable, Held]]] = {}
+    shown: dict[str, list[TopicTable]] = {}
     for table in tables:
         reason = _reason_not_shown(table)
         if reason:
             problems.append({"topic": table.metadata.topic, "text": reason})
         else:
-            found = held(keyspace, table, window, whose)
-            by_topic.setdefault(table.metadata.topic, []).append((table, found))
-    whole = Held()
-    for _, found in chain.from_iterable(by_topic.values()):
-        whole = whole.with_(found)
-    if whole.last >= 0:  # an end that nobody gave lies where the messages end
+            shown.setdefault(table.metadata.topic, []).append(table)
+    timeline, topics = call.shared(timeline_of), sorted(shown)
+    newest = timeline.picture(View(cells=1, topics=topics, whose=whose)).extent
+    window = default_window(start, end, moment, newest[1] if newest else None)
+    _check_order(window)
+    view = View(*window, cells=1, topics=topics, whose=whose)
+    lanes = timeline.picture(view, call.gone).lanes
+    whole = Held.of_lanes(lane for lane in lanes if not _is_named(shown[lane.topic]))
+    if (
+        whole.first is not None and whole.last is not None
+    ):  # an end that nobody gave lies where the messages end
         first = window.low if start is not None else max(window.low, whole.first)
         last = window.high if end is not None else min(window.high, whole.last)
         window = Stretch(min(first, last), last)
-    topics: list[Json] = [_topic(name, parts) for name, parts in sorted(by_topic.items())]
     return {
         "start": str(window.low),
         "end": str(window.high),
         "messages": whole.messages,
         "bytes": whole.size,
-        "topics": topics,
+        "topics": [_topic(topic, shown[topic], lanes) for topic in topics],
         "problems": problems,
     }
 
@@ -83,19 +87,25 @@ def _reason_not_shown(table: TopicTable) -> str:
     return ""
 
 
-def _topic(name: str, parts: Sequence[tuple[TopicTable, Held]]) -> Json:
-    whole = Held()
-    for _, found in parts:
-        whole = whole.with_(found)
+def _is_named(tables: Sequence[TopicTable]) -> bool:
+    """Say whether messages are kept under names: when they were stored bounds no window."""
+    return all(table.named for table in tables)
+
+
+def _topic(topic: str, tables: Sequence[TopicTable], lanes: Sequence[Lane]) -> Json:
+    held = (
+        Held()
+        if _is_named(tables)
+        else Held.of_lanes(each for each in lanes if each.topic == topic)
+    )
     # One type for the panels; messages of the others are read by their own.
-    table, _ = max(parts, key=lambda part: (part[1].last, part[0].metadata.date))
+    newest = max(tables, key=lambda table: (table.metadata.date, table.name))
     return {
-        **describe_channel(table),
-        "topic": name,
-        "messages": whole.messages,
-        "bytes": whole.size,
-        "first": str(whole.first) if whole.last >= 0 else None,
-        "last": str(whole.last) if whole.last >= 0 else None,
+        **describe_channel(newest),
+        "messages": held.messages,
+        "bytes": held.size,
+        "first": shown_ns(held.first),
+        "last": shown_ns(held.last),
     }
 
 

@@ -1,71 +1,29 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The window of time that Look opens, and how much of each topic lies in it: by the directory."""
+"""The window of time that Look opens, and how much of each topic lies in it."""
 
 from __future__ import annotations
 
-from typing import NamedTuple, Sequence
+from typing import Iterable, NamedTuple
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.topics.following import followed
-from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.selection import LAST_NS, Stretch, Whose
-from cassandra_ros.topics.topic_table import TopicTable
-from cassandra_ros.topics.totals import buckets_of
+from cassandra_ros.topics.selection import LAST_NS, Stretch
+from cassandra_ros.topics.timeline.lanes import Lane
 
 DAY_NS = 24 * 3600 * SECOND_NS
 
 
-class Held(NamedTuple):
-    """What some tables hold in a stretch of time, to the accuracy of a bucket."""
-
-    messages: int = 0
-    size: int = 0
-    """Bytes of the messages."""
-    first: int = LAST_NS
-    last: int = -1
-    """When the first and the last of them came, ns; what is being recorded reaches to the end of
-    its bucket."""
-
-    def with_(self, other: Held) -> Held:
-        """Return what both hold together."""
-        first, last = min(self.first, other.first), max(self.last, other.last)
-        return Held(self.messages + other.messages, self.size + other.size, first, last)
-
-
-def held(keyspace: Keyspace, table: TopicTable, stretch: Stretch, whose: Whose) -> Held:
-    """Say what a table holds in the buckets of a stretch; no message is read."""
-
-    def look(now: Sequence[TopicTable]) -> Held:
-        found = Held()
-        for each in now:
-            ends = each.bucket_of(stretch.low), each.bucket_of(stretch.high)
-            length = each.metadata.bucket_ns
-            for row in buckets_of(keyspace.directory, each, whose, ends):
-                first, last = row.t_min, row.t_max
-                if not row.closed:
-                    first, last = row.bucket * length, (row.bucket + 1) * length - 1
-                elif not row.rows:
-                    continue
-                if first <= stretch.high and last >= stretch.low:
-                    found = found.with_(Held(row.rows, row.bytes, first, last))
-        return found
-
-    return Held() if table.named else followed([table], look)
-
-
 def default_window(
-    keyspace: Keyspace,
-    tables: Sequence[TopicTable],
-    whose: Whose,
-    start: int | None,
-    end: int | None,
-    time: int | None,
+    start: int | None, end: int | None, time: int | None, newest: int | None
 ) -> Stretch:
     """Return the window that is meant where an end of it is missing: a day.
 
     Half a day on both sides of the moment that is looked at, else a day from its one end on, else
     the last day that there is.
+
+    Args:
+        start, end, time: As they were asked for, ns; None = not given.
+        newest: When the last message came, ns; None = there is none.
     """
     if start is not None and end is not None:
         return Stretch(start, end)
@@ -77,14 +35,28 @@ def default_window(
         )
     if start is not None:
         return Stretch(start, min(LAST_NS, start + DAY_NS))
-    if end is None:
-        end = _newest(keyspace, tables, whose)
+    end = newest or 0 if end is None else end
     return Stretch(max(0, end - DAY_NS), end)
 
 
-def _newest(keyspace: Keyspace, tables: Sequence[TopicTable], whose: Whose) -> int:
-    timed = [table for table in tables if not table.named]
-    rows = keyspace.rows.read(
-        timed, Stretch(), whose=whose, reverse=True, columns=lambda table: (), wanted=1
-    )
-    return next((row.t for row in rows), 0) if timed else 0
+class Held(NamedTuple):
+    """What lies in a window, to the accuracy of the directory."""
+
+    messages: int = 0
+    size: int = 0
+    """Bytes of the messages."""
+    first: int | None = None
+    last: int | None = None
+    """When the first and the last of them came, ns; None: there is none."""
+
+    @classmethod
+    def of_lanes(cls, lanes: Iterable[Lane]) -> Held:
+        """Return what some lanes hold together."""
+        lanes = list(lanes)
+        firsts, lasts = ([lane.times[end] for lane in lanes] for end in (0, 1))
+        return cls(
+            sum(lane.messages for lane in lanes),
+            sum(lane.bytes for lane in lanes),
+            min((t for t in firsts if t is not None), default=None),
+            max((t for t in lasts if t is not None), default=None),
+        )

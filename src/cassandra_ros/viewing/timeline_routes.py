@@ -24,7 +24,8 @@ from cassandra_ros.viewing.settings import ViewerSettings
 _PIXELS = 1000
 
 
-def _timeline(store: RosCassandra, settings: ViewerSettings) -> Timeline:
+def timeline_of(store: RosCassandra, settings: ViewerSettings) -> Timeline:
+    """Make what a viewer's calls share; see Call.shared."""
     return Timeline(store)
 
 
@@ -37,7 +38,7 @@ def _answer(call: Call) -> Json:
         whose=whose_chosen(call),
         detail=call.flag("detail"),
     )
-    picture = call.shared(_timeline).picture(view, call.gone)
+    picture = call.shared(timeline_of).picture(view, call.gone)
     (first, last), scale = picture.extent or (None, None), picture.scale
     names = {run.writer: run.name for run in call.store.parts.registry.runs()}
     lanes: List[Json] = [_lane(lane, scale) for lane in picture.lanes]
