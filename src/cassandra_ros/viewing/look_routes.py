@@ -7,6 +7,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict
+from dataclasses import replace
 from typing import Iterator, Sequence
 
 from cassandra_ros.errors import InvalidOption
@@ -44,37 +45,51 @@ _FINDER_SEC = 30
 
 
 def _connections(call: Call) -> Json:
-    tables, whose = tables_chosen(call), whose_chosen(call)
-    start, end, moment = (call.time_ns(name) for name in ("start", "end", "time"))
+    whose = whose_chosen(call)
     problems: list[Json] = []
     shown: dict[str, list[TopicTable]] = {}
-    for table in tables:
+    for table in tables_chosen(call):
         reason = _reason_not_shown(table)
         if reason:
             problems.append({"topic": table.metadata.topic, "text": reason})
         else:
             shown.setdefault(table.metadata.topic, []).append(table)
-    timeline, topics = call.shared(timeline_of), sorted(shown)
-    newest = timeline.picture(View(cells=1, topics=topics, whose=whose)).extent
-    window = default_window(start, end, moment, newest[1] if newest else None)
-    _check_order(window)
-    view = View(*window, cells=1, topics=topics, whose=whose)
-    lanes = timeline.picture(view, call.gone).lanes
+    view = View(cells=1, topics=sorted(shown), whose=whose)
+    window = _window(call, view)
+    view = replace(view, start=window.low, end=window.high)
+    lanes = call.shared(timeline_of).picture(view, call.gone).lanes
     whole = Held.of_lanes(lane for lane in lanes if not _is_named(shown[lane.topic]))
-    if (
-        whole.first is not None and whole.last is not None
-    ):  # an end that nobody gave lies where the messages end
-        first = window.low if start is not None else max(window.low, whole.first)
-        last = window.high if end is not None else min(window.high, whole.last)
-        window = Stretch(min(first, last), last)
+    window = _cut(call, window, whole)
     return {
         "start": str(window.low),
         "end": str(window.high),
         "messages": whole.messages,
         "bytes": whole.size,
-        "topics": [_topic(topic, shown[topic], lanes) for topic in topics],
+        "topics": [_topic(topic, shown[topic], lanes) for topic in sorted(shown)],
         "problems": problems,
     }
+
+
+def _window(call: Call, view: View) -> Stretch:
+    """Return the window that was asked for, or is meant; view: of all that could be shown."""
+    start, end, moment = (call.time_ns(name) for name in ("start", "end", "time"))
+    newest = None
+    if start is None and end is None and moment is None:
+        extent = call.shared(timeline_of).picture(view, call.gone).extent
+        newest = extent[1] if extent else None
+    window = default_window(start, end, moment, newest)
+    _check_order(window)
+    return window
+
+
+def _cut(call: Call, window: Stretch, held: Held) -> Stretch:
+    """Let a window end where its messages do, at an end that nobody gave."""
+    if held.first is None or held.last is None:
+        return window
+    low, high = max(window.low, held.first), min(window.high, held.last)
+    low = low if call.time_ns("start") is None else window.low
+    high = high if call.time_ns("end") is None else window.high
+    return Stretch(min(low, high), high)
 
 
 def _reason_not_shown(table: TopicTable) -> str:
