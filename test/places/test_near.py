@@ -156,6 +156,10 @@ def test_a_real_robot_by_its_odometry(husky):
     assert joy.getData(expected[0], where=near)
     some = husky.executeCQL(f"select KEY from /joy where {near} order by KEY desc limit 3")
     assert [key.to_nsec() for (key,) in some] == expected[::-1][:3]
+    # A plot shows these and no others.
+    drawn = husky.statements.series(f"select buttons[0] from /joy where {near}")
+    assert expected[0] - 10**8 <= drawn.points.times.min()
+    assert drawn.points.times.max() <= expected[-1] + 10**8
     told = str(husky.explainCQL(f"select KEY from /joy where {near}"))
     assert "near:" in told
     assert f"rows read:     {len(expected)}\n" in told

@@ -10,7 +10,7 @@ robot's would be worse.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import (
     Dict,
     FrozenSet,
@@ -189,7 +189,7 @@ class Choice:
     def robots(self, nodes: Optional[Sequence[str]] = None) -> List[Robot]:
         """Return one for each node of which there is one; of these nodes, None = of all."""
         named = self._named_topic()
-        topics = [named] if named is not None else [*self._tf(), *self._candidates()]
+        topics = [named] if named is not None else [*self._tf(), *self._candidates]
         every = {each for topic in topics for each in self._stored.nodes(topic)}
         asked = sorted(every if nodes is None else every.intersection(nodes))
         found = [self._of_node(each, named) for each in asked]
@@ -205,10 +205,10 @@ class Choice:
 
     def usual_frame(self) -> str:
         """Return the frame in which places are mostly wanted: map or odom, else what there is."""
-        topics = [*self._tf(), *self._candidates()]
+        topics = [*self._tf(), *self._candidates]
         nodes = sorted({each for topic in topics for each in self._stored.nodes(topic)})
         seen = [found for found in map(self._look, nodes) if found is not None]
-        told = {self._frame_of(topic, node) for topic in self._candidates() for node in nodes}
+        told = {self._frame_of(topic, node) for topic in self._candidates for node in nodes}
         known = {frame for each in seen for frame in each.frames} | told
         tops = [frame for each in seen for frame in each.tops]
         found = [frame for frame in USUAL_FRAMES if frame in known]
@@ -233,6 +233,7 @@ class Choice:
             return None
         return topic if tells_poses(topic) else None
 
+    @cached_property
     def _candidates(self) -> List[ArraySource]:
         """Return the topics that may tell where a robot is without being named."""
         if self._robot:
@@ -253,7 +254,7 @@ class Choice:
             return self._in_tf(node, seen)
         if self._robot:
             return None
-        topics = [t for t in self._candidates() if self._frame_of(t, node) == self._frame]
+        topics = [t for t in self._candidates if self._frame_of(t, node) == self._frame]
         kind = next((kind for kind in _TYPES if any(_is_of(t, kind) for t in topics)), "")
         meant = [topic for topic in topics if _is_of(topic, kind)]
         if len(meant) > 1:
