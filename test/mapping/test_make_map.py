@@ -238,28 +238,6 @@ def test_the_help_tells_the_defaults_that_the_library_has(bag):
 # -------------------------------------------------------------------------------- real bags
 
 
-def test_maps_of_a_real_lidar_and_a_simulated_laser(bags, fresh):
-    """Of both the stamps lie far from the times of reception, and no tf was recorded."""
-    with fresh() as made:
-        import_bag(made, bags / "luminar_stage_lz4.bag", format="packed")
-        scans = makeMap(made, "/base_scan")
-        assert scans.used + scans.without_pose == 5
-        assert scans.used >= 4
-        assert scans.sources == ["/base_pose_ground_truth, no sensor offset"]
-        assert (scans.map.cells >= 65).sum() > 50
-        # The clouds came before the first pose.
-        with pytest.raises(TransformException, match="of none of 5 .* tells no pose at 2020-03"):
-            makeMap(made, "/luminar_pointcloud")
-        frame = made.getTopic("/luminar_pointcloud").getData(0, nearest="after").header.frame_id
-        coarse = MapOptions(resolution=0.2, max_range=100, min_height=-1, max_height=3)
-        still = PoseChoice(frame=frame)
-        clouds = makeMap(made, "/luminar_pointcloud", options=coarse, poses=still)
-        assert (clouds.used, clouds.map.frame) == (5, frame.strip("/"))
-        assert clouds.sources == [f"none: {frame.strip('/')} itself is the frame of the map"]
-        assert (clouds.map.cells >= 65).sum() > 1000
-        assert math.hypot(clouds.map.width, clouds.map.height) * 0.2 < 400
-
-
 def test_a_recorded_map_is_shown_as_it_is(bags, fresh, tmp_path):
     with fresh() as made:
         import_bag(made, bags / "big_occupancy_grid_bz2.bag", topics=["/map"], format="binary")
@@ -269,20 +247,34 @@ def test_a_recorded_map_is_shown_as_it_is(bags, fresh, tmp_path):
     assert np.array_equal(found.cells.ravel(), np.array(message.data, np.int8))
 
 
-def test_figure_4_is_drawn_of_a_bag(bags, cassandra, keyspace, ros_env, tmp_path):
-    words = ("--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", keyspace)
+def test_figure_4_is_drawn_of_a_real_lidar(bags, cassandra, rosCas, ros_env, tmp_path):
+    """And of a simulated laser; of both the stamps lie far from the times of reception."""
+    words = ("--host", cassandra.host, "--port", str(cassandra.port))
     bag, out = bags / "luminar_stage_lz4.bag", tmp_path / "figure4.png"
     done = subprocess.run(
-        [sys.executable, ROOT / "examples/figure4.py", bag, "--out", out, *words],
+        [sys.executable, ROOT / "examples/figure4.py", bag, "--out", out, *words]
+        + ["--keyspace", rosCas.keyspace],
         env=ros_env, capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert re.search(r"^/base_scan: \d+ x \d+ cells of \d messages", done.stdout, re.M)
-    assert re.search(r"^/luminar_pointcloud: \d+ x \d+ cells of \d messages", done.stdout, re.M)
+    assert re.search(r"^/base_scan: \d+ x \d+ cells of 5 messages; /base_pose", done.stdout, re.M)
+    assert re.search(r"^/luminar_pointcloud: \d+ x \d+ cells of 5 messages", done.stdout, re.M)
     with Image.open(out) as image:
         assert image.width > 1.5 * image.height
+    # The clouds came before the first pose: they are drawn as if the lidar had stood still.
+    with pytest.raises(TransformException, match="of none of 5 .* tells no pose at 2020-03"):
+        makeMap(rosCas, "/luminar_pointcloud")
+    frame = rosCas.getTopic("/luminar_pointcloud").getData(0, nearest="after").header.frame_id
+    coarse = MapOptions(resolution=0.2, max_range=100, min_height=-1, max_height=3)
+    still = PoseChoice(frame=frame)
+    clouds = makeMap(rosCas, "/luminar_pointcloud", options=coarse, poses=still)
+    assert (clouds.used, clouds.map.frame) == (5, frame.strip("/"))
+    assert clouds.sources == [f"none: {frame.strip('/')} itself is the frame of the map"]
+    assert (clouds.map.cells >= 65).sum() > 1000
+    assert math.hypot(clouds.map.width, clouds.map.height) * 0.2 < 400
 
 
+@pytest.mark.long
 def test_first_echoes_of_a_real_backpack(bags, fresh):
     """Nobody recorded where it was: in the laser's own frame the map is as if it had stood."""
     with fresh() as made:

@@ -122,7 +122,8 @@ class LogOddsGrid:
         if not len(rows):
             return np.zeros((0, 0), np.float32), (0.0, 0.0)
         first = self._low + (columns[0], rows[0])
-        x, y = (float(n) * self.resolution for n in first)
+        # To the nanometre: 127 cells of 0.1 m are 12.7 m.
+        x, y = (round(float(n) * self.resolution, 9) for n in first)
         return self._odds[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].copy(), (x, y)
 
 
