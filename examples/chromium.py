@@ -111,9 +111,10 @@ class Browser:
         return [entry["message"] for entry in log if entry["level"] == "SEVERE"]
 
     def heap_bytes(self) -> int:
-        """Return what JavaScript holds of the page, what is not needed any more left out."""
+        """Return what JavaScript holds of the page, typed arrays included and garbage left out."""
         self.driver.execute_cdp_cmd("HeapProfiler.collectGarbage", {})
-        return int(self.driver.execute_cdp_cmd("Runtime.getHeapUsage", {})["usedSize"])
+        usage = self.driver.execute_cdp_cmd("Runtime.getHeapUsage", {})
+        return int(usage["usedSize"] + usage.get("backingStorageSize", 0))
 
     def resident_bytes(self) -> int:
         """Return what the browser's processes hold of the memory, shared pages once each."""
