@@ -22,26 +22,26 @@ from cassandra_ros.store import reader
 
 SIZES = (1, 7, 5000)
 PAGED = ("auto", "index")
-FORMATS = ("ros", "json")
+FORMATS = ("ros", "json") if LENGTH else ("ros",)
 KINDS = {"tf": FORMATS, "mixed": FORMATS, "string": ("ros",), "every": FORMATS}
 
 STATEMENTS = [
     *(f"select KEY, NODE from /{f}/{k}{end}" for f in FORMATS for k in ("mixed",)
       for end in ("", " order by KEY desc", " limit 20", " order by KEY desc limit 20")),
     "select KEY, NODE, transforms.child_frame_id from /ros/tf",
-    "select transforms.child_frame_id, KEY from /json/tf order by KEY desc limit 31",
+    f"select transforms.child_frame_id, KEY from /{FORMATS[-1]}/tf order by KEY desc limit 31",
     "select KEY, transforms.transform.translation.x, NODE from /ros/tf order by KEY desc",
     "select KEY, transforms.header.seq from /ros/tf where transforms.child_frame_id like '%_link%'",
     "select KEY from /ros/tf where transforms.transform.translation.x > -1 order by KEY desc",
-    "select KEY, transforms.header.frame_id from /json/tf where NODE = 'husky' limit 30",
+    f"select KEY, transforms.header.frame_id from /{FORMATS[-1]}/tf where NODE = 'husky' limit 30",
     "select KEY, what, only_older from /ros/mixed where x >= 0 or n is not null",
-    "select KEY, what from /json/mixed where x > -5 order by KEY desc limit 16",
+    f"select KEY, what from /{FORMATS[-1]}/mixed where x > -5 order by KEY desc limit 16",
     "select * from /ros/mixed",
     "select KEY, items.more.a from /ros/every where items.x >= 0 or items.name != ''",
     "select KEY, items.name, items.more.b from /ros/every order by KEY desc",
     "select KEY, f64, words from /ros/every where i32 in (-1, 0, 1, 2, 5) or ints contains 0",
     "select KEY, NODE, f32 from /ros/every where f32 >= 0.1",
-    f"select KEY from /json/every where KEY between {T0} and {T0 + 200 * 10**9} and flag = true",
+    f"select KEY from /{FORMATS[-1]}/every where KEY between {T0} and {T0 + 200 * 10**9} and flag = true",
     "select KEY from /ros/string where NODE in ('husky', 'husky_2') and data != 'a'",
     "select count(*), min(KEY), max(NODE) from /ros/every where u8 > 0",
     "select KEY, data from /maps",
