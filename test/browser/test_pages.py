@@ -9,7 +9,8 @@ import urllib.error
 import numpy as np
 import pytest
 import screenshots
-from browser.looking import HUSKY_END, HUSKY_START, pixels
+from browser import patrol
+from browser.looking import pixels
 from campaign import sparing
 
 PAGES = {"Home": "/", "Ask": "/ask.html", "Look": "/look.html", "Map": "/map.html"}
@@ -30,13 +31,13 @@ def test_a_page_loads_without_an_error(page, viewer, stored, name):
 
 
 def test_links_to_the_other_pages_keep_the_window(page):
-    window = page("/", start=HUSKY_START, end=HUSKY_END, topics="/fix,/imu/data")
+    window = page("/", start=patrol.START, end=patrol.END, topics="/scan,/odom")
     for name, path in list(PAGES.items())[1:]:
         window.wait_for("return document.querySelector('#head nav a')")
         window.driver.find_element("link text", name).click()
         window.wait_for(f"return location.pathname === '{path}' && document.title")
         kept = window.run("return Object.fromEntries(new URLSearchParams(location.search))")
-        wanted = {"start": str(HUSKY_START), "end": str(HUSKY_END), "topics": "/fix,/imu/data"}
+        wanted = {"start": str(patrol.START), "end": str(patrol.END), "topics": "/scan,/odom"}
         assert {key: kept.get(key) for key in wanted} == wanted
 
 
