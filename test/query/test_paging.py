@@ -41,7 +41,8 @@ STATEMENTS = [
     "select KEY, items.name, items.more.b from /ros/every order by KEY desc",
     "select KEY, f64, words from /ros/every where i32 in (-1, 0, 1, 2, 5) or ints contains 0",
     "select KEY, NODE, f32 from /ros/every where f32 >= 0.1",
-    f"select KEY from /{FORMATS[-1]}/every where KEY between {T0} and {T0 + 200 * 10**9} and flag = true",
+    f"select KEY from /{FORMATS[-1]}/every where flag = true and "
+    f"KEY between {T0} and {T0 + 200 * 10**9}",
     "select KEY from /ros/string where NODE in ('husky', 'husky_2') and data != 'a'",
     "select count(*), min(KEY), max(NODE) from /ros/every where u8 > 0",
     "select KEY, data from /maps",
