@@ -45,7 +45,8 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def open_viewer(folder):
-    with running_viewer(None, ROUTES, web=folder, studio=folder / "none") as viewer:
+    # As if the Studio held what the folder of modules holds.
+    with running_viewer(None, ROUTES, web=folder, studio=folder / "modules") as viewer:
         yield viewer
 
 
@@ -189,6 +190,9 @@ def test_pages_are_sent_with_what_they_may_do(open_viewer):
     assert open_viewer.ask("/", If_None_Match=tag).status == 304
     assert open_viewer.ask("/look.html", method="HEAD").status == 200
     assert "Access-Control-Allow-Origin" not in found.headers
+    # Ours may change with the next start; of the Studio a browser keeps what it made of them.
+    assert found.headers["Cache-Control"] == "no-cache"
+    assert open_viewer.ask("/studio/a.js").headers["Cache-Control"] == "private, max-age=86400"
 
 
 def test_nobody_listens_for_others_without_a_token():

@@ -29,6 +29,11 @@ from cassandra_ros.viewing.shared import Shared
 
 MAX_BODY_BYTES = 2**20
 """Of what is posted: statements."""
+_ASKED_AGAIN = "no-cache"
+"""Files are asked for again each time, which 304 answers mostly."""
+_PINNED = "private, max-age=86400"
+"""Those of the Studio are pinned by their hash. Of 22 MB of script that it need not ask for again a
+browser also keeps what its compiler made."""
 
 
 def make_application(
@@ -64,21 +69,20 @@ def make_application(
 def _add_pages(router: web.UrlDispatcher, settings: ViewerSettings) -> None:
     """Serve our pages at the root, and what others made below its name, where it is installed."""
     router.add_get("/", _files_of(settings.web, "index.html"))
-    router.add_get("/studio/{name:.+}", _files_of(settings.studio))
+    router.add_get("/studio/{name:.+}", _files_of(settings.studio, kept=_PINNED))
     router.add_get("/dygraphs/{name:.+}", _files_of(settings.dygraphs))
     # Of the API what is not there is not found there, or asked by another method.
     router.add_get("/{name:(?!api/).+}", _files_of(settings.web))
 
 
-def _files_of(folder: Path, only: str = "") -> Handler:
+def _files_of(folder: Path, only: str = "", kept: str = _ASKED_AGAIN) -> Handler:
     """Return what sends the files of a folder, and none beside it; it may be missing, or come."""
 
     async def send(request: web.Request) -> web.StreamResponse:
         path = _inside(folder, only or request.match_info["name"])
         if path is None:
             raise web.HTTPNotFound(text=f"there is no {request.path} here\n")
-        # no-cache: asked for again each time, and mostly answered by 304.
-        return web.FileResponse(path, headers={"Cache-Control": "no-cache"})
+        return web.FileResponse(path, headers={"Cache-Control": kept})
 
     return send
 
