@@ -59,6 +59,10 @@ def test_a_range_means_what_rep_117_says(seen, end, hit):
     assert found == (end, hit)
 
 
+def test_angles_that_are_none_say_nothing():
+    assert not len(beams_of_scan(scan([1.0, INF], angle_min=NAN), None).ends)
+
+
 def test_beams_go_round_and_end_at_the_range_that_is_asked_for():
     ends, hit = beams_of_scan(scan([1.0, 2.0, 3.0, INF]), 2.5)
     assert np.allclose(ends[:, :2], [(1, 0), (0, 2), (-2.5, 0), (0, -2.5)])
@@ -183,6 +187,9 @@ def test_a_grid_grows_to_all_sides_and_not_without_end():
     ]  # fmt: skip
     with pytest.raises(InvalidOption, match="coarser resolution, or a shorter max_range"):
         grid.add(np.zeros(2), np.array([[1e6, 1e6]]), np.array([True]))
+    for far in (1e30, -1e30, 3.4e38, NAN):  # beyond all integers
+        with pytest.raises(InvalidOption, match="give a shorter max_range"):
+            grid.add(np.zeros(2), np.array([[far, far]]), np.array([True]))
     assert grid.trimmed()[0].shape == (1001, 806)
     for wrong in ({"resolution": 0.0}, {"resolution": NAN}, {"resolution": 1, "hit": 0.4}):
         with pytest.raises(InvalidOption):
@@ -218,6 +225,16 @@ def test_map_server_reads_what_is_written(tmp_path, name):
     assert sorted(tmp_path.iterdir()) == sorted([image, description])
     with pytest.raises(InvalidName, match=r"NAME\.pgm"):
         save_map(drawn(), tmp_path / "office.png")
+
+
+def test_what_is_no_probability_is_unknown(tmp_path):
+    """As map_saver has it: some keep 255 for what they do not know, which is -1, or 254."""
+    odd = OccupancyMap(np.array([[-2, -128, 0, 127]], np.int8), 1.0, 0.0, 0.0, 0.0, "map", 0)
+    cells, _ = read_as_map_server(save_map(odd, tmp_path / "odd.pgm")[1])
+    assert cells.tolist() == [[-1, -1, 0, 100]]
+    (tmp_path / "odd.png").write_bytes(map_png(odd, transparent=True))
+    with Image.open(tmp_path / "odd.png") as image:
+        assert np.asarray(image)[0].tolist() == [[205, 0], [205, 0], [255, 255], [0, 255]]
 
 
 def test_a_map_is_a_message_and_back_again():

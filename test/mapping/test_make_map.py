@@ -125,6 +125,27 @@ def test_a_map_by_odometry(wheels):
         makeMap(wheels, "/scan", poses=PoseChoice(frame="map"))
 
 
+def test_a_robot_goes_by_its_own_odometry_and_not_by_its_goal(wheels):
+    other = {"/odom": "/another/odom", "/scan": "/another/scan"}
+    Drive().store(wheels, ("/odom", "/scan"), "another", other)
+    Drive().store(wheels, ("/odom",), rename={"/odom": "/a_goal"})
+    choice = PoseChoice(sensor_offset=LASER)
+    for topic, told in (("/scan", "/odom"), ("/another/scan", "/another/odom")):
+        made = makeMap(wheels, topic, poses=choice)
+        assert (made.used, made.sources) == (63, [f"{told}, sensor offset as given"])
+
+
+def test_only_what_has_no_stamp_is_placed_by_its_reception(wheels):
+    some = Drive(ahead_ns=YEAR)
+    scans = [message for topic, message, _ in some.messages if topic == "/scan"]
+    for message in scans[10:13]:
+        message.header.stamp.secs = message.header.stamp.nsecs = 0
+    some.store(wheels, ("/scan", "/odom"), "new", {"/scan": "/new/scan", "/odom": "/new/odom"})
+    made = makeMap(wheels, "/new/scan", poses=PoseChoice(sensor_offset=LASER))
+    assert (made.used, made.received) == (63, 3)
+    assert_room(made.map)
+
+
 def test_odometry_beside_tf_knows_where_the_sensor_is(store):
     made = makeMap(store, "/scan", nodeID="tidy", poses=PoseChoice(odom="/odom"))
     assert made.sources == ["/odom, sensor on base as tf has it"]
@@ -207,11 +228,25 @@ def test_a_map_is_drawn_kept_and_shown_again(bag, store, tmp_path):
     with Image.open(tmp_path / "newest.png") as image:
         assert image.size == size
     assert store.getTopic("/maps").getMeta["key_format"] == "manual"
+    # What is there stays, also the file beside the one that is named, unless it is said.
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    (tmp_path / "room.pgm").unlink()
+    for words, taken in (((), "map.png"), (("-o", "room.pgm"), "room.yaml")):
+        status, out, err = bag("map", "/maps", *words)
+        assert (status, out) == (1, "")
+        assert f"{taken} exists; choose another name, or replace it with --force" in err
+        assert (tmp_path / taken).read_bytes() == before[taken]
+    assert not (tmp_path / "room.pgm").exists()
+    assert bag("map", "/maps", "-o", "room.pgm", "-f")[0] == 0
+    assert (tmp_path / "room.pgm").read_bytes() != before["room.pgm"]
 
 
 def test_options_that_make_no_sense_are_refused(bag):
     for words, text in (
         (("-o", "map.gif"), "give a name that ends in .png, .pgm, .yaml"),
+        (("-o", "none/map.png"), "none is no folder in which you may write"),
+        (("-o", f"{'x' * 300}.png"), "cannot be written: File name too long"),
+        (("--max-height", "-50"), "nothing was seen in 63 messages of topic /scan"),
         (("--resolution", "0"), "not a number above 0"),
         (("--as", "x"), "is that of a stored map; /scan has none"),
         (("--odom", "/points"), "tells no poses"),

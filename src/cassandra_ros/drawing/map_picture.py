@@ -11,10 +11,16 @@ from typing import Any, Dict
 import numpy as np
 
 from cassandra_ros.installation import optional_module
-from cassandra_ros.mapping.occupancy import UNKNOWN, OccupancyMap
+from cassandra_ros.mapping.occupancy import OccupancyMap
 
 _UNKNOWN_GREY = 205
 """As map_server's."""
+# By a cell's byte: a large map is drawn without an array of floats beside it.
+_PERCENT = np.arange(256).astype(np.uint8).view(np.int8)
+_SEEN = np.where(_PERCENT < 0, 0, 255).astype(np.uint8)
+_GREYS = np.where(
+    _PERCENT < 0, _UNKNOWN_GREY, np.rint(255 - 2.55 * np.clip(_PERCENT, 0, 100))
+).astype(np.uint8)
 
 
 def map_png(made: OccupancyMap, transparent: bool = False) -> bytes:
@@ -30,12 +36,10 @@ def map_png(made: OccupancyMap, transparent: bool = False) -> bytes:
     """
     image = optional_module("PIL.Image", "a picture of a map")
     plugin = optional_module("PIL.PngImagePlugin", "a picture of a map")
-    cells = made.cells[::-1]
-    seen = cells != UNKNOWN
-    grey = np.where(seen, np.rint(255 - 2.55 * np.clip(cells, 0, 100)), _UNKNOWN_GREY)
-    layers = [grey.astype(np.uint8)]
+    cells = made.cells[::-1].view(np.uint8)
+    layers = [_GREYS[cells]]
     if transparent:
-        layers.append(np.where(seen, 255, 0).astype(np.uint8))
+        layers.append(_SEEN[cells])
     # A picture has at least one pixel.
     shape = max(made.height, 1), max(made.width, 1)
     empty = np.full(shape, _UNKNOWN_GREY, np.uint8), np.zeros(shape, np.uint8)

@@ -64,6 +64,7 @@ def _beams(scan: Any, ranges: Floats, max_range: Optional[float]) -> Beams:
         nothing = (ranges == most) | np.isposinf(ranges) | (valid & (ranges > limit))
     hit = valid & ~nothing
     told = hit | nothing if math.isfinite(limit) else hit
+    told &= np.isfinite(angles)
     lengths = np.where(hit, ranges, limit)[told]
     angles = angles[told]
     flat = np.zeros_like(lengths)

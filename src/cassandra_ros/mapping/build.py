@@ -151,7 +151,8 @@ def makeMap(
         TypeMismatch: It is no topic of scans, clouds or maps; odom tells no poses.
         MessageNotFound: It has no message there.
         TransformException: Of none of them is known where the sensor was; the text says why.
-        InvalidOption: An option is not in its range, or the map would be too large.
+        InvalidOption: An option is not in its range, the map would be too large, or nothing was
+            seen within the range and the heights.
         InvalidKey: A time is none.
     """
     stored = rosCas.getTopic(topic)
@@ -336,7 +337,7 @@ class _Work:
         self._stamp = max(self._stamp, measured.stamp or measured.key)
 
     def finished(self, topic: str) -> MadeMap:
-        """Return the map; TransformException where no message had a pose."""
+        """Return the map; raises where no message had a pose, and where nothing was seen."""
         if self._lost is not None and not self._used:
             poses, first = self._lost
             why = poses.explain(first.stamp or first.key)
@@ -346,6 +347,11 @@ class _Work:
             )
         frame = next(iter(self._frames.values()), "")
         made = OccupancyMap.of_grid(self._grid, frame, self._stamp)
+        if not made.cells.size:
+            raise InvalidOption(
+                f"nothing was seen in {self._used} messages of topic {topic}: give a larger "
+                "max_range, or other heights"
+            )
         robots = list(self._robots.values())
         return MadeMap(
             made,

@@ -16,6 +16,8 @@ from cassandra_ros.places.samples import Flags
 
 MAX_CELLS = 50_000_000
 """200 MB."""
+_FARTHEST = 2.0**40
+"""Cells from the frame's origin: sums of such numbers are exact."""
 _MARGIN = 128
 """Cells by which it grows beyond what is asked: it is seldom copied then."""
 _CERTAIN = np.float32(3.5)
@@ -89,8 +91,14 @@ class LogOddsGrid:
         np.minimum(window, _CERTAIN, out=window)
 
     def _cells(self, points: Floats) -> Cells:
-        cells: Cells = np.floor(points / self.resolution).astype(np.int64)
-        return cells
+        cells = np.floor(points / self.resolution)
+        if not (np.abs(cells) < _FARTHEST).all():  # nor is NaN
+            raise InvalidOption(
+                f"the map would reach {np.abs(points).max():g} m from the origin of its frame: "
+                "give a shorter max_range"
+            )
+        found: Cells = cells.astype(np.int64)
+        return found
 
     def _cover(self, low: Cells, high: Cells) -> None:
         """Grow so that the cells from low to high are in memory."""

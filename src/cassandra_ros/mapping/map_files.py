@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 
 from cassandra_ros.errors import InvalidName
-from cassandra_ros.mapping.occupancy import UNKNOWN, OccupancyMap
+from cassandra_ros.mapping.occupancy import OccupancyMap
 
 OCCUPIED_FROM = 65
 """Per cent, included, as map_saver has it."""
@@ -27,9 +27,21 @@ def trinary(made: OccupancyMap) -> np.ndarray:  # type: ignore[type-arg]
     """Return the greys of a map, by rows of an image: the first one has the largest y."""
     cells = made.cells
     greys = np.full(cells.shape, _UNKNOWN, np.uint8)
-    greys[(cells != UNKNOWN) & (cells < FREE_BELOW)] = _FREE
+    greys[(cells >= 0) & (cells < FREE_BELOW)] = _FREE
     greys[cells >= OCCUPIED_FROM] = _OCCUPIED
     return greys[::-1]
+
+
+def map_paths(path: Union[str, Path]) -> tuple[Path, Path]:
+    """Return the names of the image and of the YAML file of a map, of which one is given.
+
+    Raises:
+        InvalidName: It ends neither in .pgm nor in .yaml.
+    """
+    path = Path(path)
+    if path.suffix not in (".pgm", ".yaml"):
+        raise InvalidName(f"{str(path)!r} is no name of a map: give NAME.pgm or NAME.yaml")
+    return path.with_suffix(".pgm"), path.with_suffix(".yaml")
 
 
 def save_map(made: OccupancyMap, path: Union[str, Path]) -> tuple[Path, Path]:
@@ -42,12 +54,9 @@ def save_map(made: OccupancyMap, path: Union[str, Path]) -> tuple[Path, Path]:
         InvalidName: It is another name.
         OSError: A file cannot be written.
     """
-    path = Path(path)
-    if path.suffix not in (".pgm", ".yaml"):
-        raise InvalidName(f"{str(path)!r} is no name of a map: give NAME.pgm or NAME.yaml")
-    image, description = path.with_suffix(".pgm"), path.with_suffix(".yaml")
+    image, description = map_paths(path)
     head = f"P5\n# {made.resolution:g} m a pixel\n{made.width} {made.height}\n255\n"
-    _write(image, head.encode("ascii") + trinary(made).tobytes())
+    write_whole(image, head.encode("ascii") + trinary(made).tobytes())
     # map_server takes a pixel for free when its darkness is below free_thresh; that of the
     # unknown grey is 0.19608.
     told = {
@@ -59,11 +68,11 @@ def save_map(made: OccupancyMap, path: Union[str, Path]) -> tuple[Path, Path]:
         "free_thresh": 0.196,
     }
     text = yaml.safe_dump(told, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    _write(description, text.encode("utf-8"))
+    write_whole(description, text.encode("utf-8"))
     return image, description
 
 
-def _write(path: Path, data: bytes) -> None:
+def write_whole(path: Path, data: bytes) -> None:
     """Write a file at once: who reads it meanwhile gets the old one or the new one."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:

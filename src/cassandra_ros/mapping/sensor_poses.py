@@ -11,10 +11,11 @@ import numpy as np
 
 from cassandra_ros.errors import InvalidOption, TopicNotFound, TransformException
 from cassandra_ros.places.frames import TF, TF_STATIC, Chain, Frames
-from cassandra_ros.places.pose_topic import PoseTopic, tells_poses
+from cassandra_ros.places.pose_topic import PoseTopic, tells_robot
 from cassandra_ros.places.poses import LONGEST_GAP_SEC, Poses
 from cassandra_ros.places.rigid import Rigid
 from cassandra_ros.places.samples import Flags, Placed, Samples, Times
+from cassandra_ros.places.sources import key_behind
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.runs import Writers
 
@@ -88,20 +89,23 @@ class SensorPoses:
         Args:
             sensor: The frame in the messages' headers.
             keys: Their row keys, ns.
-            stamps: Of their headers, ns; where one is 0, or nothing was recorded that has such
-                stamps, the poses are those at the keys.
+            stamps: Of their headers, ns. Of those with a stamp of 0, and of all where nothing was
+                recorded that has such stamps, the poses are those at the keys.
 
         Raises:
             TopicNotFound, TransformException: There is nothing that tells poses; tf does not know
                 the sensor.
         """
-        poses = self.of(sensor)
-        if (stamps > 0).all():
-            placed = poses.at(keys, stamps)
-            if placed.known.any():
-                return placed
-        placed = poses.at(keys)
-        self.received += int(placed.known.sum())
+        poses, stamped = self.of(sensor), stamps > 0
+        placed = poses.at(keys, stamps)
+        if not placed.known[stamped].any():
+            stamped[:] = False
+        others = np.flatnonzero(~stamped)
+        if len(others):
+            found = poses.at(keys[others])
+            placed.poses.put(others, found.poses)
+            placed.known[others] = found.known
+            self.received += int(found.known.sum())
         return placed
 
     def of(self, sensor: str) -> Poses:
@@ -162,7 +166,8 @@ class SensorPoses:
         kinds = {
             topic.name: min(_TYPES.index(t.msg_type) for t in topic.tables if t.msg_type in _TYPES)
             for topic in self._store.getAllTopics()
-            if tells_poses(topic) and any(t.msg_type in _TYPES for t in topic.tables)
+            if any(t.msg_type in _TYPES for t in topic.tables) and tells_robot(topic)
+            if key_behind(topic, -1, self._node, self._writers) is not None
         }
         if kinds:
             return min(kinds, key=lambda name: (kinds[name], name))

@@ -28,6 +28,8 @@ _SOLID = (
 )
 _PLANAR = ("x", "y", "theta")  # Pose2D, turtlesim/Pose
 _STAMP, _FRAME = "header.stamp", "header.frame_id"
+_WISHES = ("goal", "initialpose", "initial_pose", "clicked")
+"""A topic that is called so tells where a robot is to be."""
 
 
 def pose_fields(definition: Optional[Definition]) -> Sequence[str]:
@@ -43,6 +45,12 @@ def pose_fields(definition: Optional[Definition]) -> Sequence[str]:
 def tells_poses(topic: ArraySource) -> bool:
     """Say whether a topic is one of those whose messages are poses."""
     return any(pose_fields(table.definition) for table in topic.tables)
+
+
+def tells_robot(topic: ArraySource) -> bool:
+    """Say whether a topic's messages are poses, and by its name not those that somebody wished."""
+    name = topic.name.rpartition("/")[2]
+    return not any(word in name for word in _WISHES) and tells_poses(topic)
 
 
 class PoseTopic:

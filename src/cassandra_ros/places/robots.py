@@ -29,7 +29,7 @@ import numpy as np
 from cassandra_ros.errors import InvalidOption, TopicNotFound
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.places.frames import TF, TF_STATIC, Chain, Frames
-from cassandra_ros.places.pose_topic import PoseTopic, tells_poses
+from cassandra_ros.places.pose_topic import PoseTopic, tells_poses, tells_robot
 from cassandra_ros.places.poses import Poses, Recording
 from cassandra_ros.places.samples import NO_FRAME, Samples
 from cassandra_ros.places.sources import ArraySource, Find, key_behind, last_key
@@ -54,8 +54,6 @@ _TYPES = (
 )
 """Of topics that tell poses without being named; of those of several types the first counts."""
 _UNTOLD = "no frame"
-_NO_POSES = ("goal", "initialpose", "initial_pose", "clicked")
-"""A topic that is called so tells where a robot is to be."""
 
 
 class Seen(NamedTuple):
@@ -241,8 +239,7 @@ class Choice:
         return [
             topic
             for topic in self._stored.topics()
-            if not any(word in topic.name.rpartition("/")[2] for word in _NO_POSES)
-            if any(table.msg_type in _TYPES for table in topic.tables) and tells_poses(topic)
+            if any(table.msg_type in _TYPES for table in topic.tables) and tells_robot(topic)
         ]
 
     def _of_node(self, node: str, named: Optional[ArraySource]) -> Optional[Robot]:

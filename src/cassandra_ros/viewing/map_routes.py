@@ -10,7 +10,7 @@ from collections import OrderedDict
 from typing import Callable, FrozenSet, Hashable, Optional
 
 from cassandra_ros.drawing.map_picture import map_info, map_png
-from cassandra_ros.errors import InvalidOption, StoreUnavailable
+from cassandra_ros.errors import StoreUnavailable
 from cassandra_ros.mapping.build import DEFAULT_RESOLUTION, MadeMap, MapOptions, makeMap
 from cassandra_ros.mapping.sensor_poses import PoseChoice
 from cassandra_ros.messages.stamps import Stamp
@@ -99,11 +99,6 @@ def _writers(call: Call) -> Optional[FrozenSet[int]]:
 
 
 def _answer(made: MadeMap) -> Bytes:
-    if not made.map.cells.size:
-        raise InvalidOption(
-            f"nothing was seen in {made.used} messages: ask for a larger max_range, or for other "
-            "heights"
-        )
     told = {
         **map_info(made.map),
         "stamp": str(made.map.stamp),

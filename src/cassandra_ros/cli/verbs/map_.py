@@ -25,8 +25,10 @@ both files. Stored with --store a map lies under a name, and getData(name) gives
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +42,7 @@ from cassandra_ros.cli.options import (
 )
 from cassandra_ros.cli.readers import factor, whole_number
 from cassandra_ros.cli.text import MessageBar, shown
-from cassandra_ros.errors import InvalidName, TopicNotFound
+from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound
 
 if TYPE_CHECKING:
     from cassandra_ros.mapping.build import MadeMap
@@ -69,6 +71,7 @@ def _add_outputs(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
     text = "write it there: .png, or .pgm or .yaml for map_server (default: map.png, where neither "
     add("-o", "--output", metavar="OUT", help=text + "--store nor --publish is given)")
+    add("-f", "--force", action="store_true", help="replace the files if they exist")
     text = "store it on this topic, under the name of --as (default: it is not stored)"
     add("--store", metavar="MAPS", help=text)
     text = "name of the map that is stored, or of the stored one that is shown (default: TOPIC)"
@@ -111,11 +114,7 @@ def run(options: argparse.Namespace) -> int:
     """Make the map, and write, store and publish it."""
     from cassandra_ros.mapping.build import MapOptions, makeMap
 
-    if not (options.output or options.store or options.publish):
-        options.output = "map.png"
-    output = None if options.output is None else Path(options.output)
-    if output is not None and output.suffix not in _FILES:
-        raise InvalidName(f"-o {options.output}: give a name that ends in {', '.join(_FILES)}")
+    output = _output(options)
     (start, end), choice = read_times(options), _choice(options)
     wanted = MapOptions(
         **_given(
@@ -146,8 +145,35 @@ def run(options: argparse.Namespace) -> int:
     if options.publish:
         from cassandra_ros.nodes.map_publisher import publish_map
 
-        publish_map(made.map.message(), options.publish, sys.argv, lambda t: print(t, flush=True))
+        publish_map(made.map.message(), options.publish, sys.argv, partial(_say, options))
     return 0
+
+
+def _say(options: argparse.Namespace, line: str) -> None:
+    if not options.quiet:
+        # Standard output may be an answer for another program.
+        print(line, file=sys.stderr if options.json else sys.stdout, flush=True)
+
+
+def _output(options: argparse.Namespace) -> Path | None:
+    """Return the file that is to be written; refuse it before the work is done."""
+    from cassandra_ros.mapping.map_files import map_paths
+
+    if not (options.output or options.store or options.publish):
+        options.output = f"map{_PICTURE}"
+    if options.output is None:
+        return None
+    output = Path(options.output)
+    if output.suffix not in _FILES:
+        raise InvalidName(f"-o {options.output}: give a name that ends in {', '.join(_FILES)}")
+    for file in [output] if output.suffix == _PICTURE else map_paths(output):
+        if os.path.exists(file) and not options.force:
+            text = f"{file} exists; choose another name, or replace it with --force"
+            raise InvalidOption(text)
+    if not os.access(output.parent, os.W_OK):
+        text = f"{output} cannot be written: {output.parent} is no folder in which you may write"
+        raise InvalidOption(text)
+    return output
 
 
 def _choice(options: argparse.Namespace) -> PoseChoice:
@@ -178,14 +204,16 @@ def _given(**values: Any) -> dict[str, Any]:
 
 def _save(made: OccupancyMap, output: Path) -> list[str]:
     """Write the files of a map; return their names."""
-    if output.suffix != _PICTURE:
-        from cassandra_ros.mapping.map_files import save_map
-
-        return [str(path) for path in save_map(made, output)]
     from cassandra_ros.drawing.map_picture import map_png
+    from cassandra_ros.mapping.map_files import save_map, write_whole
 
-    output.write_bytes(map_png(made))
-    return [str(output)]
+    try:
+        if output.suffix != _PICTURE:
+            return [str(path) for path in save_map(made, output)]
+        write_whole(output, map_png(made))
+        return [str(output)]
+    except OSError as exc:
+        raise InvalidOption(f"{output} cannot be written: {exc.strerror}") from exc
 
 
 def _store(ros_cas: RosCassandra, made: OccupancyMap, options: argparse.Namespace) -> None:
