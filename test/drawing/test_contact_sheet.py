@@ -62,4 +62,8 @@ def test_a_picture_is_written_whole_or_not_at_all(tmp_path):
     check_picture_path(tmp_path / "a.png", force=True)
     with pytest.raises(InvalidOption, match="cannot be written: No such file"):
         save_picture(picture, tmp_path / "none" / "a.png")
+    for name, form in (("a.JPG", "JPEG"), ("a.webp", "WEBP")):
+        with pytest.raises(InvalidOption, match=f"70000 x 1 pixels are too many for {form}; take"):
+            save_picture(Image.new("L", (70_000, 1)), tmp_path / name)
+        assert Image.open(tmp_path / name).size == (3, 3)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.JPG", "a.png", "a.webp"]

@@ -39,10 +39,18 @@ def save_picture(picture: Image, path: str | os.PathLike[str]) -> int:
     """Write a picture in the format of the file's ending; return its size in bytes.
 
     Raises:
-        InvalidOption: The file cannot be made; one that was there stays.
+        InvalidOption: The file cannot be made, or its format has no pictures so large; one that
+            was there stays.
     """
     found, active = io.BytesIO(), Path(f"{os.fspath(path)}.active")
-    picture.save(found, ENDINGS[Path(path).suffix.lower()])
+    form = ENDINGS[Path(path).suffix.lower()]
+    try:
+        picture.save(found, form)
+    except (OSError, ValueError) as exc:
+        raise InvalidOption(
+            f"{os.fspath(path)} cannot be made: {picture.width} x {picture.height} pixels are too "
+            f"many for {form}; take .png, or fewer or smaller pictures ({exc})"
+        ) from exc
     try:
         active.write_bytes(found.getvalue())
         os.replace(active, path)

@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 MAX_PICTURES = 1000
 MAX_WIDTH = 2000
 """Pixels."""
+_MAX_PIXELS = 1 << 27
+"""Of a sheet, were its pictures square: all of it is in memory."""
 
 
 @dataclass(frozen=True)
@@ -118,17 +120,18 @@ def _count(options: argparse.Namespace) -> int:
     """Return how many pictures there may be."""
     if not 1 <= options.width <= MAX_WIDTH:
         raise InvalidOption(f"--width {options.width} is none of 1 to {MAX_WIDTH} pixels")
+    most = min(MAX_PICTURES, _MAX_PIXELS // options.width**2)
     rows = options.rows
     if options.columns < 1 or rows == 0:
         raise InvalidOption("a sheet has at least one row and one column")
     if rows is None:
-        return MAX_PICTURES if options.every else _bounded(5 * options.columns)
-    return _bounded(rows * options.columns)
-
-
-def _bounded(count: int) -> int:
-    if count > MAX_PICTURES:
-        raise InvalidOption(f"{count} pictures are more than the {MAX_PICTURES} of a sheet")
+        if options.every:
+            return most
+        rows = 5
+    count = int(rows * options.columns)
+    if count > most:
+        text = f"{count} pictures are more than the {most} of a sheet whose pictures are"
+        raise InvalidOption(f"{text} {options.width} pixels wide")
     return count
 
 
