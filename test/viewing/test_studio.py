@@ -8,6 +8,9 @@ import base64
 import hashlib
 import http.server
 import io
+import os
+import subprocess
+import sys
 import tarfile
 import threading
 from dataclasses import replace
@@ -178,8 +181,31 @@ class Terminal(io.StringIO):
         return True
 
 
+@pytest.mark.parametrize(("whose", "reads"), [("its own", True), ("of another session", False)])
+def test_only_who_has_a_terminal_for_itself_is_asked(whose, reads, tmp_path):
+    """roslaunch hands its terminal on to all nodes, and starts each in a session of its own."""
+    controller, terminal = os.openpty()
+    program = (
+        "import fcntl, sys, termios\n"
+        "if sys.argv[1] == 'its own':\n"
+        "    fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
+        "from cassandra_ros.cli.confirming import person_reads\n"
+        "print(person_reads())"
+    )
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", program, whose], stdin=terminal, stdout=subprocess.PIPE,
+            stderr=terminal, start_new_session=True, text=True, timeout=60,
+        )  # fmt: skip
+    finally:
+        os.close(terminal)
+        os.close(controller)
+    assert done.stdout == f"{reads}\n"
+
+
 def test_a_person_is_asked_once_at_the_first_start(registry, capsys, monkeypatch):
     folder = studio.studio_folder()
+    monkeypatch.setattr(studio_offer, "person_reads", lambda: sys.stdin.isatty())
     monkeypatch.setattr("sys.stdin", io.StringIO())
     studio_offer.offer("viewer", folder)
     assert "--install-studio" in capsys.readouterr().err  # nobody to be asked

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 
 from cassandra_ros.errors import NotConfirmed
@@ -38,6 +39,19 @@ def confirm(question: str, details: str = "") -> None:
         print(details, file=sys.stderr)
     if not says_yes(question):
         raise NotConfirmed("nothing was deleted")
+
+
+def person_reads() -> bool:
+    """Say whether this process has a terminal of its own, at which a person may answer.
+
+    roslaunch hands its terminal on to all of its nodes, and a shell to what runs in the background.
+    """
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return False
+    try:
+        return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    except OSError:  # it is not the terminal of our session
+        return False
 
 
 def says_yes(question: str) -> bool:

@@ -8,7 +8,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from cassandra_ros.cli.confirming import says_yes
+from cassandra_ros.cli.confirming import person_reads, says_yes
 from cassandra_ros.cli.parsers import error_line
 from cassandra_ros.errors import DownloadFailed
 from cassandra_ros.viewing.studio import STUDIO_VERSION, install_studio, studio_installed
@@ -35,7 +35,7 @@ def offer(program: str, folder: Path) -> None:
     if studio_installed(folder):
         return
     declined = folder.parent / _DECLINED
-    if sys.stdin.isatty() and not declined.exists():
+    if person_reads() and not declined.exists():
         question = (
             "Look shows messages in Foxglove Studio, which is not here yet. Fetch it (37 MB)?"
         )
