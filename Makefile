@@ -19,7 +19,7 @@ IN_WORKSPACE := source .ws/devel/setup.bash &&
 .PHONY: help setup demo viewer screenshots test campaign lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer clean distclean
 
 help:
-	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, workspace .ws"
+	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, Studio, workspace .ws"
 	@echo "make demo           record, ask and export a real robot's topics, end to end"
 	@echo "                    (ARGS=--view: and let the viewer run, to look at it in a browser)"
 	@echo "make viewer         fetch the Studio for the viewer's page Look, and say how to start it"

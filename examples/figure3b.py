@@ -30,7 +30,7 @@ from cassandra_ros.mapping.build import makeMap
 from cassandra_ros.mapping.sensor_poses import PoseChoice, SensorPoses
 
 VIEWER = Path(__file__).resolve().parents[1] / "scripts" / "viewer"
-BAGS = Path(os.environ.get("CASSANDRA_ROS_BAGS", ""))
+BAGS = os.environ.get("CASSANDRA_ROS_BAGS")
 SCAN, MAP = "sensor_msgs/LaserScan", "nav_msgs/OccupancyGrid"
 ABOVE_M = 0.1  # so far above the map a scan is drawn of which nobody knows the height
 SIZE = (1280, 800)
@@ -136,17 +136,21 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    default = BAGS / "luminar_stage_lz4.bag"
-    add("bag", nargs="?", type=Path, default=default, help="a bag with scans, of one robot")
+    default = Path(BAGS, "luminar_stage_lz4.bag") if BAGS else None
+    text = "a bag with scans, of one robot"
+    add("bag", nargs="?" if default else None, type=Path, default=default, help=text)
     add("--scan", metavar="TOPIC", help="default: the topic of scans that has most")
     add("--keyspace", default="figure3b", help="default: figure3b")
     add("--host", help="default: CASSANDRA_ROS_HOST, or as your cqlshrc says")
     add("--port", type=int, help="default: CASSANDRA_ROS_PORT, or as your cqlshrc says")
+    add("--cqlshrc", help="file like cqlsh's; default: ~/.cassandra/cqlshrc")
+    add("--credentials", help="file like cqlsh's; default: ~/.cassandra/credentials")
     add("--picture", type=Path, metavar="PNG", help="make a picture of it, with chromium")
     add("--view", action="store_true", help="leave the viewer running until Ctrl-C")
     args = parser.parse_args()
 
-    with RosCassandra(args.host, args.port) as rosCas:
+    login = {"cqlshrc": args.cqlshrc, "credentials": args.credentials}
+    with RosCassandra(args.host, args.port, **login) as rosCas:
         rosCas.connectToKeyspace(args.keyspace)
         report = import_bag(rosCas, args.bag)
         print(f"stored:   {report.messages} messages of {args.bag.name}")
@@ -157,6 +161,8 @@ def main() -> None:
         store = ["--keyspace", args.keyspace]
         store += [] if args.host is None else ["--store-host", args.host]
         store += [] if args.port is None else ["--store-port", str(args.port)]
+        for name, file in login.items():
+            store += [] if file is None else [f"--{name}", file]
         topics = ",".join([grid.name, scan.name, *tf])
         page = f"/look.html?layout={layout_of(grid, scan)}&topics={topics}"
         page += f"&start={scan.first()}&end={scan.last()}&time={moment}"

@@ -25,7 +25,7 @@ from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import TransformException
 from cassandra_ros.places.rigid import Rigid
 
-BAGS = Path(os.environ.get("CASSANDRA_ROS_BAGS", ""))
+BAGS = os.environ.get("CASSANDRA_ROS_BAGS")
 KINDS = ("sensor_msgs/LaserScan", "sensor_msgs/MultiEchoLaserScan", "sensor_msgs/PointCloud2")
 
 
@@ -64,8 +64,9 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    default = BAGS / "luminar_stage_lz4.bag"
-    add("bag", nargs="?", type=Path, default=default, help="a bag with scans or clouds, of a robot")
+    default = Path(BAGS, "luminar_stage_lz4.bag") if BAGS else None
+    text = "a bag with scans or clouds, of a robot"
+    add("bag", nargs="?" if default else None, type=Path, default=default, help=text)
     add("--resolution", type=float, metavar="M", help="length of a cell (0.05, of clouds 0.2)")
     add("--max-range", type=float, metavar="M", help="what is further away is left out")
     add("--heights", nargs=2, type=float, metavar=("LOW", "HIGH"), help="of obstacles in clouds")

@@ -107,14 +107,14 @@ def test_the_listing_reads_what_the_environment_names(cassandra, keyspaces, conn
 
 
 def test_every_example_takes_the_files_of_a_login():
-    for name in ("figure4", "listing", "named_results", "storyboard", "track"):
+    for name in ("figure3b", "figure4", "listing", "named_results", "storyboard", "track"):
         text = (ROOT / f"examples/{name}.py").read_text(encoding="utf-8")
         assert all(f'"--{file}"' in text for file in ("cqlshrc", "credentials")), name
         assert '{"cqlshrc": args.cqlshrc, "credentials": args.credentials}' in text, name
         assert "RosCassandra(args.host, args.port" in text and "**login)" in text, name
 
 
-@pytest.mark.parametrize("name", ["figure4", "named_results", "storyboard"])
+@pytest.mark.parametrize("name", ["figure3b", "figure4", "named_results", "storyboard"])
 def test_what_writes_does_so_into_a_keyspace_of_its_own(ros_env, name):
     done = subprocess.run(
         [sys.executable, str(ROOT / f"examples/{name}.py"), "--help"],
