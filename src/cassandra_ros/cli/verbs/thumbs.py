@@ -128,7 +128,7 @@ def _count(options: argparse.Namespace) -> int:
         if options.every:
             return most
         rows = 5
-    count = int(rows * options.columns)
+    count: int = rows * options.columns
     if count > most:
         text = f"{count} pictures are more than the {most} of a sheet whose pictures are"
         raise InvalidOption(f"{text} {options.width} pixels wide")
