@@ -120,7 +120,7 @@ def _count(options: argparse.Namespace) -> int:
     """Return how many pictures there may be."""
     if not 1 <= options.width <= MAX_WIDTH:
         raise InvalidOption(f"--width {options.width} is none of 1 to {MAX_WIDTH} pixels")
-    most = min(MAX_PICTURES, _MAX_PIXELS // options.width**2)
+    most: int = min(MAX_PICTURES, _MAX_PIXELS // options.width**2)
     rows = options.rows
     if options.columns < 1 or rows == 0:
         raise InvalidOption("a sheet has at least one row and one column")
