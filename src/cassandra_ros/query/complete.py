@@ -20,7 +20,8 @@ from cassandra_ros.query.syntax import StatementError
 
 MOST = 200
 """So many are offered."""
-_WORD = re.compile(r"[\w./\[\]~]*\Z")
+_WORD_BACKWARDS = re.compile(r"[\w./\[\]~]*")
+"""From its end on: a search for it would begin at each character of a long text."""
 _TOPIC = re.compile(r"\bfrom\s+(\"(?:[^\"]|\"\")+\"|[\w/~]+)", re.IGNORECASE)
 _PLAIN_TOPIC = re.compile(r"/?[A-Za-z~_][A-Za-z0-9_/~]*")
 _KEYWORDS = {
@@ -113,8 +114,8 @@ def _begin(before: str) -> int:
     """Return where the word begins that ends with a text, or the value in quotes."""
     if before.count("'") % 2:
         return before.rindex("'")
-    found = _WORD.search(before)
-    return len(before) if found is None else found.start()
+    found = _WORD_BACKWARDS.match(before[::-1])
+    return len(before) - (0 if found is None else found.end())
 
 
 def _fits(offer: Offer, word: str) -> bool:
