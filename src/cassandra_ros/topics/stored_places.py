@@ -4,18 +4,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, List, Sequence
+from itertools import islice
+from typing import TYPE_CHECKING, List, Optional, Sequence, Tuple
 
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.places.sources import ArraySource
 from cassandra_ros.places.stored import Extent
+from cassandra_ros.store.directory import BucketRow
 from cassandra_ros.topics.following import followed
-from cassandra_ros.topics.selection import Whose
+from cassandra_ros.topics.selection import Stretch, Whose
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.totals import buckets_of
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.cassandra_topic import CassandraTopic
     from cassandra_ros.topics.catalog import Catalog
+
+_LONG_NS = 600 * SECOND_NS
+"""In longer buckets, as imports have, it is looked where the messages of an open one lie."""
 
 
 class StoredPlaces:
@@ -45,18 +51,36 @@ class StoredPlaces:
             for table in tables:
                 if table.named:
                     continue
-                length = table.metadata.bucket_ns
                 ends = (table.bucket_of(max(0, low)), table.bucket_of(high))
                 for row in buckets_of(directory, table, whose, ends):
                     if row.closed and not row.rows:
                         continue
                     # What is said of an open bucket is an estimate.
-                    inside = (row.t_min, row.t_max) if row.closed else _ends(row.bucket, length)
-                    if inside[0] <= high and inside[1] >= low:
+                    inside = (row.t_min, row.t_max) if row.closed else self._ends(table, row)
+                    if inside is not None and inside[0] <= high and inside[1] >= low:
                         found.append(Extent(table.name, row.writer, *inside))
             return found
 
         return followed(self._tables(topic), extents)
+
+    def _ends(self, table: TopicTable, row: BucketRow) -> Optional[Tuple[int, int]]:
+        """Return between which times a node may have messages in a bucket; None = it has none."""
+        length = table.metadata.bucket_ns
+        stretch = Stretch(row.bucket * length, (row.bucket + 1) * length - 1)
+        if length <= _LONG_NS:
+            return stretch.low, stretch.high
+        found = []
+        for reverse in (False, True):
+            rows = self._catalog.keyspace.rows.read(
+                [table],
+                stretch,
+                whose=Whose([row.node]),
+                columns=lambda table: (),
+                reverse=reverse,
+                wanted=1,
+            )
+            found += [each.t for each in islice(rows, 1)]
+        return (min(found), max(found)) if found else None
 
     def run_text(self, writer: int) -> str:
         """Return what RUN says of the messages of a writer."""
@@ -64,7 +88,3 @@ class StoredPlaces:
 
     def _tables(self, topic: ArraySource) -> List[TopicTable]:
         return self._catalog.keyspace.tables.of_topic(topic.name)
-
-
-def _ends(bucket: int, length: int) -> tuple[int, int]:
-    return bucket * length, (bucket + 1) * length - 1
