@@ -13,7 +13,7 @@ import math
 import time
 from collections import OrderedDict
 from dataclasses import dataclass, field
-from typing import Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Dict, Iterator, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -102,12 +102,13 @@ class Windows:
             return Window(every)
         robot = self.robot
         extents = self._stored.extents(robot.topic, robot.node, low, high)
-        writers = {each.writer for pair in overlaps(extents) for each in pair}
+        # Runs may be called the same: their messages go by the poses of all of these.
+        called: Dict[str, Set[int]] = {}
+        for writer in {each.writer for pair in overlaps(extents) for each in pair}:
+            called.setdefault(self._stored.run_text(writer), set()).add(writer)
         own = {
-            self._stored.run_text(writer): Path.of(
-                self._poses_of(frozenset([writer])).tracks(low, high)
-            )
-            for writer in sorted(writers)
+            text: Path.of(self._poses_of(frozenset(writers)).tracks(low, high))
+            for text, writers in called.items()
         }
         return Window(every, own, int(every.times[-1]) > high - LONGEST_GAP_NS)
 
