@@ -9,6 +9,8 @@ import time
 
 import numpy as np
 import pytest
+import rosbag
+import rospy
 from campaign import campaign
 from conftest import ROOT
 from geometry_msgs.msg import TransformStamped
@@ -22,8 +24,9 @@ from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import InvalidOption, InvalidQuery, RunNotFound
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.recording import place_keeper
 from cassandra_ros.recording.recording import Recording
-from cassandra_ros.store.registry import Run
+from cassandra_ros.store.registry import LossKind, Run
 
 SEC = 10**9
 T0 = 1_700_000_000 * SEC
@@ -558,3 +561,176 @@ def test_messages_under_names_and_deleting(rosCas):
         cursor = result.cursor
     rest = list(rosCas.iterCQL("select data from /n where NEAR(200, 0, 100)", after=cursor))
     assert [n for (n,) in first + rest] == [n for n in range(10, 30) if n not in (19, 20, 21)]
+
+
+# -------------------------------------------------------------------- poses that come or go later
+
+
+DETOUR = T0 + 4 * SEC
+
+
+def detour(writer, topic="/odom"):
+    """A robot that goes from (0, 0) to (100, 0) by (50, 100), and a message on half of the way."""
+    for t, x, y in ((T0, 0.0, 0.0), (DETOUR, 50.0, 100.0), (T0 + 8 * SEC, 100.0, 0.0)):
+        writer.put(topic, t, odometry(x, y, "map"))
+    writer.put("/n", DETOUR, Int32(1))
+
+
+def test_where_poses_are_deleted_the_robot_went_straight(rosCas):
+    """Between the poses that stay it comes by where the index has never seen it."""
+    straight, aside = "NEAR(50, 0, 2)", "NEAR(50, 100, 2)"
+    later = {each: T0 + n * 100 * SEC for n, each in enumerate(["cond", "stretch", "run"])}
+    for how, start in later.items():
+        with Writer(rosCas, how, how) as writer:
+            for n, (x, y) in enumerate([(0.0, 0.0), (50.0, 100.0), (100.0, 0.0)]):
+                if n == 1 and how == "run":
+                    with Writer(rosCas, how, "other") as other:
+                        other.put("/odom", start + 4 * SEC, odometry(x, y, "map"))
+                else:
+                    writer.put("/odom", start + 4 * n * SEC, odometry(x, y, "map"))
+        with Writer(rosCas, how, f"{how} messages") as writer:
+            writer.put("/n", start + 4 * SEC, Int32(1))
+    rosCas.upkeep.indexPlaces()
+    assert len(noted_of(rosCas)) == 4
+    for how, start in later.items():
+        middle = start + 4 * SEC
+        assert asked(rosCas, straight, nodeID=how) == []
+        assert asked(rosCas, aside, nodeID=how) == [middle]
+        if how == "cond":
+            gone = "delete from /odom where pose.pose.position.y > 50"
+            assert rosCas.executeCQL(gone, nodeID=how) == [(1,)]
+        elif how == "stretch":
+            assert rosCas.getTopic("/odom").removeData(middle - SEC, middle + SEC, nodeID=how) == 1
+        else:
+            assert rosCas.upkeep.delete(run="other")["/odom"] == 1
+        assert asked(rosCas, straight, nodeID=how) == [middle]
+        assert asked(rosCas, aside, nodeID=how) == []
+    assert noted_of(rosCas) == []
+    rosCas.upkeep.indexPlaces()
+    assert all(asked(rosCas, straight, nodeID=how) == [t + 4 * SEC] for how, t in later.items())
+
+
+def test_a_long_stretch_that_is_deleted_leaves_the_index_of_the_rest(rosCas):
+    lane(rosCas, count=60)
+    rosCas.upkeep.indexPlaces()
+    before = noted_of(rosCas, "/tf")
+    assert before == [(T0, T0 + 59 * SEC)]
+    rosCas.getTopic("/tf").removeData(T0, T0 + 20 * SEC)
+    rosCas.executeCQL("delete from /n where data = 3")
+    assert noted_of(rosCas, "/tf") == before
+
+
+def test_what_an_import_brings_back_is_found(rosCas, tmp_path):
+    path = tmp_path / "detour.bag"
+    with rosbag.Bag(str(path), "w") as bag:
+        for t, x, y in ((0, 0.0, 0.0), (4, 50.0, 100.0), (8, 100.0, 0.0)):
+            bag.write("/odom", odometry(x, y, "map"), rospy.Time(T0 // SEC + t))
+        bag.write("/n", Int32(1), rospy.Time(DETOUR // SEC))
+    import_bag(rosCas, path)
+    rosCas.executeCQL("delete from /odom where pose.pose.position.y > 50")
+    assert {each.state for each in rosCas.upkeep.indexPlaces()} == {"indexed"}
+    import_bag(rosCas, path)
+    assert asked(rosCas, "NEAR(50, 100, 2)") == [DETOUR]
+
+
+def test_an_index_stays_as_long_as_what_stays_longest(rosCas):
+    rosCas.addTopic("/odom", msg_type="nav_msgs/Odometry", ttl=5000)
+    with Writer(rosCas, "", "short") as writer:
+        detour(writer)
+    rosCas.upkeep.indexPlaces()
+    ask, cassandra = "SELECT TTL({}) FROM {}.{} LIMIT 1", rosCas.cassandra
+
+    def left(column, table):
+        return cassandra.execute(ask.format(column, rosCas.keyspace, table), what="asking")[0][0]
+
+    # What is said to be there is there until nobody says so.
+    assert left("t_out", "cr_place") > left("high", "cr_placed") > 4000
+    with Writer(rosCas, "", "ever") as writer:
+        detour(writer, "/pose")
+    rosCas.upkeep.indexPlaces()
+    ttls = cassandra.execute(f"SELECT TTL(high) FROM {rosCas.keyspace}.cr_placed", what="asking")
+    assert (None,) in {tuple(each) for each in ttls}
+
+
+def noted_of(store, name="/odom"):
+    """What the index says of the poses of a topic: from when to when."""
+    tables = [table.name for table in store.getTopic(name).tables]
+    return [(each.low, each.high) for each in store.parts.place_index.placed(tables)]
+
+
+def drives_on(recording, first, last, y=0.0):
+    """Hand over a robot's odometry, 10 m a second, as if these seconds went by."""
+    for n in range(first, last):
+        recording._clock.now = T0 + n * SEC
+        recording.received("/odom", ODOM, serialize(odometry(10.0 * n, y, "map")))
+        recording.received("/n", NUMBER, serialize(Int32(n)))
+
+
+ODOM, NUMBER = header_of(Odometry()), header_of(Int32())
+
+
+def begun(store):
+    """A recording of which the first part is noted."""
+    recording = Recording(store, clock=Clock(), name="live")
+    drives_on(recording, 0, 40)
+    wait_for(lambda: all(s.handle for s in recording._sources.values()))
+    recording._places._note(last=False)
+    assert noted_of(store) == [(T0, T0 + 29 * SEC)]
+    return recording
+
+
+def test_a_recorder_whose_clock_goes_back_takes_back_what_it_noted(rosCas):
+    recording = begun(rosCas)
+    drives_on(recording, 40, 60)
+    recording._places._note(last=False)
+    # Among poses that are not held any more: from 50 m to this one and on to 60 m.
+    recording._clock.now = T0 + 5 * SEC + SEC // 2
+    recording.received("/odom", ODOM, serialize(odometry(55.0, 80.0, "map")))
+    recording._clock.now += SEC // 4
+    recording.received("/n", NUMBER, serialize(Int32(1)))
+    recording._places._note(last=False)
+    assert noted_of(rosCas) == []
+    drives_on(recording, 60, 90)
+    recording.close()
+    assert noted_of(rosCas) == [(T0 + 59 * SEC + 1, T0 + 89 * SEC)]
+    assert asked(rosCas, "NEAR(57.5, 40, 1)") == [T0 + 5 * SEC + 3 * SEC // 4]
+    assert asked(rosCas, "NEAR(700, 0, 1)") == [T0 + 70 * SEC]
+
+
+def test_a_recorder_says_nothing_of_poses_among_which_some_were_lost(rosCas):
+    recording = begun(rosCas)
+    source = next(s for s in recording._sources.values() if s.topic == "/odom")
+    for n, y in ((40, 0.0), (41, 0.0), (44, 200.0), (47, 0.0)):
+        recording._clock.now = T0 + n * SEC
+        if n == 44:  # it came, and was not stored: from 410 m to 470 m the robot went straight
+            lost = serialize(odometry(440.0, y, "map"))
+            recording._counts.received("/odom", lost)
+            recording._places.take(source, T0 + n * SEC, lost)
+            recording._lose("/odom", LossKind.REFUSED, "by a test", T0 + n * SEC)
+            recording.received("/n", NUMBER, serialize(Int32(1)))
+        else:
+            recording.received("/odom", ODOM, serialize(odometry(10.0 * n, y, "map")))
+    drives_on(recording, 48, 60)
+    recording.close()
+    assert noted_of(rosCas) == [(T0 + 44 * SEC + 1, T0 + 59 * SEC)]
+    assert asked(rosCas, "NEAR(440, 0, 1)") == [T0 + 44 * SEC]
+
+
+def test_a_recorder_sees_that_poses_are_deleted_meanwhile(rosCas):
+    recording = begun(rosCas)
+    wait_for(lambda: rosCas.getTopic("/odom").countTopicData() == 40)
+    assert rosCas.executeCQL("delete from /odom where pose.pose.position.x = 100") == [(1,)]
+    drives_on(recording, 40, 60)
+    recording.close()
+    assert noted_of(rosCas) == [(T0 + 29 * SEC + 1, T0 + 59 * SEC)]
+
+
+def test_a_recorder_that_cannot_keep_up_gives_the_index_up(rosCas, monkeypatch):
+    recording = begun(rosCas)
+    monkeypatch.setattr(place_keeper, "MAX_HELD_BYTES", 40 * len(serialize(odometry(0, 0))))
+    drives_on(recording, 40, 90)
+    recording.close()
+    ((first, last),) = noted_of(rosCas)
+    assert first == T0
+    assert last < T0 + 60 * SEC
+    assert asked(rosCas, "NEAR(800, 0, 1)") == [T0 + 80 * SEC]

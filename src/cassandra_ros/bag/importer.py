@@ -267,6 +267,8 @@ def _remove_other_blocks(ros_cas: RosCassandra, handles: Mapping[int, Handle], r
     parts, whose = ros_cas.parts, Whose((run.node,), frozenset((run.writer,)))
     tables = {handle.table.name: handle.table for handle in handles.values()}
     for table in tables.values():
+        # What was deleted of it since comes back between what is noted.
+        parts.place_index.withdraw(table.name, run=(run.node, run.writer))
         other = table.packed and (table.metadata.replaces or table.metadata.cut)
         if other and holds_any(parts.directory, [table], whose):
             delete_stretch(parts, [table], 0, MAX_NS, whose)

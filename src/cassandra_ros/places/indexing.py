@@ -181,6 +181,8 @@ class RunIndex:
         every = [extent for part in parts for extent in part.extents]
         total = sum(len(list(_windows(part.extents))) for part in parts)
         done = visits = 0
+        for table in {extent.table for extent in every}:
+            self._index.withdraw(table, run=self._whose)  # visits are written anew
         for part in parts:
             for low, high in _windows(part.extents):
                 found = list(part.go_on(low, high))

@@ -77,6 +77,16 @@ class LossLog:
         with self._mutex:
             return dict(self._totals.get(topic, {}))
 
+    def last_ns(self, topic: str) -> int:
+        """Return when the last message of a topic came that was lost, ns; -1 = none was."""
+        with self._mutex:
+            every = [
+                s.loss for (name, _), own in self._stretches.items() if name == topic for s in own
+            ]
+        # Those that came while the clock was not set have no time.
+        timed = (loss for loss in every if loss.count and loss.kind is not LossKind.NO_CLOCK)
+        return max((loss.last_ns for loss in timed), default=-1)
+
     def details(self, topic: str) -> Mapping[LossKind, str]:
         """Return a sentence for each kind of loss of a topic, where there is one."""
         with self._mutex:

@@ -4,7 +4,8 @@
 
 A thread of its own notes some seconds at a time, about which nothing can come any more that changes
 them: a way between two poses may last LONGEST_GAP_NS. What it does not note is looked at by whoever
-asks, so it may fall behind, or give up, and no answer is wrong.
+asks, so it may fall behind, or give up, and no answer is wrong. Where what was noted does not hold
+any more (a pose was lost, or deleted, or a clock went back) it is taken back.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from typing import (
     NamedTuple,
     Optional,
     Sequence,
+    Set,
+    Tuple,
     Union,
 )
 
@@ -37,6 +40,7 @@ from cassandra_ros.places.paths import LONGEST_GAP_NS
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.pushdown import Pushdown
 from cassandra_ros.query.source import Columns, Writers
+from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.unstored import UnstoredRow, UnstoredTable
 from cassandra_ros.store.place_index import Placed, Visited
 from cassandra_ros.topics.ros_cassandra import RosCassandra
@@ -184,26 +188,35 @@ def tells_places(connection: Connection) -> bool:
 
 
 class PlaceKeeper:
-    """Notes where the robot of one run is. Takes messages from any thread.
+    """Notes where the robot of one run is.
 
     Args:
         ros_cas: A RosCassandra connected to a keyspace.
         whose: nodeID and writer id of the run.
+        losses: Of the run: which of the messages that were taken are not stored.
         wanted: Do so; else take nothing.
     """
 
-    def __init__(self, ros_cas: RosCassandra, whose: Whose, wanted: bool = True) -> None:
-        self._rosCas, self._whose, self._wanted = ros_cas, whose, wanted
+    def __init__(
+        self, ros_cas: RosCassandra, whose: Whose, losses: LossLog, wanted: bool = True
+    ) -> None:
+        self._rosCas, self._whose, self._losses, self._wanted = ros_cas, whose, losses, wanted
         self._taken: Deque[_Taken] = deque()
         # Each is counted by one thread alone.
         self._came = self._gone = 0
         """Bytes of messages that were taken, and of those that are not held any more."""
         self._ending = threading.Event()
+        self._gave_up = False
         self._thread: Optional[threading.Thread] = None
         self._topics: Dict[str, LiveTopic] = {}
         self._sources: Dict[str, Source] = {}
         """The last connection of each topic: it knows its table."""
         self._first: Dict[str, int] = {}
+        """From when on all poses of a topic are noted, ns."""
+        self._said: Set[Tuple[str, str]] = set()
+        """The tables and robots of which the index says how far it goes."""
+        self._wrong = False
+        """What it says does not hold any more."""
         self._tf: Optional[TfNotes] = None
         self._told: Dict[str, TopicNotes] = {}
         self._latest = 0
@@ -211,14 +224,16 @@ class PlaceKeeper:
         """All poses up to here are noted, or were looked at, ns; -1 = none."""
 
     def take(self, source: Source, t: int, wire: bytes) -> None:
-        """Take a message, in their order, if it tells where the robot is; wait for nothing."""
-        if not (source.tells_places and self._wanted) or self._ending.is_set():
+        """Take a message, in their order, if it tells where the robot is; wait for nothing.
+
+        One thread at a time.
+        """
+        if not (source.tells_places and self._wanted) or self._gave_up or self._ending.is_set():
             return
         self._came += len(wire)
         if self._came - self._gone > MAX_HELD_BYTES:
             _log.warning("places are not noted any more: over %d bytes wait", MAX_HELD_BYTES)
-            self._ending.set()
-            self._taken.clear()
+            self._gave_up = True
             return
         self._taken.append(_Taken(source, t, wire))
         if self._thread is None:
@@ -232,9 +247,14 @@ class PlaceKeeper:
             self._thread.join(END_SEC)
 
     def _run(self) -> None:
-        while not self._ending.wait(NOTE_SEC):
-            self._try_to_note(last=False)
-        self._try_to_note(last=True)
+        try:
+            while not self._ending.wait(NOTE_SEC):
+                self._try_to_note(last=False)
+            # What came when it was given up may follow at once on what was taken.
+            self._try_to_note(last=not self._gave_up)
+        finally:
+            self._ending.set()
+            self._taken.clear()
 
     def _try_to_note(self, *, last: bool) -> None:
         try:
@@ -247,18 +267,39 @@ class PlaceKeeper:
         high = self._latest if last else self._latest - LONGEST_GAP_NS
         low = min(self._first.values(), default=0) if self._noted < 0 else self._noted + 1
         moving = [n for n, topic in self._topics.items() if n != TF_STATIC and topic.tables]
-        if high < low or not all(self._sources[name].handle for name in moving):
-            return  # nothing to note, or a table is still being made
+        if not all(self._sources[name].handle for name in moving):
+            return  # a table is still being made
+        self._take_back(moving)
+        for name in moving:
+            self._gone += self._topics[name].drop(self._noted - 2 * LONGEST_GAP_NS)
+        if high < low:
+            return  # nothing to note
         visits: List[Visited] = []
         placed: List[Placed] = []
         for name in moving:
             visits += self._visits(name, low, high)
             placed += self._placed(name, high)
-        index, ttl = self._rosCas.parts.place_index, self._ttl(moving)
-        index.put(visits, placed, ttl)
+        self._rosCas.parts.place_index.put(visits, placed, self._ttl(moving))
+        self._said.update((each.table, each.robot) for each in placed)
         self._noted, self._read_to = high, self._latest
+
+    def _take_back(self, moving: Sequence[str]) -> None:
+        """Say no more than holds: other poses may be stored than those that were taken."""
+        index = self._rosCas.parts.place_index
         for name in moving:
-            self._gone += self._topics[name].drop(high - 2 * LONGEST_GAP_NS)
+            table, first = self._table(name), self._first[name]
+            lost = self._losses.last_ns(name)
+            self._wrong |= first <= lost <= self._noted
+            said = {robot for where, robot in self._said if where == table}
+            if not said <= (index.noted(table, *self._whose) if said else set()):
+                self._first[name] = max(first, self._noted + 1)  # somebody deleted poses
+                self._said = {each for each in self._said if each[0] != table}
+            self._first[name] = max(self._first[name], lost + 1)
+        if self._wrong:
+            for table in {table for table, _ in self._said}:
+                index.withdraw(table, run=self._whose)
+            self._said.clear()
+            self._wrong = False
 
     def _sort(self) -> None:
         """Give what was taken to its topics."""
@@ -268,20 +309,23 @@ class PlaceKeeper:
             if name not in self._topics:
                 before = self._stored_statics() if name == TF_STATIC else ()
                 self._topics[name] = LiveTopic(name, self._whose.node, before)
-                self._first[name] = taken.t
+                self._first[name] = max(taken.t, self._noted + 1)
             if name == TF_STATIC:
                 # What was noted holds for the frames as they were fixed until now.
-                self._first = {n: max(t, self._noted + 1) for n, t in self._first.items()}
                 self._begin_anew(self._noted)
-            elif taken.t <= self._read_to:  # a clock went back
-                self._begin_anew(min(self._noted, taken.t - 1))
+            elif taken.t <= self._noted:  # a clock went back: what lies around it is not held
+                self._wrong = True
+                self._begin_anew(self._latest)
+            elif taken.t <= self._read_to:
+                self._begin_anew(self._noted)
             self._topics[name].add(taken)
             self._sources[name] = taken.source
             self._latest = max(self._latest, taken.t)
 
     def _begin_anew(self, noted: int) -> None:
-        """Read again what is behind a time, ns: what was read of it does not hold any more."""
+        """Note what is behind a time, ns: what was read of it does not hold any more."""
         self._tf, self._noted = None, noted
+        self._first = {name: max(t, noted + 1) for name, t in self._first.items()}
         self._told.clear()
 
     def _stored_statics(self) -> List[Row]:

@@ -111,8 +111,8 @@ class Recording:
         # They are held by feeds, queued messages and waiting lists.
         self._sources: _Sources = weakref.WeakValueDictionary()
         self.writer_id = new_writer_id()
-        self._places = PlaceKeeper(ros_cas, Whose(node, self.writer_id), places)
         self._losses = LossLog(node, self.writer_id)
+        self._places = PlaceKeeper(ros_cas, Whose(node, self.writer_id), self._losses, places)
         self._counts = Counts(self._losses)
         self._writers = [self._make_writer(self.writer_id)]
         self._buffer, self._buffer_bytes = Buffer(buffer_bytes), buffer_bytes
@@ -227,7 +227,7 @@ class Recording:
             with self._lock:
                 feed = self._feed(topic, header)
                 self._counts.attribute(topic, wire, feed)
-            self._places.take(feed.source, t, wire)
+                self._places.take(feed.source, t, wire)
             self._buffer.wait_for_room(len(wire))
             for item in self._buffer.put(Item(feed.source, t, counter, wire)):
                 self._lose(item.source.topic, LossKind.BUFFER_FULL, "option -b", item.t)

@@ -6,19 +6,23 @@ A row of cr_place is a visit: from t_in to t_out a robot may have been in a squa
 of a frame. Visits are a superset: what is deleted later may stay in it; what is written twice is
 the same row. A row of cr_placed says of which poses all visits are there: those that one run put
 into one table with keys from low to high. Poses of which nothing says so are looked at themselves;
-so whoever writes visits notes how far they go behind them.
+so whoever writes visits notes how far they go behind them, and whoever adds poses among those that
+are noted, or deletes some of them, takes that back: between the others a robot went another way.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import FrozenSet, Iterable, Mapping, NamedTuple, Sequence, Tuple
+from typing import FrozenSet, Iterable, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
+from cassandra_ros.keys import MAX_NS
 from cassandra_ros.store.connection import CqlRow
 from cassandra_ros.store.side_tables import SideTables
 
 _VISIT = ("frame", "robot", "size", "x", "y", "node", "t_in", "writer", "t_out")
 _DONE = ("tbl", "node", "writer", "robot", "low", "high", "frames", "above")
+_LONGER_SEC = 86400
+"""So much longer visits stay than what says that they are there."""
 
 
 class Square(NamedTuple):
@@ -73,7 +77,8 @@ class PlaceIndex:
         """Note visits, and then how far they go; for ttl seconds, 0 = ever."""
         self._tables.make("cr_place", "cr_placed")
         rows = [(*square, *rest) for square, *rest in visits]
-        self._tables.insert_many("cr_place", _VISIT, rows, "noting where robots were", ttl=ttl)
+        longer = ttl + _LONGER_SEC if ttl else 0
+        self._tables.insert_many("cr_place", _VISIT, rows, "noting where robots were", ttl=longer)
         placed = [
             (d.table, d.node, d.writer, d.robot, d.low, d.high, set(d.frames), dict(d.above))
             for d in done
@@ -101,6 +106,36 @@ class PlaceIndex:
         what = "reading where robots were"
         found = self._tables.select_many("cr_place", "t_in, t_out", where, params, what)
         return [(t_in, t_out) for rows in found for t_in, t_out in rows]
+
+    def noted(self, table: str, node: str, writer: int) -> Set[str]:
+        """Return of which robots it is noted that all visits of a run's poses are there."""
+        where, what = "tbl = ? AND node = ? AND writer = ?", "reading how far the index goes"
+        rows = self._tables.select("cr_placed", "robot", where, (table, node, writer), what=what)
+        return {robot for (robot,) in rows}
+
+    def withdraw(
+        self,
+        table: str,
+        low: int = 0,
+        high: int = MAX_NS,
+        run: Optional[Tuple[str, int]] = None,
+    ) -> None:
+        """Take back that all visits are noted of poses among which some come or go.
+
+        Args:
+            low, high: Keys of these, ns, both included.
+            run: Node and writer id whose poses they are; None = anybody's.
+        """
+        what = "taking back how far the index of places goes"
+        names = "node, writer, robot, low, high"
+        rows = self._tables.select("cr_placed", names, "tbl = ?", (table,), what=what)
+        keys = [
+            (table, node, writer, robot)
+            for node, writer, robot, first, last in rows
+            if first <= high and last >= low and run in (None, (node, writer))
+        ]
+        if keys:
+            self._tables.delete("cr_placed", ("tbl", "node", "writer", "robot"), keys, what)
 
     def forget(self, table: str) -> None:
         """Remove what is noted of a table that was dropped; its visits are found by nobody then."""

@@ -412,6 +412,7 @@ class _Check:
             if self._repair:
                 space.directory.forget(table)
                 space.registry.forget(table)
+                space.place_index.forget(table)
             text = (
                 f"the directory knows a table {table} that is gone: whoever removed its topic "
                 "died; --repair forgets it"

@@ -211,11 +211,13 @@ def _forget_left(space: Keyspace, topic: str) -> None:
     for name in replacement.clear(space.schema, topic):
         space.directory.forget(name)
         space.registry.forget(name)
+        space.place_index.forget(name)
     for table in space.tables.of_topic(topic):
         for old in table.metadata.replaces:
             if space.directory.nodes(old, -(2**63), 2**63 - 1):
                 space.directory.forget(old)
                 space.registry.forget(old)
+                space.place_index.forget(old)
 
 
 class Conversion:
@@ -303,3 +305,4 @@ class Conversion:
             if new.name not in self._space.schema.tables():
                 self._space.directory.forget(new.name)
                 self._space.registry.forget(new.name)
+                self._space.place_index.forget(new.name)

@@ -15,6 +15,7 @@ from cassandra_ros.places.pose_topic import tells_poses
 from cassandra_ros.places.robots import fixed_frames
 from cassandra_ros.store.place_index import Placed
 from cassandra_ros.store.registry import Run
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.runs import RunName
@@ -47,15 +48,16 @@ def index_places(
     What is noted already is left as it is, unless frames are fixed to one another in another way
     since. Runs that go on, and imports that were interrupted and may be made again, are left out.
     """
-    found = []
+    found: List[PlacesOfRun] = []
+    stored = StoredPlaces(catalog)
+    ttls = [t.metadata.ttl for topic in _tell_poses(stored) for t in topic.tables]
+    ttl = 0 if 0 in ttls else max(ttls, default=0)
     for each, state in _states(catalog, node, run):
         if state.state != "not indexed":
             found.append(state)
             continue
-        space = catalog.keyspace
         whose = Whose(each.node, each.writer)
-        ttl = max((table.metadata.ttl for table in catalog.tables(None)), default=0)
-        made = RunIndex(StoredPlaces(catalog), space.place_index, whose, ttl).make(progress)
+        made = RunIndex(stored, catalog.keyspace.place_index, whose, ttl).make(progress)
         if made is not None:
             state = state._replace(state="indexed", first_ns=made.poses_from)
             state = state._replace(last_ns=made.poses_to, visits=made.visits)
@@ -80,12 +82,16 @@ def _states(catalog: Catalog, node: Optional[str], run: RunName) -> List[Tuple[R
     return [(each, look.at(each)) for each in runs]
 
 
+def _tell_poses(stored: StoredPlaces) -> List[CassandraTopic]:
+    return [t for t in stored.topics() if t.name == TF or tells_poses(t)]
+
+
 class _Look:
     """Looks what is noted, and what would have to be."""
 
     def __init__(self, catalog: Catalog) -> None:
         self._stored = StoredPlaces(catalog)
-        self._topics = [t for t in self._stored.topics() if t.name == TF or tells_poses(t)]
+        self._topics = _tell_poses(self._stored)
         names = [table.name for topic in self._topics for table in topic.tables]
         self._noted: Dict[Tuple[str, int], List[Placed]] = {}
         for each in catalog.keyspace.place_index.placed(names):

@@ -7,6 +7,7 @@ from __future__ import annotations
 from itertools import chain, islice
 from typing import Collection, Dict, Iterable, List, Optional, Sequence, Set, Tuple, Union
 
+from cassandra_ros.places.paths import LONGEST_GAP_NS
 from cassandra_ros.store.blocks.counts import headers
 from cassandra_ros.store.blocks.cutting import Cutter
 from cassandra_ros.store.counting import scan_keys
@@ -35,7 +36,11 @@ def delete_stretch(
     until = None if whose.writers is None else space.cassandra.server_time_us()
     for table in current(tables):
         ends = table.bucket_of(low), table.bucket_of(high)
-        rows = space.directory.buckets(table.name, *ends, whose.nodes, table.metadata.ttl)
+        rows = list(space.directory.buckets(table.name, *ends, whose.nodes, table.metadata.ttl))
+        if whose.writers is not None or high - low < LONGEST_GAP_NS:
+            # A way may lead over what is gone, from poses that stay to others.
+            mine = [r.bucket for r in rows if whose.writers is None or r.writer in whose.writers]
+            _withdraw_places(space, table, mine, low, high)
         writers: Dict[Tuple[str, int], Set[int]] = {}
         for row in rows:
             writers.setdefault((row.node, row.bucket), set()).add(row.writer)
@@ -48,6 +53,15 @@ def delete_stretch(
                 # Others wrote there, too: one by one, and theirs stay.
                 deleted += _delete_between(space, (table, node, bucket), low, high, whose)
     return deleted
+
+
+def _withdraw_places(
+    space: Keyspace, table: TopicTable, buckets: Sequence[int], low: int, high: int
+) -> None:
+    if buckets:
+        length = table.metadata.bucket_ns
+        low, high = max(low, min(buckets) * length), min(high, (max(buckets) + 1) * length - 1)
+        space.place_index.withdraw(table.name, low, high)
 
 
 def _delete_blocks(
@@ -88,6 +102,8 @@ def delete_rows(space: Keyspace, rows: Iterable[StoredRow]) -> int:
         for row in some:
             groups.setdefault(_partition_of(row), []).append(row)
         for partition, group in groups.items():
+            times = [row.t for row in group]
+            space.place_index.withdraw(partition[0].name, min(times), max(times))
             if partition[0].packed:
                 _cut_some(space, partition, group)
             else:
@@ -133,6 +149,9 @@ def _delete_runs(space: Keyspace, runs: Dict[_Partition, List[List[_Key]]], unti
         # Of a large message that stays, for it came later, the chunks must stay, too.
         ranges: List[List[_Key]] = []
         single: List[_Key] = []
+        if parts[0]:
+            ends = parts[0][0][0], next(run[-1][0] for run in reversed(parts) if run)
+            space.place_index.withdraw(table.name, *ends)
         for run in parts:
             if len(run) > 2 and not any(chunked for _, _, chunked in run):
                 ranges.append(run)
