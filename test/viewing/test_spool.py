@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -101,6 +102,53 @@ def test_what_nobody_waits_for_is_not_written_to_its_end(spool):
     assert get(spool, again) == b"again"
 
 
+class Closing:
+    """A file that is complete, but for being closed."""
+
+    def __init__(self):
+        self.begun, self.go = threading.Event(), threading.Event()
+
+    def __call__(self, path, progress):
+        path.write_bytes(b"whole")
+        self.begun.set()
+        assert self.go.wait(PATIENCE_SEC)
+
+
+def test_who_leaves_when_all_is_written_leaves_it_to_the_next(spool):
+    closing = Closing()
+    with spool.lease("k", "r", "a.bag", closing) as lease:
+        assert closing.begun.wait(PATIENCE_SEC)
+    closing.go.set()
+    assert lease.entry.done.wait(PATIENCE_SEC)
+    never = Writing()
+    assert get(spool, never) == b"whole"
+    assert never.count == 0
+
+
+def test_what_is_written_anew_meanwhile_does_not_stay_twice(spool):
+    closing, second = Closing(), Writing(b"own")
+    with spool.lease("k", "r", "a.bag", closing) as lease:
+        assert closing.begun.wait(PATIENCE_SEC)
+    second.let()
+    assert get(spool, second) == b"own"
+    closing.go.set()
+    assert lease.entry.done.wait(PATIENCE_SEC)
+    assert [path.read_bytes() for path in spool._folder.glob("*/a.bag")] == [b"own"]
+    assert get(spool, Writing()) == b"own"
+
+
+def test_a_folder_that_somebody_cleaned_up_is_made_again(spool):
+    shutil.rmtree(spool._folder)
+    writing = Writing(b"a")
+    writing.let()
+    assert get(spool, writing) == b"a"
+    shutil.rmtree(spool._folder)
+    spool._folder.touch()
+    with pytest.raises(StoreUnavailable, match="no file can be kept in"):
+        get(spool, writing, "other")
+    spool._folder.unlink()
+
+
 def test_who_follows_gets_what_is_written_while_it_is(spool):
     writing = Writing(b"ab")
     with spool.lease("k", "r", "a.mcap", writing) as lease:
@@ -159,6 +207,18 @@ def test_what_is_in_use_does_not_go(spool):
     with pytest.raises(StoreUnavailable, match="take all of their room: ask again later"):
         get(spool, second, "b")
     assert get(spool, first, "a") == b"1" * 600
+
+
+def test_what_took_long_to_write_is_opened_before_it_goes(spool):
+    first, second = Writing(b"1" * 600), Writing(b"2" * 600)
+    first.let()
+    second.let()
+    with spool.lease("a", "a", "a.bag", first) as lease:
+        path = lease.wait(threading.Event())
+        lease.entry.used -= 2 * module._KEPT_SEC
+    with pytest.raises(StoreUnavailable, match="take all of their room"):
+        get(spool, second, "b")
+    assert path.read_bytes() == b"1" * 600
 
 
 def test_no_more_than_some_may_wait(tmp_path):

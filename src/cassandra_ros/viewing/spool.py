@@ -190,7 +190,14 @@ class Spool:
         return Lease(self, entry)
 
     def _begin(self, key: str, request: str, name: str, write: Write) -> SpoolEntry:
-        folder = Path(tempfile.mkdtemp(prefix=f"{key[:16]}_", dir=self._folder))
+        try:
+            # Whoever cleans up among temporary files may have taken it.
+            self._folder.mkdir(0o700, exist_ok=True)
+            folder = Path(tempfile.mkdtemp(prefix=f"{key[:16]}_", dir=self._folder))
+        except OSError as exc:
+            raise StoreUnavailable(
+                f"no file can be kept in {self._folder}: {exc.strerror}"
+            ) from exc
         entry = self._entries[key] = SpoolEntry(folder / name, key, request)
         thread = threading.Thread(
             target=self._write, args=(entry, write), name=f"spool {name}", daemon=True
@@ -203,6 +210,7 @@ class Spool:
         """Note that somebody waits no more."""
         with self._mutex:
             entry.waiting -= 1
+            entry.used = time.monotonic()  # it may have waited long, and opens the file now
             if not entry.waiting and not entry.done.is_set():
                 entry.abandoned = True
 
@@ -230,10 +238,13 @@ class Spool:
             entry.error = exc
         finally:
             with self._mutex:
-                if entry.error is not None:
+                # Who left meanwhile gave up nothing that is there, unless another one writes it.
+                replaced = self._entries.get(entry.key) is not entry
+                entry.abandoned = replaced or entry.error is not None
+                if entry.abandoned:
                     self._drop(entry)
                 self._threads.discard(threading.current_thread())
-            entry.done.set()
+                entry.done.set()
 
     def _make_room(self, entry: SpoolEntry) -> None:
         """Remove old files until this one has room; see the bound."""
