@@ -156,6 +156,22 @@ def test_a_stream_that_fails_tells_it_before_its_first_chunk_and_is_cut_behind()
         assert viewer.ask("/early").status == 503  # the viewer goes on
 
 
+def test_nobody_takes_for_the_whole_what_the_end_cut_off():
+    def chunks(call):
+        yield b"x"
+        call.gone.wait(30)
+
+    routes = [route("/listens", lambda call: Stream(chunks(call)))]
+    with running_viewer(None, routes) as viewer:
+        connection = viewer.connect()
+        connection.request("GET", "/listens")
+        reply = connection.getresponse()
+        assert reply.read(1) == b"x"
+    with pytest.raises((http.client.IncompleteRead, ConnectionError)):
+        reply.read()
+    connection.close()
+
+
 def test_a_stream_is_made_as_it_is_taken_and_closed_when_the_browser_goes():
     endless = Endless()
     routes = [route("/endless", endless.answer), route("/api/one", lambda call: 1)]
@@ -293,3 +309,6 @@ def test_a_parameter_reaches_its_handler_as_it_was_written():
             "at": 1_500_000_000,
         }
         assert json.loads(viewer.ask("/api/echo?topics=%2Fa%2C%2Fb").data)["topics"] == ["/a", "/b"]
+        # Somebody ticked all but a few of them.
+        many = [f"/robot_{n}/camera/image" for n in range(500)]
+        assert viewer.get("/api/echo", topics=",".join(many))["topics"] == many

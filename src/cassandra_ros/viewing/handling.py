@@ -19,7 +19,7 @@ from typing import Callable, Iterator, Mapping, Sequence, TypeVar, Union
 from aiohttp import web
 from aiohttp.typedefs import Handler
 
-from cassandra_ros.errors import CassandraRosError
+from cassandra_ros.errors import CassandraRosError, StoreUnavailable
 from cassandra_ros.viewing.answers import Bytes, SpooledFile, Stream
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.file_answer import send_file
@@ -56,7 +56,7 @@ class Handling:
             try:
                 found = await self._run(partial(_work, route, call))
                 if isinstance(found, _Chunks):
-                    return await self._send_stream(request, found)
+                    return await self._send_stream(request, call, found)
                 if isinstance(found, SpooledFile):
                     return await send_file(request, found)
                 return web.Response(
@@ -72,7 +72,9 @@ class Handling:
         # Of a task that is cancelled the thread cannot be: it looks at call.gone.
         return asyncio.wrap_future(self._threads.submit(work))
 
-    async def _send_stream(self, request: web.Request, chunks: _Chunks) -> web.StreamResponse:
+    async def _send_stream(
+        self, request: web.Request, call: Call, chunks: _Chunks
+    ) -> web.StreamResponse:
         """Send chunk by chunk; the next is asked for when the browser has taken the one before."""
         response = web.StreamResponse(headers=chunks.stream.headers)
         response.content_type = chunks.stream.content_type
@@ -83,6 +85,8 @@ class Handling:
                 if chunk:
                     await response.write(chunk)
                 chunk = await self._run(chunks.next)
+            if call.gone.is_set():  # it may have ended for that: nobody may take it for the whole
+                raise StoreUnavailable("the viewer ends")
             await response.write_eof()
         except CassandraRosError as exc:
             if not response.prepared:

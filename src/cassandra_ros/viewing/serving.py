@@ -22,6 +22,8 @@ from cassandra_ros.viewing.routes import ROUTES
 from cassandra_ros.viewing.security import is_loopback
 from cassandra_ros.viewing.settings import ViewerSettings
 
+MAX_LINE_BYTES = 64 * 1024
+"""Of an address: who ticks hundreds of topics has them all in it; aiohttp's own bound is 8 KB."""
 LAST_ANSWERS_SEC = 0.5
 """How long answers that are being sent may go on at the end."""
 
@@ -65,6 +67,7 @@ async def listening(
     runner = web.AppRunner(
         make_application(settings, store, routes),
         access_log=None,
+        max_line_size=MAX_LINE_BYTES,
         handler_cancellation=True,  # who goes away ends what was read for him
         shutdown_timeout=LAST_ANSWERS_SEC,
     )
