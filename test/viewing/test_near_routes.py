@@ -9,6 +9,12 @@ import pytest
 from mapping.room import SHIFT, T0, Drive, driven, joined
 from viewers import running_viewer
 
+from cassandra_ros.errors import StoreUnavailable
+from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.near_routes import ROUTES
+from cassandra_ros.viewing.settings import ViewerSettings
+from cassandra_ros.viewing.shared import Shared
+
 SEC = 10**9
 
 
@@ -65,6 +71,16 @@ def test_what_a_lasso_encloses(viewer, store):
     assert int(first["start"]) <= stays[0][0]
     assert int(first["end"]) >= stays[0][1]
     assert viewer.get("/api/near", polygon=square, limit=1)["more"] is (len(lasso["stays"]) > 1)
+
+
+def test_who_leaves_ends_the_search_also_where_nothing_is_found(store):
+    (route,) = (route for route in ROUTES if route.path == "/api/near")
+    asked = {"x": ["900"], "y": ["900"], "radius": ["1"]}
+    call = Call(Shared(store, ViewerSettings()), route, asked, {})
+    assert route.answer(call)["stays"] == []
+    call.gone.set()
+    with pytest.raises(StoreUnavailable, match="nobody waits"):
+        route.answer(call)
 
 
 @pytest.mark.parametrize(

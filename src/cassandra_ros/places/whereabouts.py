@@ -11,7 +11,7 @@ from __future__ import annotations
 import threading
 from bisect import bisect_right
 from contextlib import contextmanager
-from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Callable, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.places.coverage import Coverage
@@ -58,26 +58,38 @@ class RegionStays:
             return windows.of(t)
 
     def spans(
-        self, low: int, high: int, reverse: bool = False, node: Optional[str] = None
+        self,
+        low: int,
+        high: int,
+        reverse: bool = False,
+        node: Optional[str] = None,
+        watch: Callable[[], None] = lambda: None,
     ) -> Iterator[Span]:
         """Yield stretches of [low, high], ns, that hold all times at which it is true; see Stays.
 
         Args:
             node: Only of the robot of this node; None = of all together.
+            watch: Called now and then while poses are read, also where none is found; may raise.
         """
         asked = [w for name, w in self._windows.items() if node in (None, name)]
         low, high = max(0, low), min(high, MAX_NS)
         if any(list(w.still.stays(self._region)) for w in asked if w.still is not None):
             return iter([(low, high)])
         moving = [w for w in asked if w.still is None]
-        return _touching(self._found(moving, low, high, reverse))
+        return _touching(self._found(moving, low, high, reverse, watch))
 
     def _found(
-        self, asked: Sequence[Windows], low: int, high: int, reverse: bool
+        self,
+        asked: Sequence[Windows],
+        low: int,
+        high: int,
+        reverse: bool,
+        watch: Callable[[], None],
     ) -> Iterator[Span]:
         candidates = [self._coverage.candidates(w.robot, self._region, low, high) for w in asked]
         every = merged(sorted(span for spans in candidates for span in spans))
         for number in _numbers(list(every), reverse):
+            watch()
             start, end = number * WINDOW_NS, (number + 1) * WINDOW_NS - 1
             found: List[Span] = []
             for windows, spans in zip(asked, candidates):

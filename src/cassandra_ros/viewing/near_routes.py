@@ -38,9 +38,8 @@ def _near(call: Call) -> Json:
     asked = places.within(_region(call), frame or places.usual_frame(), robot, call.texts("nodes"))
     more = False
     for node in asked.nodes:
-        stays = asked.spans(low, high, node=node)
+        stays = asked.spans(low, high, node=node, watch=lambda: _check_waited_for(call))
         for start, end in itertools.islice(stays, limit - len(found) + 1):
-            _check_waited_for(call)
             if len(found) == limit:
                 more = True
                 break
