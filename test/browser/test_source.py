@@ -1,10 +1,15 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What Look gives the Studio: every message once and in order, whatever the network does."""
+"""What Look gives the Studio: every message once and in order, whatever the network does.
+
+And pages of a store whose clock is that of a simulation, and whose answers are slow.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
+from urllib.parse import parse_qs, urlparse
 
 import genpy
 import pytest
@@ -15,7 +20,8 @@ from cassandra_ros.errors import StoreUnavailable
 from cassandra_ros.viewing.answers import Stream
 from cassandra_ros.viewing.routes import ROUTES
 
-COUNT = 40
+COUNT = 210
+"""More than Ask shows at once."""
 SOURCE = """
 const told = [];
 const [{ StoreSource }, state] = await Promise.all([
@@ -35,8 +41,11 @@ const found = [];
 for await (const { msgEvent } of source.messageIterator({ topics, start, end })) {
   found.push([msgEvent.receiveTime.sec, msgEvent.schemaName, msgEvent.sizeInBytes]);
 }
+return found;
+"""
+LATEST = """
 const last = await source.getBackfillMessages({ topics, time: { sec: 110, nsec: 500 } });
-return [found, last.map((each) => each.message.data)];
+return [last.map((each) => each.message.data), told];
 """
 INTERRUPTED = """
 const reading = source.messageIterator({ topics, consumptionType: "partial" });
@@ -50,25 +59,61 @@ try {
 }
 """
 
+# As the Studio tells it.
+PLAYING = """
+let time = 100_000_000_000n;
+setInterval(() => parent.postMessage({ time: (time += 1n) }, location.origin), 50);
+"""
+COUNTED = """
+return import("/modules/timeline_data.js").then(({ Lane }) => {
+  const lane = new Lane("/a", "");
+  lane.take({ types: [], counts: [[0, 20000001]] }, { start: 0n, step: 1n, cells: 1 });
+  return lane.countAt(0n);
+});
+"""
+
 
 def inside(script):
     return f"return (async () => {{ {SOURCE} {script} }})();"
 
 
 class Faults:
-    """Answers /api/messages; what ``coming`` holds becomes of the next answers."""
+    """The viewer's routes, but for what is asked of them.
+
+    Attributes:
+        coming: What becomes of the next answers that hold messages.
+        installed: Whether it says that the Studio is there.
+        stuck: Whether plots are never answered.
+    """
 
     def __init__(self):
-        self.coming = []
-        (self._route,) = (route for route in ROUTES if route.path == "/api/messages")
-        mine = replace(self._route, answer=self.answer)
-        self.routes = tuple(mine if route is self._route else route for route in ROUTES)
+        self.coming, self.installed, self.stuck = [], False, False
+        mine = {
+            "/api/messages": self.messages,
+            "/api/latest": self.messages,
+            "/api/studio": self.studio,
+            "/api/plot": self.plot,
+        }
+        self.routes = tuple(
+            replace(route, answer=partial(mine[route.path], route.answer))
+            if route.path in mine
+            else route
+            for route in ROUTES
+        )
 
-    def answer(self, call):
+    def studio(self, usual, call):
+        return {**usual(call), "installed": self.installed}
+
+    def plot(self, usual, call):
+        if self.stuck:
+            call.gone.wait()
+        return usual(call)
+
+    def messages(self, usual, call):
         fault = self.coming.pop(0) if self.coming else ""
         if fault == "away":
             raise StoreUnavailable("the store is away for a moment")
-        answer = self._route.answer(call)
+        answer = usual(call)
         return Stream(self.cut(answer.chunks), answer.content_type) if fault == "cut" else answer
 
     def cut(self, chunks):
@@ -109,9 +154,13 @@ def test_each_message_comes_once_whatever_breaks_off(show, faults):
     assert found == expected
     assert told[0] == "the store is away for a moment"
     assert len(told) == 3
-    between, last = page.run(inside(BETWEEN))
-    assert between == [[sec, "std_msgs/String", 506] for sec in (105, 106, 107)]
+    assert [[sec, kind] for sec, kind, _ in page.run(inside(BETWEEN))] == [
+        [sec, "std_msgs/String"] for sec in (105, 106, 107)
+    ]
+    faults.coming = ["away", "cut"]
+    last, told = page.run(inside(LATEST))
     assert last == ["m10" + "." * 500]
+    assert len(told) == 2
     page.errors()  # a page that is cut short is told in the console, too
 
 
@@ -125,7 +174,7 @@ def test_who_goes_elsewhere_does_not_wait(show, faults):
 
 
 def test_without_the_studio_the_page_says_how_to_get_it(show):
-    page = show("/look.html?start=100.0&end=140.0")
+    page = show("/look.html?start=100.0&end=140.0&selection=1,2&map=/scan")
     text = page.wait_for("return document.getElementById('no-studio')?.innerText")
     assert "rosrun cassandra_ros viewer --install-studio" in text
     links = page.run(
@@ -133,3 +182,41 @@ def test_without_the_studio_the_page_says_how_to_get_it(show):
     )
     assert links[1] == "/window.bag?start=100.000000000&end=140.000000000"
     assert page.errors() == []
+
+
+def test_what_is_ticked_is_shown_also_while_it_plays(show, faults):
+    faults.installed = True
+    page = show("/look.html")
+    page.wait_for("return document.querySelector('iframe#studio')")
+    page.driver.switch_to.frame("studio")
+    page.run(PLAYING)
+    page.driver.switch_to.default_content()
+    page.wait_for("return new URLSearchParams(location.search).get('time')")
+    box = "document.querySelector('#menu-topics input[type=checkbox]')"
+    page.wait_for(f"return {box}")
+    page.run(f"{box}.click()")
+    page.wait_for("return document.querySelector('iframe#studio').src.includes('topics=/chatter')")
+    faults.installed = False
+    # There is no Studio that its frame could load: until it is gone the console hears of that.
+    page.driver.get("about:blank")
+    page.errors()
+
+
+def test_rows_lead_to_their_moments_and_go_on_after_cancel(show, faults):
+    faults.stuck = True
+    page = show("/ask.html?q=select+KEY+from+/chatter")
+    rows = "return document.querySelector('#ask-rows').dataset.rows"
+    page.wait_for(f"{rows} === '200'")
+    # Digits alone would be read as seconds: the clock of a simulation begins at 0.
+    href = page.run("return document.querySelector('#ask-rows tbody a').getAttribute('href')")
+    assert parse_qs(urlparse(href).query)["time"] == ["100.000000000"]
+    page.run("document.getElementById('ask-cancel').click()")
+    page.wait_for("return document.body.dataset.state === 'cancelled'")
+    page.run("document.getElementById('rows-more').click()")
+    page.wait_for(f"{rows} === '{COUNT}'")
+    faults.stuck = False
+    assert page.errors() == []
+
+
+def test_counts_are_exact(show):
+    assert show().run(COUNTED) == 20_000_001

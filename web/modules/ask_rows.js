@@ -61,11 +61,15 @@ export class Rows {
 
   async _next() {
     this._more.disabled = true;
+    // What was cancelled is not what is asked for now; another statement ends this, too.
+    if (this._signal.aborted) this._signal = new AbortController().signal;
+    const signal = this._signal;
     try {
       const parameters = { ...this._parameters, after: this._after };
-      this._add(await get("/api/query", parameters, { signal: this._signal }));
+      const page = await get("/api/query", parameters, { signal });
+      if (signal === this._signal) this._add(page);
     } catch (problem) {
-      this._fail(problem, this._signal);
+      this._fail(problem, signal);
     } finally {
       this._more.disabled = false;
     }
@@ -101,9 +105,9 @@ export class Rows {
   }
 }
 
-/** @param {string} time */
+/** @param {string} time Of an answer: always ns. */
 export function lookAt(time) {
-  return state.link("/look.html", { time });
+  return state.link("/look.html", { time: BigInt(time) });
 }
 
 /**

@@ -254,14 +254,13 @@ function tell() {
   const inside = moment !== null && start <= moment && moment <= end ? moment : start;
   const lane = timeline.lane ?? picture.lanes[0];
   const q = lane && `select * from ${lane.topic} where KEY >= ${start} and KEY <= ${end} limit 1000`;
-  const file = { ...chosenParameters(), ...window_ };
   const link = (/** @type {string} */ text, /** @type {string} */ href, /** @type {string} */ about, main = false) =>
     make("a", { class: main ? "button main" : "button", href, title: about }, text);
   links.replaceChildren(
     link("Look", state.link("/look.html", { ...window_, time: inside, selection: null }), "See the messages of this time", true),
     link("Ask", state.link("/ask.html", { ...window_, q, selection: null }), `Ask: ${q}`),
-    link(".bag", api.url("/window.bag", file), "Download this time as a bag"),
-    link(".mcap", api.url("/window.mcap", file), "Download this time as an MCAP file"),
+    link(".bag", state.fileLink("bag", window_), "Download this time as a bag"),
+    link(".mcap", state.fileLink("mcap", window_), "Download this time as an MCAP file"),
   );
 }
 

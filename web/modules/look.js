@@ -14,13 +14,19 @@ const INSTALL = "rosrun cassandra_ros viewer --install-studio";
 /** @type {HTMLIFrameElement | null} */
 let frame = null;
 let shown = "";
+/** What was chosen last, and is shown soon. */
+let chosen = contentOf();
+
+function contentOf() {
+  const now = state.read();
+  return JSON.stringify(CONTENT.map((name) => now[name]), (_, value) =>
+    typeof value === "bigint" ? String(value) : value);
+}
 
 function open() {
-  const now = state.read();
-  const content = JSON.stringify(CONTENT.map((name) => now[name]), (_, value) =>
-    typeof value === "bigint" ? String(value) : value);
+  const content = contentOf();
   if (frame && content === shown) return;
-  shown = content;
+  shown = chosen = content;
   const made = page.make("iframe", { class: "grow", id: "studio", title: "Studio", src: state.link("/studio.html"),
     allow: "fullscreen" });
   if (frame) frame.replaceWith(made);
@@ -67,15 +73,11 @@ function explain() {
       page.make("pre", {}, INSTALL),
       page.make("p", {}, "The viewer may go on meanwhile; load this page again afterwards. Without it you can ",
         page.make("a", { href: state.link("/ask.html") }, "ask"), ", or save this window as ",
-        page.make("a", { href: file("bag") }, "a bag"), " or ", page.make("a", { href: file("mcap") }, "MCAP"),
+        page.make("a", { href: state.fileLink("bag") }, "a bag"), " or ",
+        page.make("a", { href: state.fileLink("mcap") }, "MCAP"),
         " for rqt_bag, Foxglove or Lichtblick."),
     ),
   );
-}
-
-/** @param {string} kind */
-function file(kind) {
-  return state.link(`/window.${kind}`, { time: null, q: null, layout: null });
 }
 
 /** Who ticks several boxes of a menu waits once. */
@@ -83,6 +85,10 @@ const CHOOSING_MS = 700;
 let choosing = 0;
 
 function openLater() {
+  // What plays changes the address all the time: that is no other choice.
+  const content = contentOf();
+  if (content === chosen) return;
+  chosen = content;
   window.clearTimeout(choosing);
   choosing = window.setTimeout(open, CHOOSING_MS);
 }
@@ -106,8 +112,10 @@ page.start("Look");
 window.addEventListener("message", told);
 addMenus().catch(page.showError);
 get("/api/studio").then(({ installed }) => {
-  if (!installed) explain();
-  else {
+  if (!installed) {
+    explain();
+    state.onChange(explain);
+  } else {
     open();
     state.onChange(openLater);
   }

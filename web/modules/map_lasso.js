@@ -186,7 +186,7 @@ export class Lasso {
       const text = `${node ? `${node} ` : ""}${times.shown(start)}, ${times.length(end - start)}`;
       const look = page.make("a", { href: state.link("/look.html", { time: start, lasso: null }) }, "Look");
       const home = page.make("a", { href: state.link("/", { start, end, lasso: null }) }, "Home");
-      const bag = page.make("a", { href: state.link("/window.bag", { ...WINDOW, start, end }) }, "Bag");
+      const bag = page.make("a", { href: state.fileLink("bag", { start, end }) }, "Bag");
       return page.make("li", {}, text, " ", look, " ", home, " ", bag);
     });
     const list = page.make("ul", {}, ...items);
@@ -236,8 +236,3 @@ export class Lasso {
     context.restore();
   }
 }
-
-/** What of the map's address is no part of a window. */
-const WINDOW = {
-  lasso: null, map: null, resolution: null, odom: null, scans: null, time: null, q: null, layout: null, keyspace: null,
-};

@@ -23,7 +23,6 @@ const CHANGED = "cassandra-state";
  * @property {string[]} runs None: all.
  * @property {string} q The statement.
  * @property {string} layout
- * @property {string} keyspace
  * @property {Record<string, string>} others What a page keeps for itself.
  * @property {string[]} problems What could not be read, for people.
  */
@@ -37,7 +36,7 @@ export function read(search = location.search) {
   /** @type {State} */
   const state = {
     start: null, end: null, time: null, topics: [], nodes: [], runs: [],
-    q: "", layout: "", keyspace: "", others: {}, problems: [],
+    q: "", layout: "", others: {}, problems: [],
   };
   for (const [name, text] of new URLSearchParams(search)) take(state, name, text);
   if (state.start !== null && state.end !== null && state.start > state.end) {
@@ -62,7 +61,7 @@ function take(state, name, text) {
     }
   } else if (LISTS.includes(name)) {
     state[name].push(...text.split(",").filter(Boolean));
-  } else if (["q", "layout", "keyspace"].includes(name)) {
+  } else if (["q", "layout"].includes(name)) {
     state[name] = text;
   } else if (name !== "token") {
     state.others[name] = text;
@@ -90,6 +89,16 @@ export function write(changes, { push = false } = {}) {
 export function link(page, changes = {}) {
   const { problems, others, ...own } = read();
   return url(page, { ...own, ...others, ...changes });
+}
+
+/**
+ * Make the address of a file of the messages of this page's window, topics, robots and runs.
+ * @param {"bag" | "mcap"} ending
+ * @param {import("./api.js").Parameters} [changes]
+ */
+export function fileLink(ending, changes = {}) {
+  const { start, end, topics, nodes, runs } = read();
+  return url(`/window.${ending}`, { start, end, topics, nodes, runs, ...changes });
 }
 
 /**

@@ -112,7 +112,7 @@ export class StoreSource {
       /** @type {string | null} */
       let after = null;
       do {
-        const page = this.page({ ...asked, after }, abort.signal);
+        const page = this.page("/api/messages", { ...asked, after }, abort.signal);
         let next = await page.next();
         for (; !next.done; next = await page.next()) yield { type: "message-event", msgEvent: next.value };
         after = next.value;
@@ -124,14 +124,15 @@ export class StoreSource {
 
   /**
    * Read one page; one that breaks off is asked for again, behind what came of it.
+   * @param {string} path
    * @param {any} asked
    * @param {AbortSignal} signal
    * @returns {AsyncGenerator<Event, string | null>}
    */
-  async *page(asked, signal) {
+  async *page(path, asked, signal) {
     for (let pause = FIRST_PAUSE_MS, given = 0; ; pause = Math.min(2 * pause, LONGEST_PAUSE_MS)) {
       try {
-        const found = messages(await ask("/api/messages", asked, { signal }), (each) => this.tell(each));
+        const found = messages(await ask(path, asked, { signal }), (each) => this.tell(each));
         let skipped = 0;
         let next = await found.next();
         for (; !next.done; next = await found.next()) {
@@ -157,8 +158,8 @@ export class StoreSource {
     if (!topics.length) return [];
     const asked = { topics, time: toNs(time), start: this.start, ...this.chosen };
     const found = [];
-    const response = await ask("/api/latest", asked, { signal: abortSignal });
-    for await (const each of messages(response, (problem) => this.tell(problem))) found.push(event(each));
+    const signal = abortSignal ?? new AbortController().signal;
+    for await (const each of this.page("/api/latest", asked, signal)) found.push(each);
     return found;
   }
 

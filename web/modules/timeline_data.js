@@ -42,7 +42,7 @@ export class Lane {
     this.writing = false;
     /** @type {Scale | null} */
     this.scale = null;
-    this.counts = new Float32Array(0);
+    this.counts = new Float64Array(0);
     this.most = 0;
     /** @type {[number, number][]} */
     this.even = [];
@@ -72,7 +72,7 @@ export class Lane {
     this.writing = said.writing;
     if (keep && this.scale) return;
     this.scale = scale;
-    this.counts = new Float32Array(scale?.cells ?? 0);
+    this.counts = new Float64Array(scale?.cells ?? 0);
     for (const [first, ...counts] of said.counts ?? []) this.counts.set(counts, first);
     this.most = this.counts.reduce((most, count) => Math.max(most, count), 0);
     this.even = said.even ?? [];
@@ -82,7 +82,7 @@ export class Lane {
 
   /** Forget what its cells hold. */
   clear() {
-    this.counts = new Float32Array(0);
+    this.counts = new Float64Array(0);
     this.scale = null;
     this.even = [];
     this.unknown = [];
