@@ -22,6 +22,8 @@ from selenium.common.exceptions import JavascriptException
 from selenium.webdriver.chrome.service import Service
 
 PROGRAMS = ("chromium", "chromedriver")
+SCRIPT_SEC = 120
+"""So long a script may take on a busy machine; selenium's own bound is 30."""
 # WebGL without a graphics card: slow, and right.
 WEBGL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 # Nothing but what a page itself does.
@@ -46,6 +48,7 @@ class Browser:
 
     def __init__(self, driver: webdriver.Chrome, size: tuple[int, int]) -> None:
         self.driver = driver
+        driver.set_script_timeout(SCRIPT_SEC)
         self.resize(size)
 
     def resize(self, size: tuple[int, int]) -> None:
