@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 
 import numpy as np
@@ -628,7 +629,11 @@ def test_what_an_import_brings_back_is_found(rosCas, tmp_path):
         bag.write("/n", Int32(1), rospy.Time(DETOUR // SEC))
     import_bag(rosCas, path)
     rosCas.executeCQL("delete from /odom where pose.pose.position.y > 50")
-    assert {each.state for each in rosCas.upkeep.indexPlaces()} == {"indexed"}
+    totals = []
+    done = rosCas.upkeep.indexPlaces(progress=lambda seconds, total: totals.append(total))
+    assert {each.state for each in done} == {"indexed"}
+    # The bucket of a day, which is open by that, is not gone through: only where poses lie.
+    assert max(totals) <= 120
     import_bag(rosCas, path)
     assert asked(rosCas, "NEAR(50, 100, 2)") == [DETOUR]
 
@@ -734,3 +739,19 @@ def test_a_recorder_that_cannot_keep_up_gives_the_index_up(rosCas, monkeypatch):
     assert first == T0
     assert last < T0 + 60 * SEC
     assert asked(rosCas, "NEAR(800, 0, 1)") == [T0 + 80 * SEC]
+
+
+def test_a_recorder_without_a_thread_for_places_records_all_the_same(rosCas, monkeypatch):
+    start = threading.Thread.start
+
+    def refused(thread):
+        if thread.name == "recorder-places":
+            raise RuntimeError("can't start new thread")
+        start(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", refused)
+    recording = Recording(rosCas, clock=Clock(), name="live")
+    drives_on(recording, 0, 5)
+    reports = {report.topic: (report.stored, report.lost) for report in recording.close()}
+    assert reports == {"/odom": (5, 0), "/n": (5, 0)}
+    assert noted_of(rosCas) == []

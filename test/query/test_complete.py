@@ -133,3 +133,10 @@ def test_whatever_is_typed_offers_go_on_from_there(words, cursor):
             parse_select(f"{before}{offer.text} \x00")
         except InvalidQuery as exc:  # not what was offered is wrong, but what follows
             assert exc.position >= len(before) + len(offer.text)
+
+
+def test_a_long_text_is_gone_through_once():
+    """Quickly: it took minutes while the word at the cursor was looked for at each character."""
+    word = "x" * 100_000
+    assert complete(f"select {word} ", len(word) + 8, KNOWN).start == len(word) + 8
+    assert complete(f"select {word}", len(word) + 7, KNOWN).start == len("select ")

@@ -237,8 +237,18 @@ class PlaceKeeper:
             return
         self._taken.append(_Taken(source, t, wire))
         if self._thread is None:
-            self._thread = threading.Thread(target=self._run, name="recorder-places", daemon=True)
-            self._thread.start()
+            self._begin()
+
+    def _begin(self) -> None:
+        thread = threading.Thread(target=self._run, name="recorder-places", daemon=True)
+        try:
+            thread.start()
+        except RuntimeError as exc:  # the system has no more: the recording goes on
+            _log.warning("places are not noted: %s", exc)
+            self._gave_up = True
+            self._taken.clear()
+            return
+        self._thread = thread
 
     def close(self) -> None:
         """Note what is left, unless that takes too long."""
