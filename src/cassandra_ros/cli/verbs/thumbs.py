@@ -96,6 +96,8 @@ def run(options: argparse.Namespace) -> int:
         topic = ros_cas.getTopic(options.topic)
         drawn = list(_draw(ros_cas, topic.name, options, count))
         kind = topic.getMeta["msg_type"]
+    if not drawn:
+        raise MessageNotFound(f"what topic {topic.name} had there was deleted meanwhile")
     _tell_problems(drawn)
     first, last = _clock(drawn[0].t), _clock(drawn[-1].t)
     title = f"{topic.name}   {kind}   {first} to {last} UTC"
