@@ -91,3 +91,22 @@ def test_topics_and_fields_are_completed(page):
     window.wait_for(
         "return document.querySelector('#ask-offers li')?.textContent.startsWith('latitude')"
     )
+
+
+def test_a_plot_that_never_is_complete_is_not_asked_for_without_end(page):
+    """As of more buckets than the viewer remembers; the page is done, and shows what it has."""
+    window = page("/ask.html")
+    window.run(
+        "const ask = window.fetch; window.plots = 0;"
+        "window.fetch = async (...asked) => {"
+        "  const answer = await ask(...asked);"
+        "  if (!String(asked[0]).includes('/api/plot')) return answer;"
+        "  window.plots += 1;"
+        "  const found = {...await answer.json(), complete: false};"
+        "  return new Response(JSON.stringify(found),"
+        "    {headers: {'Content-Type': 'application/json'}});"
+        "};"
+    )
+    write(window, STATEMENT + CONTROL_ENTER)
+    assert window.wait_for(ANSWERED) == "done"
+    assert window.run("return window.plots") == 4

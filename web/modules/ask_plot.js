@@ -16,6 +16,8 @@ const SCRIPT = "/dygraphs/dygraph.min.js";
 const STYLE = "/dygraphs/dygraph.min.css";
 const COLOURS = ["#2f7fe6", "#e0702f", "#1d9a80", "#b558c4", "#b8920a", "#d8453f", "#6b8bb0", "#6a9a2f"];
 const MOST_PIXELS = 4000;
+/** So often it is asked again where the answer before brought nothing new. */
+const MOST_IDLE = 3;
 const FEW_POINTS = 60;
 const LEAST_NS = 1000n;
 const SECOND = 1_000_000_000n;
@@ -75,12 +77,17 @@ export class Plot {
     if (other) this._hidden.clear();
     const ready = dygraphs();
     const pixels = Math.min(MOST_PIXELS, Math.round(this._width() * devicePixelRatio));
-    for (let first = true; ; first = false) {
+    // Of more buckets than the viewer remembers it reads some again and again: that ends here.
+    let [share, edges, idle] = [-1, Infinity, 0];
+    for (let first = true; idle < MOST_IDLE; first = false) {
       const found = await get("/api/plot", { ...parameters, ...window, pixels }, { signal });
       const present = await ready;
       if (signal.aborted) return;
       this._show(found, window, first && other, present);
       if (found.complete) return;
+      idle = found.share > share || found.edges < edges ? 0 : idle + 1;
+      share = Math.max(share, found.share);
+      edges = found.edges;
     }
   }
 
