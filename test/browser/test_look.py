@@ -61,7 +61,7 @@ def test_play_goes_on_and_pause_ends_it(page):
     studio.await_time(lambda now: stopped - patrol.SECOND <= now < stopped)
 
 
-FILM_SEC = {"": 30, "short": 600, "long": 3600}[LENGTH]
+FILM_SEC = {"": 30, "short": 300, "long": 3600}[LENGTH]
 """How much is recorded, which is played in a tenth of the time."""
 HEAP_BYTES = 400 << 20
 RESIDENT_BYTES = 1500 << 20
