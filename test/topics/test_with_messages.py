@@ -7,7 +7,7 @@ from __future__ import annotations
 from itertools import islice
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from std_msgs.msg import Header, String
 
@@ -55,6 +55,7 @@ KINDS = st.sampled_from(["one"] * 30 + ["other"] * 10 + ["large", DAMAGED, CUT])
 
 
 @given(st.lists(KINDS, max_size=400), st.booleans())
+@example(["one", "large", "large"] + ["one"] * 9, False)
 def test_each_row_comes_with_its_message_up_to_one_that_is_damaged(kinds, fails):
     rows = [Row(number, kind) for number, kind in enumerate(kinds)]
     taken = []

@@ -24,8 +24,8 @@ def with_messages(
 ) -> Iterator[Tuple[StoredRow, Any]]:
     """Yield each row with its message.
 
-    Rows are taken before their turn, more and more of them; what is wrong with a row, or with the
-    reading of rows, is raised when its turn comes.
+    Rows are taken before their turn, never more than were given out; what is wrong with a row, or
+    with the reading of rows, is raised when its turn comes.
 
     Args:
         cassandra: Where they were read; when it is closed no more are given out.
@@ -35,16 +35,16 @@ def with_messages(
         ConnectionFailed: It was closed.
     """
     waiting: List[StoredRow] = []
-    held, most = 0, 1
+    given = held = 0
     try:
         for row in rows:
             large = row.chunked or row.size > LARGE_BYTES
             if not large:
                 waiting.append(row)
                 held += row.size
-            if large or len(waiting) >= most or held >= MAX_BYTES:
-                most = min(MAX_ROWS, 2 * most)
+            if large or len(waiting) >= min(MAX_ROWS, max(1, given)) or held >= MAX_BYTES:
                 taken, waiting, held = waiting, [], 0
+                given += len(taken) + large
                 yield from _made(cassandra, taken)
             if large:
                 yield row, row.message()
