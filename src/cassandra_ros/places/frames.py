@@ -15,12 +15,18 @@ import numpy as np
 
 from cassandra_ros.arguments import check_nodes
 from cassandra_ros.arrays.array_types import AnyArray
-from cassandra_ros.errors import TopicNotFound, TransformException
+from cassandra_ros.errors import TransformException
 from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.places.rigid import Rigid
 from cassandra_ros.places.samples import NO_FRAME, Codes, Flags, Placed, Samples, Times
-from cassandra_ros.places.sources import ArraySource, Find, arrays_between, key_behind
+from cassandra_ros.places.sources import (
+    ArraySource,
+    Find,
+    arrays_between,
+    find_stored,
+    key_behind,
+)
 from cassandra_ros.query.source import Writers
 from cassandra_ros.transforms.lookup import lookup_transform
 from cassandra_ros.transforms.samples import Fixed, Recorded
@@ -73,20 +79,14 @@ class Frames:
         self._codes: Dict[str, int] = {}
         self.names: List[str] = []
         """Of the frames, by their numbers."""
-        self.moving = self._topic(tf)
-        fixed = self._topic(tf_static)
+        self.moving = find_stored(find, tf)
+        fixed = find_stored(find, tf_static)
         if self.moving is None and fixed is None:
             find(tf)  # raises with the nearest names
         if self.moving is not None:
             Recorded(self.moving, node, writers)  # raises where it holds no transforms
         self.fixed = self._read_fixed(fixed)
         """Parent and pose of each frame that does not move."""
-
-    def _topic(self, name: str) -> Optional[ArraySource]:
-        try:
-            return self._find(name)
-        except TopicNotFound:
-            return None
 
     def _read_fixed(self, topic: Optional[ArraySource]) -> Dict[int, Tuple[int, Rigid]]:
         if topic is None:

@@ -14,7 +14,6 @@ from collections import OrderedDict
 from functools import partial
 from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
-from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.places.cells import OpenVisits
 from cassandra_ros.places.frames import TF, TF_STATIC, Chain, Frames
@@ -23,7 +22,7 @@ from cassandra_ros.places.pose_topic import PoseTopic, tells_poses
 from cassandra_ros.places.poses import MAX_SPAN_NS, Poses
 from cassandra_ros.places.robots import MOST_FRAMES, fixed_frames, frames_above, seen_in
 from cassandra_ros.places.samples import Samples
-from cassandra_ros.places.sources import ArraySource, Find
+from cassandra_ros.places.sources import ArraySource, Find, find_stored
 from cassandra_ros.places.stored import Extent, Stored
 from cassandra_ros.store.place_index import Placed, PlaceIndex, Square, Visited
 
@@ -195,7 +194,7 @@ class RunIndex:
 
     def _parts(self) -> Iterator[_Part]:
         whose = self._whose
-        tf = [self._topic(name) for name in (TF, TF_STATIC)]
+        tf = [find_stored(self._stored.find, name) for name in (TF, TF_STATIC)]
         if tf[0] is not None:
             notes = TfNotes(self._stored.find, whose)
             yield _Part(self._extents(tf[0]), notes.go_on, notes.placed)
@@ -207,12 +206,6 @@ class RunIndex:
                     for table in sorted({extent.table for extent in extents}):
                         own = [extent for extent in extents if extent.table == table]
                         yield _Part(own, partial(told.go_on, table), told.placed)
-
-    def _topic(self, name: str) -> Optional[ArraySource]:
-        try:
-            return self._stored.find(name)
-        except TopicNotFound:
-            return None
 
     def _extents(self, topic: ArraySource) -> List[Extent]:
         node, writer = self._whose

@@ -32,7 +32,7 @@ from cassandra_ros.places.frames import TF, TF_STATIC, Chain, Frames
 from cassandra_ros.places.pose_topic import PoseTopic, tells_poses, tells_robot
 from cassandra_ros.places.poses import Poses, Recording
 from cassandra_ros.places.samples import NO_FRAME, Samples
-from cassandra_ros.places.sources import ArraySource, Find, key_behind, last_key
+from cassandra_ros.places.sources import ArraySource, Find, find_stored, key_behind, last_key
 from cassandra_ros.places.stored import Stored
 from cassandra_ros.query.source import Writers
 
@@ -213,23 +213,15 @@ class Choice:
         return next(iter([*found, *sorted(filter(None, told)), *tops]), USUAL_FRAMES[0])
 
     def _tf(self) -> List[ArraySource]:
-        found = []
-        for name in (TF, TF_STATIC):
-            try:
-                found.append(self._stored.find(name))
-            except TopicNotFound:
-                continue
-        return found
+        found = (find_stored(self._stored.find, name) for name in (TF, TF_STATIC))
+        return [topic for topic in found if topic is not None]
 
     def _named_topic(self) -> Optional[ArraySource]:
         """Return the topic that was named as the robot; None where that is a frame."""
         if not self._robot:
             return None
-        try:
-            topic = self._stored.find(self._robot)
-        except TopicNotFound:
-            return None
-        return topic if tells_poses(topic) else None
+        topic = find_stored(self._stored.find, self._robot)
+        return topic if topic is not None and tells_poses(topic) else None
 
     @cached_property
     def _candidates(self) -> List[ArraySource]:

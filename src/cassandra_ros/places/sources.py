@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from typing import Any, Callable, Dict, Optional, Protocol, Sequence
 
+from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.protocols import Row
@@ -29,6 +30,14 @@ class ArraySource(Source[Row], Protocol):
 
 Find = Callable[[str], ArraySource]
 """Returns a topic by its name, as RosCassandra.getTopic does; raises TopicNotFound."""
+
+
+def find_stored(find: Find, name: str) -> Optional[ArraySource]:
+    """Return a topic by its name; None where it is not stored, as one of tf's two may be."""
+    try:
+        return find(name)
+    except TopicNotFound:
+        return None
 
 
 def arrays_between(
