@@ -127,7 +127,6 @@ ROUTES: tuple[Route, ...] = (
         (
             *_TIMES,
             _NODES,
-            Parameter("runs", "texts", "Taken, and of no effect: poses are those of robots."),
             _FRAME,
             _ROBOT,
             Parameter(
