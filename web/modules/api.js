@@ -81,20 +81,6 @@ export async function get(path, parameters = {}, options = {}) {
 }
 
 /**
- * Ask for JSON with a body of JSON, where the question is too long for an address.
- * @param {string} path
- * @param {unknown} body
- * @param {RequestInit} [options]
- * @returns {Promise<any>}
- * @throws {ApiError}
- */
-export async function post(path, body, options = {}) {
-  const headers = { "Content-Type": "application/json" };
-  const request = { method: "POST", headers, body: JSON.stringify(body), ...options };
-  return (await ask(path, {}, request)).json();
-}
-
-/**
  * Say whether a request ended because it was told to.
  * @param {unknown} error
  */
