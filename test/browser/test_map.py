@@ -106,3 +106,10 @@ def test_a_lasso_tells_when_the_robot_was_there(drawn):
     # Without a pointer: around the middle, where it never was.
     window.driver.find_element("css selector", "#map").send_keys("n")
     window.wait_for("return document.querySelector('#map').dataset.stays === '0'")
+
+
+def test_why_no_track_is_drawn_is_said(page):
+    window = page("/map.html", map=patrol.MAP, odom="/nowhere")
+    window.wait_for("return document.querySelector('#map-told').textContent.includes('no tracks')")
+    assert "nowhere" in window.run("return document.querySelector('#map-told').textContent")
+    assert any("/api/places" in error for error in window.errors())  # 4xx, as chromium tells it

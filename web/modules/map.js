@@ -192,9 +192,11 @@ async function loadTracks(wanted, signal) {
   const { start, end, nodes, odom } = wanted;
   const where = { start, end, nodes, frame: view.image?.frame, robot: odom };
   const found = await get("/api/places", where, { signal }).catch((error) => {
-    // A store without poses has no tracks; a stored map can be shown all the same.
-    if (error?.status === 404 || error?.status === 400) return { tracks: [] };
-    throw error;
+    // A store without poses has no tracks; a stored map can be shown all the same, and why is said.
+    if (error?.status !== 404 && error?.status !== 400) throw error;
+    const told = element("map-told").textContent;
+    tell([told, `no tracks: ${error.message}`].filter(Boolean).join(" · "));
+    return { tracks: [] };
   });
   tracks = found.tracks.map((/** @type {any} */ track) => ({ ...track, times: track.times.map(BigInt) }));
   view.canvas.dataset.points = String(tracks.reduce((sum, track) => sum + track.x.length, 0));
