@@ -8,19 +8,18 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 from bag.test_import_export import counts_agree, stored_rows
 from bag.truth import string_connection, string_wire
 from campaign import sparing
+from proxy import BATCH, Proxy
 from topics.test_run_states import age
 
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.verify import verify_bag
 from cassandra_ros.bag.writer import BagWriter
-from cassandra_ros.errors import TopicNotFound
 
 ROOT = Path(__file__).resolve().parents[2]
 START = 1_700_000_000 * 10**9
@@ -99,13 +98,6 @@ def test_an_import_that_was_killed_is_completed_by_the_next(
     assert stored_rows(rosCas) == rows
 
 
-def stored(rosCas):
-    try:
-        return rosCas.getTopic("/topic0").countTopicData() * 4
-    except TopicNotFound:
-        return 0
-
-
 @pytest.mark.long
 def test_memory_does_not_grow_with_the_bag(cassandra, keyspace, cql, rosCas, tmp_path):
     peaks = []
@@ -148,22 +140,25 @@ def test_opening_a_bag_of_many_chunks_takes_little_memory(tmp_path):
 def test_a_signal_ends_an_import_and_the_next_completes_it(
     rosCas, cassandra, keyspace, cql, tmp_path, signal_number
 ):
-    path = write_bag(tmp_path / "a.bag", 60_000, 100)
-    child = subprocess.Popen(
-        [
-            *(sys.executable, str(ROOT / "scripts/cassandra_bag"), "import", str(path)),
-            *("--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", keyspace),
-        ],
-        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline and child.poll() is None and not stored(rosCas):
-        time.sleep(0.01)
-    child.send_signal(signal_number)
-    _, errors = child.communicate(timeout=300)
+    path = write_bag(tmp_path / "a.bag", 60_000, 100)  # more bytes than may wait for an answer
+    with Proxy(cassandra.host, cassandra.port) as proxy:
+        held = proxy.catch(lambda f: f.opcode == BATCH and b"A" * 90 in f.body, failed=False)
+        held.hold()
+        child = subprocess.Popen(
+            [
+                *(sys.executable, str(ROOT / "scripts/cassandra_bag"), "import", str(path)),
+                *("--host", proxy.host, "--port", str(proxy.port), "--keyspace", keyspace),
+                *("--format", "binary"),
+            ],
+            env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        held.wait()
+        child.send_signal(signal_number)
+        held.release()
+        _, errors = child.communicate(timeout=300)
     assert child.returncode == 128 + signal_number
     errors = "".join(line for line in errors.splitlines(True) if "trying again" not in line)
     assert errors == "cassandra_bag: interrupted; the same command again completes the import\n"

@@ -88,6 +88,26 @@ def test_only_the_last_runs_are_kept(rosCas):
     assert series.reports()[0].stored == 5
 
 
+def test_the_last_runs_are_kept_also_where_an_earlier_one_is_stored_later(cassandra, keyspace):
+    with Proxy(cassandra.host, cassandra.port) as proxy:
+        late = proxy.catch(lambda f: f.opcode == BATCH and b"1" * 1000 in f.body, failed=False)
+        late.hold()
+        with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as store:
+            options = {"output_name": "r", "split": True, "size": 1000, "max_splits": 2}
+            series, begun = series_of(store, **options)
+            series.begin()
+            for n in range(3):
+                series.received("/t", HEADER, message(String(str(n) * 1000)))
+                while len(begun) < n + 2:
+                    series.poll()
+            late.wait()
+            await_true(lambda: [run.name for run in store.runs() if run.ended][-1:] == ["r_2"])
+            late.release()
+            series.end()
+            assert [row.message().data[0] for row in store.getTopic("/t").rows()] == ["2"]
+            assert sorted(run.name for run in store.runs()) == ["r_2", "r_3"]
+
+
 def test_a_run_that_cannot_begin_keeps_nothing_from_ending(cassandra, keyspace, monkeypatch):
     monkeypatch.setattr(series_module, "BEGIN_SEC", 0.1)
     with Proxy(cassandra.host, cassandra.port) as proxy:

@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+import bisect
+import itertools
 import logging
 import math
 import threading
 import time
 from contextlib import suppress
-from typing import Callable, Mapping, Optional, Sequence
+from typing import Callable, Mapping, NamedTuple, Optional, Sequence
 
 from cassandra_ros.errors import CassandraRosError, TopicNotFound
 from cassandra_ros.recording.counts import TopicReport, merge_reports
@@ -71,6 +73,14 @@ class _Making:
             threading.Thread(target=made.close, name="recorder-drop", daemon=True).start()
 
 
+class _Ended(NamedTuple):
+    """A run that is stored, or lost; they sort by when they were recorded."""
+
+    order: int
+    run: Recording
+    reports: Sequence[TopicReport]
+
+
 class Series:
     """Stores what comes in one run after the other.
 
@@ -106,7 +116,8 @@ class Series:
         self._ending: list[threading.Thread] = []
         self._closing: list[Recording] = []
         """Runs that have ended and are still being stored."""
-        self._kept: list[tuple[Recording, Sequence[TopicReport]]] = []
+        self._order = itertools.count()
+        self._kept: list[_Ended] = []
         """The runs of this recording that have ended and are kept."""
         self._removed: list[Sequence[TopicReport]] = []
         self._latched: dict[tuple[str, str], tuple[Mapping[str, str], bytes]] = {}
@@ -245,26 +256,26 @@ class Series:
                 self.current, self._since = new, now
 
         old.hand_over(new, switch)
-        name = "recorder-split"
-        thread = threading.Thread(target=self._close, args=(old,), name=name, daemon=True)
+        args, name = (next(self._order), old), "recorder-split"
+        thread = threading.Thread(target=self._close, args=args, name=name, daemon=True)
         self._ending.append(thread)
         thread.start()
 
-    def _close(self, recording: Recording) -> None:
+    def _close(self, order: int, recording: Recording) -> None:
         reports = recording.close()
         removed = []
         with self._mutex:
             self._closing.remove(recording)
-            self._kept.append((recording, reports))
+            # A run may be stored before one that was recorded earlier.
+            bisect.insort(self._kept, _Ended(order, recording, reports))
             # The current one is kept, too.
             most = self._options.max_splits - 1
             while self._options.max_splits and len(self._kept) > most:
-                oldest, told = self._kept.pop(0)
-                self._removed.append(told)
-                removed.append((oldest, told))
+                removed.append(self._kept.pop(0))
+            self._removed += [oldest.reports for oldest in removed]
         # Not under the mutex: see _split.
-        for oldest, told in removed:
-            self._remove(oldest, told)
+        for oldest in removed:
+            self._remove(oldest.run, oldest.reports)
 
     def _remove(self, run: Recording, reports: Sequence[TopicReport]) -> None:
         """Delete a run: its messages, then what is said of it."""
@@ -317,7 +328,7 @@ class Series:
 
     def _ended(self, recording: Recording, reports: list[TopicReport]) -> list[TopicReport]:
         with self._mutex:
-            self._kept.append((recording, reports))
+            self._kept.append(_Ended(next(self._order), recording, reports))
             self.current = None
         return reports
 
@@ -334,7 +345,7 @@ class Series:
     def reports(self) -> list[TopicReport]:
         """Describe what became of each topic in all runs together."""
         with self._mutex:
-            parts = [*self._removed, *(reports for _, reports in self._kept)]
+            parts = [*self._removed, *(kept.reports for kept in self._kept)]
             parts += [recording.reports() for recording in self._closing]
             if self.current is not None:
                 parts.append(self.current.reports())
