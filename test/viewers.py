@@ -64,12 +64,6 @@ class RunningViewer:
         assert found.status >= 400, found.text
         return found.status, found.json()
 
-    def post(self, path, body):
-        text = json.dumps(body)
-        found = self.ask(path, None, "POST", text, Content_Type="application/json")
-        assert found.status == 200, found.text
-        return found.json()
-
 
 @contextlib.contextmanager
 def running_viewer(store, routes=ROUTES, **settings):

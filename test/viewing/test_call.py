@@ -18,7 +18,7 @@ NS = 1368021980238582676
 
 
 def call_of(kind, query, **options):
-    route = Route("GET", "/x", lambda call: None, "X.", (Parameter("a", kind, "A.", **options),))
+    route = Route("/x", lambda call: None, "X.", (Parameter("a", kind, "A.", **options),))
     return Call(None, route, query, {})
 
 
@@ -104,14 +104,6 @@ def test_what_stands_there_twice_or_is_unknown_or_missing_is_refused():
     with pytest.raises(InvalidOption, match="needs the parameter a: A."):
         call_of("text", {"a": [""]}, required=True)
     call_of("time", {"token": ["secret"]})  # is read before
-
-
-@pytest.mark.parametrize("posted", [b"", b"{", b"\xff", b"[" * 100_000])
-def test_a_body_that_is_no_json_is_refused(posted):
-    route = Route("POST", "/x", lambda call: None, "X.", body="Something.")
-    with pytest.raises(InvalidOption, match="no JSON"):
-        Call(None, route, {}, {}, "POST", posted).body()
-    assert Call(None, route, {}, {}, "POST", b'{"a": [1]}').body() == {"a": [1]}
 
 
 @pytest.mark.parametrize(

@@ -27,8 +27,6 @@ from cassandra_ros.viewing.security import Guard, check_settings
 from cassandra_ros.viewing.settings import ViewerSettings
 from cassandra_ros.viewing.shared import Shared
 
-MAX_BODY_BYTES = 2**20
-"""Of what is posted: statements."""
 _ASKED_AGAIN = "no-cache"
 """Files are asked for again each time, which 304 answers mostly."""
 _PINNED = "private, max-age=86400"
@@ -52,16 +50,12 @@ def make_application(
     """
     check_settings(settings)
     guard, handling = Guard(settings), Handling(Shared(store, settings))
-    application = web.Application(
-        middlewares=[_errors_told, guard.check], client_max_size=MAX_BODY_BYTES
-    )
+    application = web.Application(middlewares=[_errors_told, guard.check])
     application.on_response_prepare.append(guard.protect)
     application.on_shutdown.append(handling.stop)
     application.on_cleanup.append(handling.close)
     for route in routes:
-        answer = handling.handler(route)
-        for method in ("GET", "HEAD") if route.method == "GET" else (route.method,):
-            application.router.add_route(method, route.path, answer)
+        application.router.add_get(route.path, handling.handler(route))
     _add_pages(application.router, settings)
     return application
 

@@ -283,7 +283,6 @@ _WHOSE = (
 
 ROUTES: tuple[Route, ...] = (
     Route(
-        "GET",
         "/api/query",
         _query,
         "A page of the rows of a statement: columns, kinds (types of ROS), rows, times (of the "
@@ -308,7 +307,6 @@ ROUTES: tuple[Route, ...] = (
         ),
     ),
     Route(
-        "GET",
         "/api/explain",
         _explain,
         "How a statement is answered: it is run to its end, what the server checked and what was "
@@ -316,7 +314,6 @@ ROUTES: tuple[Route, ...] = (
         (_STATEMENT, *_WHOSE),
     ),
     Route(
-        "GET",
         "/api/complete",
         _complete,
         "What may stand at a place of a statement: offers (text, kind, note), each in place of "
@@ -327,7 +324,6 @@ ROUTES: tuple[Route, ...] = (
         ),
     ),
     Route(
-        "GET",
         "/api/plot",
         _plot,
         "The numbers of a statement over time: of each pixel in which something lies its time "

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import threading
 from typing import Callable, Mapping, Sequence, TypeVar
@@ -12,7 +11,6 @@ from typing import Callable, Mapping, Sequence, TypeVar
 from cassandra_ros.errors import InvalidKey, InvalidOption
 from cassandra_ros.messages.stamps import written_time_ns
 from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.route import KINDS, Parameter, Route, Value
 from cassandra_ros.viewing.settings import ViewerSettings
 from cassandra_ros.viewing.shared import Shared
@@ -29,10 +27,9 @@ class Call:
         route: The route that is asked.
         query: The texts of each parameter that is given, in their order.
         headers: Those of the request, their names in small letters.
-        posted: The body.
 
     Attributes:
-        method: GET, HEAD or POST.
+        method: GET or HEAD.
         headers: As given.
         gone: Is set once nobody waits for the answer any more: what takes long looks at it.
     """
@@ -44,12 +41,10 @@ class Call:
         query: Mapping[str, Sequence[str]],
         headers: Mapping[str, str],
         method: str = "GET",
-        posted: bytes = b"",
     ) -> None:
         self._shared = shared
         self._known = {parameter.name: parameter for parameter in route.parameters}
         self._query = query
-        self._posted = posted
         self.headers = headers
         self.method = method
         self.gone = threading.Event()
@@ -128,18 +123,6 @@ class Call:
             InvalidOption: It is neither true nor false.
         """
         return bool(self._read(name, "flag", _read_flag))
-
-    def body(self) -> Json:
-        """Return the JSON that was posted.
-
-        Raises:
-            InvalidOption: It is none.
-        """
-        try:
-            found: Json = json.loads(self._posted.decode("utf-8"))
-        except (ValueError, RecursionError) as exc:
-            raise InvalidOption(f"what was posted is no JSON in UTF-8: {exc}") from exc
-        return found
 
     def _parameter(self, name: str, kind: str) -> Parameter:
         parameter = self._known[name]

@@ -170,13 +170,11 @@ def _run(run: Run, by_topic: bool, counts: bool) -> Dict[str, Json]:
 
 ROUTES: tuple[Route, ...] = (
     Route(
-        "GET",
         "/api/keyspace",
         _keyspace,
         "The keyspace that is shown, and those beside it that hold topics.",
     ),
     Route(
-        "GET",
         "/api/topics",
         _topics,
         "Topics, sorted by name: types, formats, what is stored of them and when.",
@@ -186,7 +184,6 @@ ROUTES: tuple[Route, ...] = (
         ),
     ),
     Route(
-        "GET",
         "/api/runs",
         _runs,
         "Recordings and imports, the latest first: state, labels, what they stored and lost.",

@@ -49,9 +49,8 @@ class Handling:
         """Return the coroutine that answers a route."""
 
         async def answer(request: web.Request) -> web.StreamResponse:
-            posted = await request.read() if route.body else b""
-            method = request.method
-            call = Call(self._shared, route, _query(request), _headers(request), method, posted)
+            headers = _headers(request)
+            call = Call(self._shared, route, _query(request), headers, request.method)
             self._calls.add(call)
             try:
                 found = await self._run(partial(_work, route, call))

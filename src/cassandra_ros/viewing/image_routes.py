@@ -95,7 +95,6 @@ _ONE = (
 )
 ROUTES: tuple[Route, ...] = (
     Route(
-        "GET",
         "/api/message",
         _message,
         "A message as JSON: its place and its content, as rosbridge writes it. Numbers have all "
@@ -111,7 +110,6 @@ ROUTES: tuple[Route, ...] = (
         ),
     ),
     Route(
-        "GET",
         "/api/image",
         _image,
         "The picture of a sensor_msgs/Image or CompressedImage, as JPEG; depths from black (the "

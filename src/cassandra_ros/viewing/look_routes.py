@@ -193,16 +193,14 @@ _WINDOW = (TOPICS, START, END, NODES, RUNS)
 _TIME = Parameter("time", "time", "The moment that is looked at.")
 
 ROUTES: tuple[Route, ...] = (
-    Route("GET", "/api/studio", _studio, "Whether the Studio is here that Look shows messages in."),
+    Route("/api/studio", _studio, "Whether the Studio is here that Look shows messages in."),
     Route(
-        "GET",
         "/api/connections",
         _connections,
         "The topics of a window, how much of them lies in it, and how their messages are read.",
         (*_WINDOW, _TIME),
     ),
     Route(
-        "GET",
         "/api/messages",
         _messages,
         "A page of the messages of a window as they were sent, in the order of their key times: "
@@ -221,7 +219,6 @@ ROUTES: tuple[Route, ...] = (
         CONTENT_TYPE,
     ),
     Route(
-        "GET",
         "/api/latest",
         _latest,
         "The last message of each topic at or before a moment, as frames: of transforms those of "

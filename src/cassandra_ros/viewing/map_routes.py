@@ -114,7 +114,6 @@ def _answer(made: MadeMap) -> Bytes:
 
 ROUTES: tuple[Route, ...] = (
     Route(
-        "GET",
         "/api/map",
         _map,
         "An occupancy grid as a picture: a pixel a cell, dark where something is, transparent "

@@ -101,7 +101,6 @@ def _of_run(run: Run) -> Iterator[Mark]:
 
 ROUTES: tuple[Route, ...] = (
     Route(
-        "GET",
         "/api/marks",
         _marks,
         "What happened when: recordings that began and ended, and losses, the earliest first.",

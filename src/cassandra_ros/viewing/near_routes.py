@@ -101,7 +101,6 @@ _TIMES = (
 )
 ROUTES: tuple[Route, ...] = (
     Route(
-        "GET",
         "/api/near",
         _near,
         "When robots were on a disk, or in what a polygon encloses: stretches of time by robot, "
@@ -119,7 +118,6 @@ ROUTES: tuple[Route, ...] = (
         ),
     ),
     Route(
-        "GET",
         "/api/places",
         _places,
         "Where robots were: for each a track of times and of x and y in metres, thinned; joined "

@@ -38,7 +38,7 @@ def describe(routes: Iterable[Route]) -> Json:
     """Return the document; each route is in it with all its parameters."""
     paths: dict[str, dict[str, Json]] = {}
     for route in routes:
-        paths.setdefault(route.path, {})[route.method.lower()] = _operation(route)
+        paths[route.path] = {"get": _operation(route)}
     return {
         "openapi": "3.0.3",
         "info": {"title": "cassandra_ros viewer", "version": "1", "description": _INTRODUCTION},
@@ -52,7 +52,7 @@ def describe(routes: Iterable[Route]) -> Json:
 
 def _operation(route: Route) -> dict[str, Json]:
     error: Json = {"application/json": {"schema": {"$ref": "#/components/schemas/Error"}}}
-    found: dict[str, Json] = {
+    return {
         "summary": route.summary,
         "parameters": [_parameter(each) for each in route.parameters],
         "responses": {
@@ -60,10 +60,6 @@ def _operation(route: Route) -> dict[str, Json]:
             "default": {"description": "It failed.", "content": error},
         },
     }
-    if route.body:
-        content: Json = {"application/json": {"schema": {"type": "object"}}}
-        found["requestBody"] = {"description": route.body, "content": content}
-    return found
 
 
 def _content(route: Route) -> dict[str, Json]:

@@ -41,10 +41,8 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Route:
-    """A path and the function that answers it, on a thread of the pool."""
+    """A path and the function that answers GET and HEAD there, on a thread of the pool."""
 
-    method: str
-    """GET (also answers HEAD) or POST."""
     path: str
     answer: Callable[[Call], Answer]
     """Raises errors of our tree, which become statuses and JSON."""
@@ -53,5 +51,3 @@ class Route:
     parameters: tuple[Parameter, ...] = ()
     kind: str = "json"
     """What is answered: json, or a content type as image/jpeg."""
-    body: str = ""
-    """What the JSON that is posted holds; '' = nothing is posted."""

@@ -35,5 +35,5 @@ ROUTES: tuple[Route, ...] = (
     *image_routes.ROUTES,
     *near_routes.ROUTES,
     *map_routes.ROUTES,
-    Route("GET", "/api/openapi.json", _describe, "This description of the API, by OpenAPI 3."),
+    Route("/api/openapi.json", _describe, "This description of the API, by OpenAPI 3."),
 )

@@ -97,7 +97,6 @@ def _run(span: RunSpan, names: Dict[int, str]) -> Dict[str, Json]:
 
 ROUTES: Tuple[Route, ...] = (
     Route(
-        "GET",
         "/api/timeline",
         _answer,
         "How many messages of each topic and robot lie in equal cells of a window of time. "

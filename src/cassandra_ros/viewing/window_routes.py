@@ -155,7 +155,6 @@ def _parameters(ending: str) -> tuple[Parameter, ...]:
 
 ROUTES: tuple[Route, ...] = tuple(
     Route(
-        "GET",
         f"/window.{ending}",
         partial(_answer, ending=ending),
         f"Messages as {what}, as cassandra_bag export writes it; also in parts (Range).",
