@@ -18,6 +18,8 @@ class Size:
     """Rounds that do not count, for the server's Java to warm up."""
     rounds: int
     """Measured ones."""
+    long_rounds: int
+    """Of scans, images and clouds, whose times differ most."""
     steps: Tuple[int, ...]
     """Messages stored in the growing tables (fig. 5, 6, 7); the last is the largest."""
     lookups: int
@@ -58,6 +60,7 @@ FULL = Size(
     },
     warm_ups=1,
     rounds=3,
+    long_rounds=5,
     steps=(100, 1_000, 10_000, 100_000, 1_000_000),
     lookups=1_000,
     slow_lookups=50,
@@ -86,6 +89,7 @@ QUICK = Size(
     },
     warm_ups=1,
     rounds=1,
+    long_rounds=1,
     steps=(100, 1_000, 10_000),
     lookups=100,
     slow_lookups=20,
@@ -106,6 +110,7 @@ SMOKE = Size(
     counts={"paper": 300, "tf": 100, "image": 2},
     warm_ups=0,
     rounds=1,
+    long_rounds=1,
     steps=(100, 1_000),
     lookups=3,
     slow_lookups=2,

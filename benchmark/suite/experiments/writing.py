@@ -12,7 +12,7 @@ import numpy as np
 from suite.contenders import Contender, all_contenders, folder_bag, verify
 from suite.contenders.store import Store, StoreImport
 from suite.context import Context, Costs, measure, rotated
-from suite.messages import KINDS, NAMES, Batch
+from suite.messages import KINDS, LARGE, NAMES, Batch
 
 ARRAYS = {
     "paper": ["c", "d"],
@@ -38,12 +38,15 @@ class _Rounds:
         self.context, self.batch, self.folder = context, batch, folder
         self._failed: List[str] = []
         self._samples: Dict[Any, List[float]] = {}
+        size = context.size
+        rounds = size.long_rounds if batch.kind in ("scan", *LARGE) else size.rounds
+        self._numbers = range(-size.warm_ups, rounds)
 
     def run(self) -> None:
         """Run them all, and note the samples."""
-        makers, size = all_contenders(self.context.server), self.context.size
+        makers = all_contenders(self.context.server)
         folder_bag(self.batch, self.folder)
-        for number in range(-size.warm_ups, size.rounds):
+        for number in self._numbers:
             for name in rotated(list(makers), number + 1):
                 if name in self._failed:
                     continue
@@ -62,7 +65,7 @@ class _Rounds:
             self._note(number, "write", contender, costs)
             # What the other way of writing has written is read in the same way.
             alone = type(contender) is not StoreImport and "objects" not in contender.name
-            if number in (-self.context.size.warm_ups, self.context.size.rounds - 1):
+            if number in (self._numbers[0], self._numbers[-1]):
                 verify(contender, self.batch)
             if alone:
                 costs, read = measure(server, lambda: sum(1 for _ in contender.objects()))
@@ -77,7 +80,7 @@ class _Rounds:
         if fields is None:
             return
         costs, found = measure(self.context.server, lambda: read_arrays(contender, fields))
-        if number == -self.context.size.warm_ups:
+        if number == self._numbers[0]:
             wanted = [gather(self.batch.objects(), name) for name in fields]
             for name, mine, theirs in zip(fields, found, wanted):
                 assert np.array_equal(np.stack(mine), np.stack(theirs)), f"{name} differs"
