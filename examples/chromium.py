@@ -66,7 +66,7 @@ class Browser:
         """Return what the body of a JavaScript function returns."""
         return self.driver.execute_script(script, *arguments)
 
-    def wait_for(self, script: str, *arguments: object, timeout_sec: float = 60.0) -> Any:
+    def wait_for(self, script: str, *arguments: object, timeout_sec: float = 180.0) -> Any:
         """Return what a function's body returns once that is true.
 
         Raises:
@@ -86,7 +86,7 @@ class Browser:
         told = "\n".join(self.errors()) or "nothing"
         raise TimeoutError(f"{script}: {failure}; the console says: {told}")
 
-    def settled(self, selector: str = "body", timeout_sec: float = 60.0) -> bytes:
+    def settled(self, selector: str = "body", timeout_sec: float = 180.0) -> bytes:
         """Return a PNG of an element once it has looked the same for half a second.
 
         Raises:

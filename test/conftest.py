@@ -248,7 +248,7 @@ def cql(cassandra):
 
     profile = ExecutionProfile(
         load_balancing_policy=WhiteListRoundRobinPolicy([cassandra.host]),
-        request_timeout=60,
+        request_timeout=180,
         row_factory=tuple_factory,
     )
     cluster = Cluster(
@@ -257,8 +257,8 @@ def cql(cassandra):
         protocol_version=5,
         execution_profiles={EXEC_PROFILE_DEFAULT: profile},
         sockopts=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
-        connect_timeout=30,
-        control_connection_timeout=30,
+        connect_timeout=180,
+        control_connection_timeout=180,
         schema_metadata_enabled=False,
         token_metadata_enabled=False,
     )
@@ -334,14 +334,14 @@ def roscore(ros_env):
     finally:
         process.send_signal(signal.SIGINT)
         try:
-            process.wait(20)
+            process.wait(60)
         except subprocess.TimeoutExpired:
             process.kill()
 
 
 def _await_master(uri, process, log):
     """Wait for the master and for its rosout node, whose topics would appear later."""
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 180
     while time.monotonic() < deadline and process.poll() is None:
         try:
             state = xmlrpc.client.ServerProxy(uri).getSystemState("/cassandra_ros_tests")[2]

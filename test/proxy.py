@@ -21,7 +21,7 @@ _ERROR = 0x00
 _HEAD = struct.Struct(">BBhBi")  # version, flags, stream, opcode, length of the body
 _ONE_NODE = struct.pack(">Hii", ConsistencyLevel.LOCAL_ONE, 0, 1)  # received 0 of 1
 _WITH_PAGING_STATE = 0x08
-WAIT_SEC = 60
+WAIT_SEC = 180
 
 
 def _text(text):

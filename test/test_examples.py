@@ -66,7 +66,7 @@ def test_results_under_names(cassandra, keyspace, ros_env, tmp_path):
         ros_env = {**ros_env, name: ""}
     for run in (1, 2):
         done = subprocess.run(
-            [*command, *options], env=ros_env, capture_output=True, text=True, timeout=120
+            [*command, *options], env=ros_env, capture_output=True, text=True, timeout=300
         )
         assert done.returncode == 0, done.stderr
         assert f"kitchen: 81 x 60 cells, newest of {2 * run} versions" in done.stdout
@@ -95,7 +95,7 @@ def test_the_listing_reads_what_the_environment_names(cassandra, keyspaces, conn
         }
         done = subprocess.run(
             [sys.executable, str(ROOT / "examples/listing.py"), "--notes", notes],
-            env=env, capture_output=True, text=True, timeout=120,
+            env=env, capture_output=True, text=True, timeout=300,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         assert "'left turn at the gate'" in done.stdout
@@ -119,7 +119,7 @@ def test_what_writes_does_so_into_a_keyspace_of_its_own(ros_env, name):
     done = subprocess.run(
         [sys.executable, str(ROOT / f"examples/{name}.py"), "--help"],
         env={**ros_env, "CASSANDRA_ROS_KEYSPACE": "precious"},
-        capture_output=True, text=True, timeout=120,
+        capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert f"default: {name}" in done.stdout
     assert "precious" not in done.stdout
@@ -154,7 +154,7 @@ def test_the_storyboard_finds_what_the_bag_holds(cassandra, keyspace, ros_env):
         env=ros_env,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr
     assert not done.stderr

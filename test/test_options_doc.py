@@ -32,7 +32,7 @@ def rows(name):
 
 def options_of_rosbag(verb, env):
     done = subprocess.run(
-        ["rosbag", verb, "-h"], env=env, capture_output=True, text=True, check=True, timeout=60
+        ["rosbag", verb, "-h"], env=env, capture_output=True, text=True, check=True, timeout=300
     )
     lines = [line for line in done.stdout.splitlines() if re.match(r" {2}-", line)]
     return {option for line in lines for option in OPTION.findall(re.split(r"\s{2,}", line[2:])[0])}

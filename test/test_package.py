@@ -81,7 +81,7 @@ def test_rosrun_finds_every_script_once(name, ros_env):
         capture_output=True,
         text=True,
         env=ros_env,
-        timeout=60,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(f"usage: {name} ")

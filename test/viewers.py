@@ -40,7 +40,7 @@ class RunningViewer:
         self.port = port
         self.url = f"http://127.0.0.1:{port}"
 
-    def connect(self, timeout_sec=30.0):
+    def connect(self, timeout_sec=180.0):
         return http.client.HTTPConnection("127.0.0.1", self.port, timeout=timeout_sec)
 
     def ask(self, path, parameters=None, method="GET", body=None, **headers):
@@ -74,12 +74,12 @@ def running_viewer(store, routes=ROUTES, **settings):
 
     thread.start()
     try:
-        port = asyncio.run_coroutine_threadsafe(manager.__aenter__(), loop).result(30)
+        port = asyncio.run_coroutine_threadsafe(manager.__aenter__(), loop).result(180)
         try:
             yield RunningViewer(port)
         finally:
             ended = manager.__aexit__(None, None, None)
-            asyncio.run_coroutine_threadsafe(ended, loop).result(120)
+            asyncio.run_coroutine_threadsafe(ended, loop).result(180)
     finally:
         loop.call_soon_threadsafe(loop.stop)
         thread.join()

@@ -79,7 +79,7 @@ def test_an_import_that_was_killed_is_completed_by_the_next(
     path = write_bag(tmp_path / "a.bag", count, 100)
     for killed_at in (0.3, 0.6):
         child = spawn_import(cassandra, keyspace, path, killed_at * count)
-        child.communicate(timeout=120)
+        child.communicate(timeout=300)
         assert child.returncode == -signal.SIGKILL
         part = sum(counts_agree(rosCas, cql).values())
         assert 0 < part < count

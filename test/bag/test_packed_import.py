@@ -94,7 +94,7 @@ def test_an_import_that_was_killed_is_completed_by_the_next(
     path = jumbled_bag(tmp_path / "a.bag", count)
     for killed_at in (0.4, 0.8):
         child = spawn_import(cassandra, keyspace, path, killed_at * count, "packed")
-        child.communicate(timeout=120)
+        child.communicate(timeout=300)
         assert child.returncode == -signal.SIGKILL
     import_bag(rosCas, path, format="packed")
     assert verify_bag(rosCas, path).equal

@@ -37,7 +37,7 @@ class Viewer:
     def ask(self, path, **parameters):
         """Return what it answers to a script: JSON."""
         address = self.at(path, **parameters)
-        with urllib.request.urlopen(address, timeout=60) as answer:  # noqa: S310 (our own)
+        with urllib.request.urlopen(address, timeout=300) as answer:  # noqa: S310 (our own)
             return json.load(answer)
 
 

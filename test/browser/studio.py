@@ -35,7 +35,7 @@ class Studio:
     def time_ns(self):
         return int(self.data("time"))
 
-    def await_time(self, condition, timeout_sec=60):
+    def await_time(self, condition, timeout_sec=180):
         """Wait until a condition holds of the moment that is shown."""
         await_true(lambda: condition(self.time_ns), lambda: f"it is {self.time_ns}", timeout_sec)
 
@@ -81,7 +81,7 @@ class Studio:
         return found[0]
 
 
-def await_true(condition, told, timeout_sec=60):
+def await_true(condition, told, timeout_sec=180):
     """Wait until a condition holds; fail with what is told."""
     deadline = time.monotonic() + timeout_sec
     while not condition():

@@ -149,7 +149,7 @@ def test_a_window_is_chosen_by_wheel_drag_and_keys_and_leads_on(page, tmp_path):
     # The link is what rosbag reads.
     href, chosen = links[".bag"]
     target = tmp_path / "window.bag"
-    with urllib.request.urlopen(href, timeout=60) as answer:  # noqa: S310 (our own viewer)
+    with urllib.request.urlopen(href, timeout=300) as answer:  # noqa: S310 (our own viewer)
         target.write_bytes(answer.read())
     with rosbag.Bag(str(target)) as bag:
         times = [t.to_nsec() for _, _, t in bag.read_messages()]

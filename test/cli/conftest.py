@@ -38,7 +38,7 @@ def type_in(env):
             capture_output=True,
             text=True,
             env={**env, **changed},
-            timeout=120,
+            timeout=300,
         )
         return done.returncode, done.stdout, done.stderr
 

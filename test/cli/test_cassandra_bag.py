@@ -379,7 +379,7 @@ def test_a_reader_that_leaves_is_no_error(env, call, bags):
         env=env,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
     )
     assert "Traceback" not in done.stderr
 

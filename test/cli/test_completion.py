@@ -34,7 +34,7 @@ def press_tab(ros_env, env):
             env={**ros_env, **{k: v for k, v in env.items() if k.startswith("CASSANDRA_ROS_")}},
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=300,
         )
         return [
             [word.strip() for word in line.split("|")[:-1]] for line in done.stdout.splitlines()

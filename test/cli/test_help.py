@@ -99,7 +99,7 @@ def test_version_and_wrong_usage_have_one_form():
             env={"PYTHONPATH": f"{ROOT / 'src'}:/usr/lib/python3/dist-packages"},
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=300,
         )
 
     version = re.search("<version>(.*)</version>", (ROOT / "package.xml").read_text())[1]

@@ -444,7 +444,7 @@ with RosCassandra(sys.argv[1], int(sys.argv[2]), keyspace={keyspace!r}) as store
         env=env,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
     )
     assert done.returncode == 1, done.stderr
     assert str(T) in done.stdout
@@ -465,7 +465,7 @@ def test_a_reader_that_leaves_is_no_error(env, rosCas, output):
         env=env,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
     )
     assert len(done.stdout) == 10
     assert done.stderr == ""
@@ -490,7 +490,7 @@ def test_ctrl_c_ends_quietly(env, rosCas, tmp_path):
         assert reader.read(10)  # it is amid the answer, and nobody takes more
         time.sleep(0.1)
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=300)
     assert (process.returncode, out, err) == (130, b"", b"")
 
 

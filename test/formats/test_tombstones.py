@@ -41,7 +41,7 @@ PLAIN = {
 
 def cells_read(cql, statement, parameters=()):
     """Run a statement with tracing; return (rows, live rows, tombstones) as the server saw them."""
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 180
     while time.monotonic() < deadline:
         # Anew each time: of a trace the driver reads only what is there when it first looks.
         result = cql.execute(statement, parameters, trace=True)

@@ -44,14 +44,14 @@ def make(folder, **options):
 def session(cluster):
     """A session of the driver, on the first node."""
     host = cluster.settings.host
-    profile = ExecutionProfile(WhiteListRoundRobinPolicy([host]), request_timeout=30)
+    profile = ExecutionProfile(WhiteListRoundRobinPolicy([host]), request_timeout=180)
     driver = Cluster(
         [host],
         port=cluster.settings.port,
         protocol_version=5,
         execution_profiles={EXEC_PROFILE_DEFAULT: profile},
-        connect_timeout=30,
-        control_connection_timeout=30,
+        connect_timeout=180,
+        control_connection_timeout=180,
         schema_metadata_enabled=False,
         token_metadata_enabled=False,
     )
@@ -69,7 +69,7 @@ def ask(cluster, statement):
 
 def await_answers(cluster):
     """Wait until all nodes answer: a busy one may take longer than status waits."""
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 180
     while not all(status.answers for status in cluster.status()):
         assert time.monotonic() < deadline, cluster.status()
 

@@ -138,7 +138,7 @@ def answered(env, answer):
             env=env,
         )
         os.write(ours, answer.encode())  # the terminal keeps it until it is read
-        asked = child.communicate(timeout=60)[1]
+        asked = child.communicate(timeout=300)[1]
         assert "Delete all data in" in asked and "[y/N]" in asked
         return child.returncode
     finally:
@@ -185,7 +185,7 @@ def test_run_lets_clients_go_before_it_stops(env, tmp_path):
             process.send_signal(signal.SIGINT)
             time.sleep(1.5)
             assert answers_cql("127.0.0.1", port, timeout_sec=60)
-        assert process.wait(120) == 0
+        assert process.wait(300) == 0
         assert not answers_cql("127.0.0.1", port)
     finally:
         process.kill()
@@ -214,8 +214,8 @@ def test_run_in_the_foreground_takes_the_server_along(env, tmp_path, number):
         [status] = cluster.status()
         assert answers_cql("127.0.0.1", cluster.settings.port, timeout_sec=60)
         process.send_signal(number)
-        assert process.wait(120) == (0 if number != signal.SIGKILL else -signal.SIGKILL)
-        deadline = time.monotonic() + 120
+        assert process.wait(300) == (0 if number != signal.SIGKILL else -signal.SIGKILL)
+        deadline = time.monotonic() + 300
         while processes.command_line(status.pid) and time.monotonic() < deadline:
             time.sleep(0.05)
         assert not processes.command_line(status.pid)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 from cassandra_ros.local_server import ports, processes
 
@@ -39,18 +40,18 @@ def test_the_owner_of_a_port_is_named():
         assert f"(pid {os.getpid()})" in ports.port_owner(port)
 
 
-def test_a_port_is_known_by_its_address():
+def test_a_port_is_known_by_its_address(monkeypatch):
     server, port = listener()
     with server:
         assert f"(pid {os.getpid()})" in ports.port_owner(port, "127.0.0.1")
         assert ports.port_owner(port, "127.0.0.2") == "an unknown process"
         assert ports.await_the_dead("127.0.0.2", port)
-        begin = time.monotonic()
-        assert not ports.await_the_dead("127.0.0.1", port)
-        assert time.monotonic() - begin < ports._DYING_SEC / 2  # it lives: nothing to wait for
+        monkeypatch.setattr(ports, "time", SimpleNamespace(monotonic=time.monotonic))
+        assert not ports.await_the_dead("127.0.0.1", port)  # it lives: nothing to wait for
 
 
-def test_the_port_of_one_that_was_killed_is_waited_for():
+def test_the_port_of_one_that_was_killed_is_waited_for(monkeypatch):
+    monkeypatch.setattr(ports, "_DYING_SEC", 180.0)
     # What it gives back first takes a while.
     code = (
         "import socket, time\n"

@@ -264,7 +264,7 @@ def test_programs_find_their_login_by_the_environment(cqlshrc, users, tmp_path, 
 
     def run(*options):
         command = [*listing, *map(str, options)]
-        done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=120)
+        done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=300)
         return done.returncode, done.stdout, done.stderr
 
     status, text, err = run()

@@ -289,7 +289,7 @@ def test_figure_4_is_drawn_of_a_real_lidar(bags, cassandra, rosCas, ros_env, tmp
     done = subprocess.run(
         [sys.executable, ROOT / "examples/figure4.py", bag, "--out", out, *words]
         + ["--keyspace", rosCas.keyspace],
-        env=ros_env, capture_output=True, text=True, timeout=120,
+        env=ros_env, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert re.search(r"^/base_scan: \d+ x \d+ cells of 5 messages; /base_pose", done.stdout, re.M)

@@ -64,7 +64,7 @@ class Child:
     def wait(self, timeout_sec=180):
         """Return the exit status when it ends by itself."""
         status = self.process.wait(timeout_sec)
-        self._reader.join(5)
+        self._reader.join(60)
         return status
 
     def __enter__(self):

@@ -13,7 +13,7 @@ import xmlrpc.client
 class RawSubscriber:
     """One connection to the publisher of a topic; ``header`` is what that says, as bytes."""
 
-    def __init__(self, uri, topic, timeout_sec=60, **fields):
+    def __init__(self, uri, topic, timeout_sec=180, **fields):
         self._sock = socket.create_connection(find(uri, topic, timeout_sec), timeout_sec)
         wanted = {"topic": topic, "callerid": f"/raw_{id(self)}", "md5sum": "*", "type": "*"}
         data = b""

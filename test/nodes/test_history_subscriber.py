@@ -34,7 +34,7 @@ class Listener(Child):
     def ask(self, command):
         number = len(self.lines)
         print(command, file=self.process.stdin, flush=True)
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 180
         while time.monotonic() < deadline:
             for line in self.lines[number:]:
                 if line.startswith(tuple("{0123456789")):
@@ -84,7 +84,7 @@ def stage(roscore, cassandra, keyspace, rosCas):
             return child
 
         def await_stored(self, topic, count):
-            deadline = time.monotonic() + 60
+            deadline = time.monotonic() + 180
             while not rosCas.existTopic(topic) or rosCas.getTopic(topic).countTopicData() < count:
                 assert time.monotonic() < deadline
                 time.sleep(0.1)

@@ -105,7 +105,7 @@ def test_cassandra_ros_launch_records_all_at_once(launched, roscore, rosCas):
     assert rosCas.getTopic("/launched/n").getMeta["ttl"] == 86400
     assert "/rosout" not in [topic.name for topic in rosCas.getAllTopics()]
     address = re.search(r"http://127\.0\.0\.1:\d+", child.await_line(" is at http"))[0]
-    with urllib.request.urlopen(address + "/api/runs", timeout=30) as answer:  # noqa: S310 (our own)
+    with urllib.request.urlopen(address + "/api/runs", timeout=180) as answer:  # noqa: S310 (our own)
         assert json.load(answer)["runs"][0]["run"] == "patrol"
 
 

@@ -30,8 +30,8 @@ def peak_mb(pid):
     [
         (0, 100_000, 10_000, "ros"),
         (0, 200_000, 20_000, "packed"),
-        # Half of the pace that make bench asks for on a machine of its own: other tests run beside.
-        (2 << 20, 300, 15, "binary"),
+        # A third of the pace that make bench asks for on a machine of its own: others run beside.
+        (2 << 20, 240, 10, "binary"),
     ],
     ids=["small", "packed", "images"],
 )
@@ -46,7 +46,7 @@ def test_nothing_is_lost_under_load(
         command = [sys.executable, PUBLISHER, roscore.uri, "/load", size, count, rate]
         with Child(command, roscore.env) as publisher:
             sent = publisher.await_line("sent ")
-            assert publisher.wait(60) == 0
+            assert publisher.wait() == 0
         began = time.monotonic()
         peak = peak_mb(child.process.pid)
         child.process.send_signal(signal.SIGINT)
@@ -78,12 +78,12 @@ def test_what_was_stored_in_blocks_survives_a_kill(roscore, cassandra, keyspace,
             publisher.await_line("sent ")
             # Nobody has ended the recording: they are stored for they are old enough.
             await_true(lambda: sum(info.count for info in rosCas.info()) == 3000)
-            assert publisher.wait(60) == 0
+            assert publisher.wait() == 0
         command = [sys.executable, PUBLISHER, roscore.uri, "/load", 0, 100_000, 3000]
         with Child(command, roscore.env) as publisher:
             await_true(lambda: rosCas.info(["/load"])[0].count > 5000)
             child.process.send_signal(signal.SIGKILL)
-            child.wait(60)
+            child.wait()
             publisher.end()  # it unregisters: the master is not ours alone
     numbers = [int.from_bytes(row.wire[:4], "little") for row in rosCas.getTopic("/load").rows()]
     first, second = numbers[:3000], numbers[3000:]

@@ -69,7 +69,7 @@ class SlowMaster(ThreadingMixIn, SimpleXMLRPCServer):
     def _dispatch(self, method, params):
         if method == "getSystemState" and self.holds.is_set():
             self.asked.set()
-            self.unregistered.wait(60)
+            self.unregistered.wait(180)
         answer = getattr(xmlrpc.client.ServerProxy(self._behind), method)(*params)
         if method in ("unregisterSubscriber", "system.multicall"):
             self.unregistered.set()
@@ -149,7 +149,7 @@ def test_a_node_that_shuts_down_is_not_one_that_is_unknown(
         one.await_subscribers().publish(text(1))
         child.await_line("recording 1 topic")
         slow_master.holds.set()
-        assert slow_master.asked.wait(60)
+        assert slow_master.asked.wait(180)
         node = xmlrpc.client.ServerProxy(listed_node(master, "/recorder"))
         node.shutdown("/test", "asked to")
         assert child.wait() == 0, child.output
@@ -191,7 +191,7 @@ def test_a_recording_ends_without_its_master(master, cassandra, keyspace, rosCas
         subprocess.run(["kill", "-STOP", str(pid)], check=True)
         try:
             one.publish(text(2))
-            assert child.end(timeout_sec=60) == 0, child.output
+            assert child.end(timeout_sec=180) == 0, child.output
         finally:
             subprocess.run(["kill", "-CONT", str(pid)], check=True)
         one.close()

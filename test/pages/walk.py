@@ -137,11 +137,11 @@ class Terminal:
         os.killpg(self.process.pid, signal.SIGINT)
         self.process.stdin.close()
         try:
-            self.process.wait(20)
+            self.process.wait(60)
         except subprocess.TimeoutExpired:
             os.killpg(self.process.pid, signal.SIGKILL)
             self.process.wait()
-        self._reader.join(5)
+        self._reader.join(60)
         self.process.stdout.close()
 
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -18,6 +17,7 @@ from geometry_msgs.msg import TransformStamped
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
+from nodes.children import await_true
 from std_msgs.msg import Int32
 from tf2_msgs.msg import TFMessage
 
@@ -442,7 +442,7 @@ def test_a_recorder_notes_part_by_part(rosCas, monkeypatch):
     """What is not noted yet is found all the same; a clock that goes back is noted, too."""
     moments = list(drive_moments(60))
     recording, keeper = record(rosCas, monkeypatch, moments[:161])  # 40 s
-    wait_for(lambda: all(s.handle for s in recording._sources.values()))
+    await_true(lambda: all(s.handle for s in recording._sources.values()))
     keeper._note(last=False)
     noted = keeper._noted
     assert T0 < noted < T0 + 40 * SEC - GAP + SEC
@@ -472,13 +472,6 @@ def test_without_places_nothing_is_noted(rosCas, monkeypatch):
     tables = [t.name for t in rosCas.getTopic("/tf").tables]
     assert rosCas.parts.place_index.placed(tables) == []
     assert asked(rosCas, "NEAR(20, 0, 2)") == [T0 + 2 * SEC + 1]
-
-
-def wait_for(holds, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 # -------------------------------------------------------------------- whose robot
@@ -678,7 +671,7 @@ def begun(store):
     """A recording of which the first part is noted."""
     recording = Recording(store, clock=Clock(), name="live")
     drives_on(recording, 0, 40)
-    wait_for(lambda: all(s.handle for s in recording._sources.values()))
+    await_true(lambda: all(s.handle for s in recording._sources.values()))
     recording._places._note(last=False)
     assert noted_of(store) == [(T0, T0 + 29 * SEC)]
     return recording
@@ -723,7 +716,7 @@ def test_a_recorder_says_nothing_of_poses_among_which_some_were_lost(rosCas):
 
 def test_a_recorder_sees_that_poses_are_deleted_meanwhile(rosCas):
     recording = begun(rosCas)
-    wait_for(lambda: rosCas.getTopic("/odom").countTopicData() == 40)
+    await_true(lambda: rosCas.getTopic("/odom").countTopicData() == 40)
     assert rosCas.executeCQL("delete from /odom where pose.pose.position.x = 100") == [(1,)]
     drives_on(recording, 40, 60)
     recording.close()

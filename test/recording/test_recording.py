@@ -187,12 +187,16 @@ def test_stamps_and_counters_have_one_order(rosCas):
         assert [row.wire for row in rows if row.wire in set(sent)] == sent
 
 
-def test_what_does_not_fit_is_counted(rosCas):
-    recorder = Recording(rosCas, buffer_bytes=100_000)
-    header = header_of(String)
-    for n in range(2000):
-        recorder.received("/text", header, text(n))
-    (report,) = recorder.close()
+def test_what_does_not_fit_is_counted(cassandra, keyspace, rosCas):
+    with Proxy(cassandra.host, cassandra.port) as proxy:
+        held = proxy.catch(lambda frame: frame.opcode == BATCH, failed=False).hold()
+        with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as store:
+            recorder = Recording(store, buffer_bytes=100_000)
+            header = header_of(String)
+            for n in range(2000):
+                recorder.received("/text", header, text(n))
+            held.release()
+            (report,) = recorder.close()
     assert report.received == 2000 == report.stored + report.lost
     assert report.lost > 0
     assert report.reasons == {LossKind.BUFFER_FULL: report.lost}

@@ -109,12 +109,12 @@ def test_the_last_runs_are_kept_also_where_an_earlier_one_is_stored_later(cassan
 
 
 def test_a_run_that_cannot_begin_keeps_nothing_from_ending(cassandra, keyspace, monkeypatch):
-    monkeypatch.setattr(series_module, "BEGIN_SEC", 0.1)
     with Proxy(cassandra.host, cassandra.port) as proxy:
         held = proxy.catch(lambda f: f.opcode == EXECUTE and b"r_1" in f.body, failed=False).hold()
         with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as store:
             series, begun = series_of(store, output_name="r", split=True, size=1000)
             series.begin()
+            monkeypatch.setattr(series_module, "BEGIN_SEC", 0.1)
             for n in range(2):
                 series.received("/t", HEADER, message(String(str(n) * 1000)))
                 assert not series.poll()
@@ -129,8 +129,13 @@ def test_the_limit_holds_while_runs_change(rosCas):
     series, begun = series_of(rosCas, split=True, size=5_000, limit=300)
     series.begin()
 
+    def runs():
+        return begun.index(series.current) + 1
+
     def publish():
         for n in range(300):
+            while runs() < 3 and n >= 40 * runs():  # a run begins when the store is fast enough
+                time.sleep(0.001)
             series.received("/t", HEADER, text(f"{n:>500}"))
             time.sleep(0.001)
 

@@ -25,7 +25,7 @@ def test_rostest_runs_the_launch_file_and_asks_the_services(ros_env, tmp_path):
         assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-3000:]
         assert "TESTS: 2" in done.stdout
         # The launch file leaves nothing running; a slow server may still drain what it has.
-        deadline = time.monotonic() + 120
+        deadline = time.monotonic() + 300
         while any(status.pid for status in LocalCluster(folder).status()):
             assert time.monotonic() < deadline
             time.sleep(0.2)

@@ -106,7 +106,9 @@ def text(number):
 
 def test_what_was_given_up_but_is_stored_is_counted(far, proxy, rosCas):
     proxy.catch(text(7), stored=True)
-    writer = far.messageWriter(writer_id=9, give_up_after_sec=0, on_loss=lambda *loss: None)
+    # What is written at once is one request, however long it takes.
+    options = {"linger_sec": 3600, "give_up_after_sec": 0}
+    writer = far.messageWriter(writer_id=9, on_loss=lambda *loss: None, **options)
     write(writer, range(5))
     writer.flush()
     write(writer, range(5, 10))
@@ -119,9 +121,8 @@ def test_what_was_given_up_but_is_stored_is_counted(far, proxy, rosCas):
 def test_what_was_given_up_and_is_not_stored_is_not_counted(far, proxy, rosCas):
     proxy.catch(text(7))
     run, losses = Run("", 9, "recording", "monday"), []
-    writer = far.messageWriter(
-        writer_id=9, give_up_after_sec=0, run=run, on_loss=lambda *loss: losses.append(loss)
-    )
+    options = {"linger_sec": 3600, "give_up_after_sec": 0, "run": run}
+    writer = far.messageWriter(writer_id=9, on_loss=lambda *loss: losses.append(loss), **options)
     write(writer, range(5))
     writer.flush()
     write(writer, range(5, 10))

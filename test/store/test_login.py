@@ -174,7 +174,7 @@ def server(certificate, trusted=None):
         thread.start()
         yield listener.getsockname()[1]
         listener.shutdown(socket.SHUT_RDWR)
-    thread.join(10)
+    thread.join(180)
 
 
 def refusal(port):

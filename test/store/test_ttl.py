@@ -32,7 +32,7 @@ def ttls(cql, rosCas, table, column):
 
 def await_expiry(cql, rosCas, table):
     """Wait until the server shows no row, by its own clock."""
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 180
     while ttls(cql, rosCas, table, "_conn") and time.monotonic() < deadline:
         time.sleep(0.1)
 
@@ -121,7 +121,7 @@ def test_reading_an_expired_stretch_asks_for_none_of_it(rosCas, cql, asked):
     assert table.metadata.bucket_ns == SEC
     await_expiry(cql, rosCas, table.name)
     # Closed buckets are left out by their age, which two servers may tell a little differently.
-    deadline = time.monotonic() + 15
+    deadline = time.monotonic() + 180
     while time.monotonic() < deadline:
         asked.clear()
         assert list(topic.items()) == []

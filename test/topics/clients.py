@@ -53,13 +53,13 @@ def children(count, cassandra, keyspace, ended_by=0):
         for _ in range(count)
     ]
     # A client that hangs fails the test by its silence.
-    patience = threading.Timer(300, lambda: [process.kill() for process in processes])
+    patience = threading.Timer(600, lambda: [process.kill() for process in processes])
     patience.start()
     try:
         yield [Child(process) for process in processes]
         for process in processes:
             process.stdin.close()
-            assert process.wait(120) == ended_by
+            assert process.wait(300) == ended_by
     finally:
         patience.cancel()
         for process in processes:

@@ -41,7 +41,7 @@ def env(ros_env, cassandra, tmp_path):
 
 
 def read(url):
-    with urllib.request.urlopen(url, timeout=30) as answer:  # noqa: S310 -- our own
+    with urllib.request.urlopen(url, timeout=180) as answer:  # noqa: S310 -- our own
         return answer.read()
 
 
@@ -55,7 +55,7 @@ def test_it_prints_its_address_answers_and_ends_by_ctrl_c(env, new_keyspace, tmp
         assert b"<html" in read(url)
         port = url.rstrip("/").rpartition(":")[2]
         second = subprocess.run(
-            [*VIEWER, "--port", port], env=env, capture_output=True, text=True, timeout=60
+            [*VIEWER, "--port", port], env=env, capture_output=True, text=True, timeout=300
         )
         assert second.returncode == 1
         told = second.stderr.splitlines()[-1]
@@ -100,7 +100,7 @@ def test_what_it_cannot_do_is_told_in_a_line(env):
         "from cassandra_ros.cli.script import run_script\nrun_script('cassandra_ros.cli.viewer')"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program], env=env, capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", program], env=env, capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 1
     assert done.stderr.startswith("viewer: the viewer needs the Python package aiohttp, which is")

@@ -15,7 +15,7 @@ from cassandra_ros.errors import BagError, InvalidOption, StoreUnavailable
 from cassandra_ros.viewing import spool as module
 from cassandra_ros.viewing.spool import Spool
 
-PATIENCE_SEC = 30
+PATIENCE_SEC = 180
 
 
 @pytest.fixture

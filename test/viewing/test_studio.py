@@ -195,7 +195,7 @@ def test_only_who_has_a_terminal_for_itself_is_asked(whose, reads, tmp_path):
     try:
         done = subprocess.run(
             [sys.executable, "-c", program, whose], stdin=terminal, stdout=subprocess.PIPE,
-            stderr=terminal, start_new_session=True, text=True, timeout=60,
+            stderr=terminal, start_new_session=True, text=True, timeout=300,
         )  # fmt: skip
     finally:
         os.close(terminal)

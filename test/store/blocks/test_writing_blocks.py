@@ -77,11 +77,12 @@ def test_nothing_waits_behind_flush(rosCas, cql):
 
 
 def test_a_block_goes_when_it_is_old(rosCas, cql):
-    writer = packed(rosCas, block_sec=0.05, linger_sec=3600)
-    write(writer, range(3))
-    await_true(lambda: writer.stats()["/a"].stored == 3)
-    write(writer, range(3, 5))
-    await_true(lambda: writer.stats()["/a"].stored == 5)
+    writer = packed(rosCas, block_sec=3600, linger_sec=3600)
+    for numbers in (range(3), range(3, 5)):
+        writer._rows._block_sec = 3600
+        write(writer, numbers)
+        writer._rows._block_sec = 0.0  # as if so long had gone by
+        await_true(lambda last=numbers[-1]: writer.stats()["/a"].stored == last + 1)
     writer.close()
     assert blocks(cql, rosCas) == [2, 3]
 
