@@ -17,6 +17,7 @@ from cassandra_ros.bag.job_process import Part, bag_writer, connect, stretches
 from cassandra_ros.bag.jobs import MAX_JOBS, run_parts, spans_of_jobs
 from cassandra_ros.bag.message_file import MessageFile, Progress, chosen_connections
 from cassandra_ros.bag.opening import open_file
+from cassandra_ros.bag.read_ahead import ReadAhead
 from cassandra_ros.bag.salvage import Salvaged
 from cassandra_ros.bag.sent import store_sent
 from cassandra_ros.bag.verify import holds_nothing_else
@@ -283,14 +284,15 @@ def _write_messages(
 ) -> None:
     whole = dict.fromkeys(handles, (0, MAX_NS + 1))
     try:
-        for number, positions, times, wires in stretches(reader, whole):
-            handle, size = handles[number], sum(map(len, wires))
-            writer.write_run(handle, times, positions, wires)
-            topic = report.topics[handle.topic]
-            topic.messages += len(wires)
-            topic.bytes += size
-            if progress is not None:
-                progress(len(wires), size)
+        with ReadAhead(stretches(reader, whole)) as ahead:
+            for (number, positions, times, wires), size in ahead:
+                handle = handles[number]
+                writer.write_run(handle, times, positions, wires)
+                topic = report.topics[handle.topic]
+                topic.messages += len(wires)
+                topic.bytes += size
+                if progress is not None:
+                    progress(len(wires), size)
     except BagError as exc:
         writer.flush()
         raise type(exc)(

@@ -19,6 +19,7 @@ from typing import Dict, Iterator, List, Optional, Tuple
 from cassandra_ros.arguments import check_node
 from cassandra_ros.bag.message_file import MessageFile, Stretch
 from cassandra_ros.bag.opening import open_file
+from cassandra_ros.bag.read_ahead import ReadAhead
 from cassandra_ros.errors import BagError, CassandraRosError
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.store.blocks.limits import limits_for
@@ -171,11 +172,12 @@ def _write(part: Part, teller: _Teller) -> None:
                 n: connect(writer, reader.connections[n], part.lengths[n], part.formats[n])
                 for n in part.spans
             }
-            for number, positions, times, wires in stretches(reader, part.spans):
-                if teller.ended:
-                    break
-                writer.write_run(handles[number], times, positions, wires)
-                teller.add(number, len(wires), sum(map(len, wires)))
+            with ReadAhead(stretches(reader, part.spans)) as ahead:
+                for (number, positions, times, wires), size in ahead:
+                    if teller.ended:
+                        break
+                    writer.write_run(handles[number], times, positions, wires)
+                    teller.add(number, len(wires), size)
             teller.tell()
 
 
