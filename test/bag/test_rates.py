@@ -54,6 +54,16 @@ def test_connections_of_one_table_count_together(tmp_path):
     assert both == {0: MINUTE, 1: MINUTE}
 
 
+@pytest.mark.parametrize("size", [600_000, 500_000])
+def test_messages_that_no_row_takes_are_foreseen(tmp_path, size):
+    with BagWriter(tmp_path / "a.bag") as writer:
+        writer.connection(string_connection("/a"))
+        for n in range(3):
+            writer.write(0, n * SECOND, string_wire(b"x" * size))
+    with BagReader(tmp_path / "a.bag") as reader:
+        assert table_lengths(reader, read_content(reader).sizes)[0].large == (size == 600_000)
+
+
 def test_a_stray_stamp_does_not_hide_the_rate(tmp_path):
     found = lengths(tmp_path / "a.bag", [(0, 0, 100), *steady(1000, 30)])
     assert found == {0: MINUTE}

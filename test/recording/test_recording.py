@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from nodes.children import await_true
 from nodes.raw_publisher import header_of, message
 from proxy import BATCH, Proxy
-from sensor_msgs.msg import Imu
+from sensor_msgs.msg import Image, Imu
 from std_msgs.msg import Header, String
 
 from cassandra_ros import RosCassandra
@@ -108,6 +108,14 @@ def gaps(*runs):
             counts.received("/t", wire)
             counts.attribute("/t", wire, feed)
     return counts.reports({})[0].gaps
+
+
+@pytest.mark.parametrize("size", [600_000, 500_000])
+def test_messages_that_no_row_takes_are_foreseen(size):
+    source = Source(live_connection("/t", header_of(Image)))
+    for n in range(3):
+        source.hold(Item(source, 0, n, bytes(size)))
+    assert source.lengths().large == (size == 600_000)
 
 
 def test_gaps_before_us():

@@ -27,6 +27,7 @@ from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store.flight import MAX_BYTES, Flight
 from cassandra_ros.store.open_bucket import HELD_BYTES
 from cassandra_ros.store.row_table import CHUNK_BYTES
+from cassandra_ros.store.side_tables import SchemaLock
 
 ROOT = Path(__file__).resolve().parents[2]
 SEC = 10**9
@@ -60,6 +61,29 @@ def chunksOf(cql, rosCas):
     for t, seq in cql.execute(f'SELECT "_t", "_seq" FROM {rosCas.keyspace}."{table.name}_c"'):
         found[t, seq] = found.get((t, seq), 0) + 1
     return found
+
+
+@pytest.mark.parametrize("large", [True, False])
+def test_their_table_is_made_before_they_come_where_they_are_foreseen(
+    rosCas, connect, monkeypatch, large
+):
+    connection, made = api_connection("/big", definition_of(UInt8MultiArray), "/x"), []
+    change = SchemaLock.change
+    monkeypatch.setattr(
+        SchemaLock, "change", lambda *args, **said: made.append(change(*args, **said))
+    )
+    with rosCas.messageWriter(format="binary") as writer:
+        handle = writer.connect(connection, large=large)
+        assert len(made) == 1 + large
+        writer.write(handle, T0, 0, serialize(messageOf(FRAME_BYTES)))
+        writer.flush()
+        assert len(made) == 1 + large  # nothing for messages that fit into rows
+        writer.write(handle, T0 + 1, 1, serialize(messageOf(MB)))
+    assert len(made) == 2
+    with connect(keyspace=rosCas.keyspace) as other, other.messageWriter() as writer:
+        writer.write(writer.connect(connection, large=large), T0 + 2, 2, serialize(messageOf(MB)))
+    assert len(made) == 2
+    assert [row.size for row in rosCas.getTopic("/big").rows()] == [FRAME_BYTES, MB, MB]
 
 
 @pytest.mark.parametrize("format_name", ["binary", "ros"])

@@ -10,6 +10,7 @@ from typing import Any, Iterator, Optional, Tuple
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.store.directory import bucket_for, span_for
+from cassandra_ros.store.row_table import CHUNK_BYTES
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from suite.contenders.contender import Contender
 from suite.contenders.rosbags import Rosbag
@@ -38,11 +39,15 @@ class Store(Contender):
         return self.server.store.getTopic(self.batch.topic)
 
     def open(self) -> None:
-        # As an import: the lengths follow from the rates, and blocks are filled.
+        # As an import: what the table is like follows from the rates, and blocks are filled.
         self._writer = self.server.store.messageWriter(format=self.format, block_sec=None)
-        lengths = bucket_for(*self.batch.rate), span_for(*self.batch.rate)
-        connection, (bucket_ns, span_ns) = self.batch.connection, lengths
-        self._handle = self._writer.connect(connection, bucket_ns, span_ns=span_ns)
+        hz, bytes_per_sec = rate = self.batch.rate
+        self._handle = self._writer.connect(
+            self.batch.connection,
+            bucket_for(*rate),
+            span_ns=span_for(*rate),
+            large=bytes_per_sec > CHUNK_BYTES * hz,
+        )
         assert self._handle.format == self.format, self._handle.warning
         self.table = self._handle.table.name
 

@@ -26,6 +26,7 @@ from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_NS, MAX_WRITER, SECOND_NS
 from cassandra_ros.store.directory import Lengths, bucket_for, span_for
 from cassandra_ros.store.registry import Run
+from cassandra_ros.store.row_table import CHUNK_BYTES
 from cassandra_ros.store.writer import WriteStats
 from cassandra_ros.topics.message_writer import Handle, MessageWriter, usable_definition
 from cassandra_ros.topics.removal import delete_stretch
@@ -347,7 +348,8 @@ class _Rate:
         """Choose how much time buckets and blocks cover."""
         per = max(self.connections, 1)
         bucket_ns = bucket_for(self.peak_hz, self.peak_bytes)
-        return Lengths(bucket_ns, span_for(self.peak_hz / per, self.peak_bytes / per))
+        span_ns = span_for(self.peak_hz / per, self.peak_bytes / per)
+        return Lengths(bucket_ns, span_ns, self.peak_bytes > CHUNK_BYTES * self.peak_hz)
 
     def finish(self, start_ns: int, last: bool = False) -> None:
         """End a window; a short one at the end counts only where it is the only one."""

@@ -123,8 +123,8 @@ def connect(
     writer: MessageWriter, connection: Connection, lengths: Lengths, format_name: str
 ) -> Handle:
     """Make ready for the messages of a connection of the bag."""
-    bucket_ns, span_ns = lengths
-    return writer.connect(connection, bucket_ns, span_ns=span_ns, format=format_name)
+    bucket_ns, span_ns, large = lengths
+    return writer.connect(connection, bucket_ns, span_ns=span_ns, large=large, format=format_name)
 
 
 class _Teller:

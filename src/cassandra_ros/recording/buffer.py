@@ -13,6 +13,7 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.recording.place_keeper import tells_places
 from cassandra_ros.store.directory import UNKNOWN_SPAN_NS, Lengths, bucket_for, span_for
+from cassandra_ros.store.row_table import CHUNK_BYTES
 from cassandra_ros.topics.message_writer import Handle
 
 ITEM_BYTES = 300
@@ -83,7 +84,8 @@ class Source:
         rate_hz, bytes_per_sec = self._seen / seconds, self._seen_bytes / seconds
         # Live blocks are sealed by their age: a longer span would only make readers look further.
         bucket_ns = bucket_for(rate_hz, bytes_per_sec, LONGEST_BUCKET_NS)
-        return Lengths(bucket_ns, min(span_for(rate_hz, bytes_per_sec), UNKNOWN_SPAN_NS))
+        span_ns = min(span_for(rate_hz, bytes_per_sec), UNKNOWN_SPAN_NS)
+        return Lengths(bucket_ns, span_ns, self._seen_bytes > CHUNK_BYTES * self._seen)
 
     def _watched(self) -> float:
         return time.monotonic() - self._since if self._seen else 0.0

@@ -110,7 +110,7 @@ def connect(
     wanted = settings.of(connection.topic)
     try:
         if wanted == settings.default and not (wanted.key_part or wanted.index):
-            return writer.connect(connection, lengths.bucket_ns, span_ns=lengths.span_ns)
+            return _open(writer, connection, lengths)
         handle = _connect(writer, connection, lengths, wanted)
     except InvalidOption as exc:
         kept = writer.format_of(connection)
@@ -125,18 +125,25 @@ def connect(
 def _connect(
     writer: MessageWriter, connection: Connection, lengths: Lengths, wanted: TopicSettings
 ) -> Handle:
-    open_as = partial(
-        writer.connect,
-        connection,
-        lengths.bucket_ns,
-        span_ns=lengths.span_ns,
-        format=wanted.format,
-    )
+    open_as = partial(_open, writer, connection, lengths, format=wanted.format)
     try:
         return open_as(like=_like(wanted))
     except (InvalidKey, InvalidName) as exc:
         _log.error("topic %s is kept by time of reception: %s", connection.topic, exc)
         return open_as(like=_like(replace(wanted, key_part="")))
+
+
+def _open(
+    writer: MessageWriter,
+    connection: Connection,
+    lengths: Lengths,
+    format: Optional[str] = None,
+    like: Optional[TopicMetadata] = None,
+) -> Handle:
+    bucket_ns, span_ns, large = lengths
+    return writer.connect(
+        connection, bucket_ns, span_ns=span_ns, large=large, format=format, like=like
+    )
 
 
 def differences(wanted: TopicSettings, stored: TopicMetadata) -> list[str]:

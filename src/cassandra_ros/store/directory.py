@@ -59,12 +59,14 @@ NOTE_MARGIN_SEC = 7200
 
 
 class Lengths(NamedTuple):
-    """Of a topic's table, chosen when it is made, ns; 0 = as where the rate is unknown."""
+    """Of a topic's table, chosen when it is made; times in ns, 0 = as where the rate is unknown."""
 
     bucket_ns: int = 0
     """Of its buckets."""
     span_ns: int = 0
     """Most time that a block covers."""
+    large: bool = False
+    """Its messages are too large for rows, going by those that were seen."""
 
 
 def bucket_for(rate_hz: float, bytes_per_sec: float, longest_ns: int = BUCKET_LENGTHS[-1]) -> int:

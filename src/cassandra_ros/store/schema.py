@@ -20,6 +20,7 @@ from cassandra_ros.store.names import (
     quote_text,
     table_name,
 )
+from cassandra_ros.store.row_table import RowTable
 from cassandra_ros.store.side_tables import SchemaLock, SideTables
 from cassandra_ros.store.succession import Listing
 
@@ -249,20 +250,21 @@ class Schema:
         names = "column_name, type"
         return dict(self._cassandra.system_schema("columns", names, self.keyspace, table))
 
-    def ensure_chunk_table(self, table: str, metadata: TopicMetadata) -> None:
+    def ensure_chunk_table(self, table: RowTable) -> None:
         """Make the table for a topic's large messages where it is missing."""
-        name = chunk_table_name(table)
-        if self._comments(name):
-            return
-        partition = metadata.partition
-        with self.lock() as lock:
-            if not self._comments(table):
-                raise TopicNotFound(
-                    f"table {table} was removed by another client; messages of its topic need "
-                    "a new one: connect again"
-                )
-            if self._comments(name):
-                return
+        if not table.has_chunks and not self._comments(chunk_table_name(table.name)):
+            with self.lock() as lock:
+                self._make_chunk_table(table.name, table.metadata, lock)
+        table.has_chunks = True
+
+    def _make_chunk_table(self, table: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
+        if not self._comments(table):
+            raise TopicNotFound(
+                f"table {table} was removed by another client; messages of its topic need "
+                "a new one: connect again"
+            )
+        name, partition = chunk_table_name(table), metadata.partition
+        if not self._comments(name):
             lock.change(
                 f'CREATE TABLE {self.qualified(name)} ("_node" text, "{partition}" '
                 f'{KEY_TYPES[partition]}, "_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '

@@ -247,9 +247,7 @@ class RowWriter:
     def _send_large(self, bucket: OpenBucket, new: _New, again: Again | None = None) -> None:
         """Send the chunks of a message; its row follows when all of them are acknowledged."""
         table = bucket.table
-        if not table.has_chunks:
-            self._schema.ensure_chunk_table(table.name, table.metadata)
-            table.has_chunks = True
+        self._schema.ensure_chunk_table(table)
         statement = table.insert_chunk()  # before anything is counted: it may fail
         # Not when its row is made: then its bytes would be far away again.
         crc = new.crc if isinstance(new, Block) else zlib.crc32(new.wire)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from typing import Any, Mapping, Optional, Sequence
@@ -23,6 +24,7 @@ from cassandra_ros.errors import (
     InvalidName,
     InvalidOption,
     TopicExists,
+    TopicNotFound,
     TypeMismatch,
     WriteFailed,
 )
@@ -99,7 +101,9 @@ class Keyspace:
         newest = max(chosen, key=lambda m: (m.md5sum == md5sum, m.date, m.format), default=None)
         return DEFAULT_FORMAT if newest is None else newest.format
 
-    def make_table(self, metadata: TopicMetadata, definition: Optional[Definition]) -> TopicTable:
+    def make_table(
+        self, metadata: TopicMetadata, definition: Optional[Definition], *, large: bool = False
+    ) -> TopicTable:
         """Find the table for a topic, md5 and format, or make it.
 
         Args:
@@ -107,6 +111,7 @@ class Keyspace:
                 here, and what the topic's other tables say holds for this one. Of its indexes the
                 fields count; one that the type has not is left out.
             definition: The checked definition, or None.
+            large: The table for large messages, too, for which they would wait later.
 
         Raises:
             InvalidKey: The type has no such field as key_part, and the topic is new.
@@ -119,6 +124,9 @@ class Keyspace:
                 f"the table of topic {metadata.topic} was dropped as soon as it was made: another "
                 "client removes this topic; try again"
             )
+        if large:
+            with suppress(TopicNotFound):  # removed since: the first message meets that again
+                self.schema.ensure_chunk_table(found)
         return found
 
     def planner(self, metadata: TopicMetadata, definition: Optional[Definition]) -> Planner:

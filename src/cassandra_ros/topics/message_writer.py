@@ -162,6 +162,7 @@ class MessageWriter:
         bucket_ns: Optional[int] = None,
         *,
         span_ns: Optional[int] = None,
+        large: bool = False,
         format: Optional[str] = None,
         node: Optional[str] = None,
         like: Optional[TopicMetadata] = None,
@@ -176,6 +177,7 @@ class MessageWriter:
             bucket_ns: Length of the time buckets where the table is made here, ns; None =
                 1 min for types with arrays, else 10 min.
             span_ns: Most time that a block covers, ns, as bucket_ns; None = 10 s.
+            large: Messages over 512 KiB are to come: nothing is made for them amid the writing.
             format, node: Other ones than the writer's.
             like: Where the table is made here, what the topic's former one said.
 
@@ -206,11 +208,9 @@ class MessageWriter:
             span_ns=span_ns or 0,
             definition=definition.text if definition else connection.definition_text,
         )
-        table = self._keyspace.make_table(metadata, definition)
+        table = self._keyspace.make_table(metadata, definition, large=large)
         warning = warning or self._other_ttl(table.metadata)
         conn = self._keyspace.connections.put(table.name, connection)
-        if warning:
-            _log.warning("%s", warning)
         return self._keep(key, Handle(connection, table, conn, node, key[1], warning))
 
     def format_of(self, connection: Connection) -> str:
@@ -226,6 +226,8 @@ class MessageWriter:
         )
 
     def _keep(self, key: tuple[Connection, Optional[str], str], handle: Handle) -> Handle:
+        if handle.warning:
+            _log.warning("%s", handle.warning)
         self._rows.gone.discard(handle.table.name)  # its conversion was given up
         handle = self.ready(handle)
         with self._mutex:
