@@ -20,7 +20,7 @@ from cassandra_ros.messages.wire import stacked
 from cassandra_ros.messages.wire.plan import wire_plan
 from cassandra_ros.messages.wire.stacked import by_size, stacker
 from cassandra_ros.messages.wire.values import compile_decoder
-from cassandra_ros.messages.wire.zones import zone_map
+from cassandra_ros.messages.wire.zones import ZoneMap, zone_map
 
 SEEDS = st.integers(0, 2**32)
 
@@ -103,6 +103,22 @@ def test_zones_bound_every_value(seed, ordered):
     if ordered:
         wires.sort(key=len)
     checkZones(definition, zone, wires)
+    checkZones(definition, zone, wires[:1])  # walked by itself
+
+
+def test_a_message_of_many_values_is_not_walked_each_time(monkeypatch):
+    definition = installed_definition("geometry_msgs/PoseArray")
+    made, pose = (
+        message_class(installed_definition(f"geometry_msgs/Pose{s}"))() for s in ("Array", "")
+    )
+    zone_map.cache_clear()
+    zone, walks, walk = zone_map(definition), [], ZoneMap._add_one
+    monkeypatch.setattr(ZoneMap, "_add_one", lambda *args: (walks.append(1), walk(*args))[1])
+    for number, poses in enumerate((3, 30, 3000, 3000, 3000)):
+        pose.position.x, made.poses = -float(number), [pose] * poses
+        zones = dict(zip(zone.columns, zone.measure([serialize(made)]).values))
+        assert zones["_min.poses.position.x"] == struct.pack(">d", -float(number) or -0.0)
+        assert len(walks) == min(number + 1, 3)
 
 
 def checkZones(definition, zone, wires):

@@ -25,6 +25,8 @@ from cassandra_ros.messages.wire.values import encode_value
 
 MAX_FIELDS = 64
 MAX_TEXT_BYTES = 64
+MAX_WALKED = 256
+"""Values of a message that stands alone: to look at more it is quicker to look at them together."""
 LOW, HIGH = "_min.", "_max."
 """What the names of the columns begin with; the field's column follows."""
 _Found = Dict[str, List[Any]]
@@ -66,6 +68,8 @@ class ZoneMap:
         self._read = plan.reader(list(self.fields))
         self._by_head = all(name in self._stacker.head for name in self.fields)
         """Messages of all sizes have their fields at the same places."""
+        self._few = True
+        """No message that stood alone had more values than MAX_WALKED."""
         self._skip = compile_skip(definition.type, definition.specs)
         self._texts = [name for name, column in self.fields.items() if column.kind == "text"]
         self._numbers: Dict[str, List[str]] = {}
@@ -78,7 +82,10 @@ class ZoneMap:
         """Find the bounds over some serialised messages; any bytes will do."""
         found: _Found = {name: [] for name in self.fields}
         nan: Set[str] = set()
-        if self._by_head and len(set(map(len, wires))) > 1:
+        if len(wires) == 1 and self._few:
+            odd = not self._add_one(wires[0], found, nan)
+            self._few = sum(map(len, found.values())) <= MAX_WALKED
+        elif self._by_head and len(set(map(len, wires))) > 1:
             odd = self._add_heads(wires, found, nan)
         else:
             odd = self._add_sizes(wires, found, nan)

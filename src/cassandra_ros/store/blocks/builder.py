@@ -91,10 +91,10 @@ def make_block(
     again: Optional[Again] = None,
 ) -> Block:
     """Make the row of at least one message, in any order."""
-    t, s = np.array(times, np.int64), np.array(seqs, np.int64)
-    if not ((t[1:] > t[:-1]) | ((t[1:] == t[:-1]) & (s[1:] > s[:-1]))).all():
-        order = np.lexsort((s, t)).tolist()
-        times, seqs, wires = ([every[n] for n in order] for every in (times, seqs, wires))
+    order = None if len(times) == 1 else _order(times, seqs)
+    if order is not None:
+        times, seqs = [times[n] for n in order], [seqs[n] for n in order]
+        wires = [wires[n] for n in order]
         received = None if received is None else [received[n] for n in order]
     zones, nan, odd = table.zones(wires)
     if len(wires[0]) <= CHUNK_BYTES:
@@ -104,6 +104,15 @@ def make_block(
         data = b"" if received is None else pack_block(times, seqs, [b""], received)
         crc = zlib.crc32(wires[0])
     return Block(times, seqs, received, wires, conn, data, crc, zones, nan, odd, again)
+
+
+def _order(times: Sequence[int], seqs: Sequence[int]) -> Optional[List[int]]:
+    """Return in which order messages lie; None: in theirs."""
+    t, s = np.array(times, np.int64), np.array(seqs, np.int64)
+    if ((t[1:] > t[:-1]) | ((t[1:] == t[:-1]) & (s[1:] > s[:-1]))).all():
+        return None
+    found: List[int] = np.lexsort((s, t)).tolist()
+    return found
 
 
 class BlockBuilder:
