@@ -37,9 +37,6 @@ BUFFER_BYTES = 1024 * 1024
 hundreds of calls."""
 DIRECT_BYTES = 16 * 1024
 """A request up to this is sent by the thread that makes it."""
-
-PAGE_BYTES = 4096
-"""Larger answers are cut into rows and columns by whoever reads them."""
 _Column = Tuple[Any, ...]
 """Keyspace, table, name and type of a column, as the driver tells them."""
 
@@ -242,16 +239,12 @@ class _RawResultMessage(_Decoding):  # type: ignore[misc, valid-type]
         policy: object,
     ) -> None:
         known, body, start = _as_bytes(metadata), f.getvalue(), f.tell()
-        if len(body) < PAGE_BYTES:
-            # The compiled parser binds self.recv_results_metadata, so ours above is called.
-            super().recv_results_rows(f, version, types, known, policy)
-            return
-
         kind = self.kind  # in a circle with the message its bytes would stay
 
         def cut() -> Sequence[RawRow]:
             rest, again = io.BytesIO(body), _RawResultMessage(kind)
             rest.seek(start)
+            # The compiled parser binds its recv_results_metadata, so ours above is called.
             _Decoding.recv_results_rows(again, rest, version, types, known, policy)
             rows: Sequence[RawRow] = again.parsed_rows
             return rows

@@ -18,6 +18,8 @@ _FOUR = struct.pack(">i", 4)
 
 WIDE = 64 * 1024
 """Bytes of a row, on average, from which on rows are cut here."""
+FEW = 4
+"""So few rows are as well: the compiled parser takes as long to begin."""
 
 
 class RawPage(Sequence[RawRow]):
@@ -62,12 +64,12 @@ class RawPage(Sequence[RawRow]):
 
     def _every(self) -> Sequence[RawRow]:
         if self._cut is not None:
-            wide = len(self.body) >= WIDE * self._count
-            self._rows = self._cut_wide() if wide else self._cut()
+            here = self._count <= FEW or len(self.body) >= WIDE * self._count
+            self._rows = self._cut_here() if here else self._cut()
             self.body, self._cut = b"", None  # not to hold it twice
         return self._rows
 
-    def _cut_wide(self) -> Sequence[RawRow]:
+    def _cut_here(self) -> Sequence[RawRow]:
         # The compiled parser copies all that it cuts once more.
         rows, at = [], self._at
         for _ in range(self._count):

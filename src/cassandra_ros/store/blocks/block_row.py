@@ -187,12 +187,30 @@ class Block:
 
     def _first_from(self, order: Order) -> int:
         t, seq = order
-        first = int(np.searchsorted(self.times, t))
+        first = int(self.times.searchsorted(t))
         if first == len(self) or self.times[first] > t:
             return first
         # Of equal times the order is that of seq.
-        last = int(np.searchsorted(self.times, t, "right"))
+        last = int(self.times.searchsorted(t, "right"))
         return first + sum(1 for each in self.seqs[first:last].tolist() if each < seq)
+
+    def first(self, low: Order, high: Order) -> Optional[TableRow]:
+        """Make the row of the first message from low to high, both included, not deleted."""
+        place = self._first_from(low)
+        if len(self.row.gone):
+            place = int(next(iter(self.between(low, high)), len(self)))
+        if place == len(self):
+            return None
+        own = int(self.times[place]), int(self.seqs[place])
+        return self._row(place, *own) if own <= high else None
+
+    def _row(self, place: int, t: int, seq: int) -> TableRow:
+        # As rows does, without what would take longer than all of it.
+        row, wire = self.row, None if self.unpacked is None else self.unpacked.wire(place)
+        sent = row.nchunks, row.crc if row.nchunks else 0, False, None, (wire,), ""
+        received = -1 if self._received is None else int(self._received[place])
+        own = t, self._node, seq, self._table.name, row.conn, int(self.sizes[place])
+        return TableRow(*own, *sent, received, row.block_key, place)
 
     def rows(self, places: Longs, *, bare: bool = False) -> List[TableRow]:
         """Make the rows of some of its messages; bare: without their bytes."""

@@ -48,6 +48,7 @@ LONG = 512
 _RECEIVED, _WORDS, _LAYOUTS, _STORED = 1, 2, 4, 8
 _KNOWN = _RECEIVED | _WORDS | _LAYOUTS | _STORED
 _HEAD = 2
+_I8, _U4 = np.dtype("<i8"), np.dtype("<u4")
 
 
 class Group(NamedTuple):
@@ -230,11 +231,11 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
         view = packed if stored else memoryview(_decompressor().decompress(packed))
     except zstandard.ZstdError as exc:
         raise CorruptMessage(f"a block cannot be unpacked: {exc}") from exc
-    times, seqs = (np.cumsum(_numbers(view, n * 8 * count, count, "<i8")) for n in (0, 1))
-    sizes = _numbers(view, 16 * count, count, "<u4").astype(np.int64)
-    if int(sizes.sum()) != size:
+    times, seqs = np.add.accumulate(_numbers(view, 0, 2, count, _I8), axis=1)
+    sizes = _numbers(view, 16 * count, 1, count, _U4)[0].astype(np.int64)
+    if int(np.add.reduce(sizes)) != size:
         raise CorruptMessage(f"the messages of a block have {int(sizes.sum())} bytes, not {size}")
-    arrivals = times + _numbers(view, 20 * count, count, "<i8") if received else None
+    arrivals = times + _numbers(view, 20 * count, 1, count, _I8)[0] if received else None
     if coded:
         return Unpacked(times, seqs, sizes, arrivals, *_decode(view[begin:], sizes, coded))
     return Unpacked(times, seqs, sizes, arrivals, view[begin:])
@@ -292,11 +293,12 @@ def _turn(matrix: Bytes) -> bytes:
     return np.ascontiguousarray(matrix.T).tobytes()
 
 
-def _numbers(view: memoryview, at: int, count: int, dtype: str) -> Longs:
-    kind = np.dtype(dtype)
-    flat = np.frombuffer(view, np.uint8, count * kind.itemsize, at)
-    planes = np.ascontiguousarray(flat.reshape(kind.itemsize, count).T)
-    return planes.view(kind).reshape(count)
+def _numbers(
+    view: memoryview, at: int, columns: int, count: int, kind: np.dtype[np.generic]
+) -> Longs:
+    """Return columns of numbers that lie one behind the other: (columns, count)."""
+    planes = np.ndarray((columns, kind.itemsize, count), np.uint8, view, at)
+    return planes.transpose(0, 2, 1).copy().view(kind).reshape(columns, count)
 
 
 class _PerThread(threading.local):

@@ -63,7 +63,8 @@ def answer_one(
         except CorruptMessage as exc:
             problem = exc
             continue
-        found += block.rows(block.between(*ends)[:1])
+        first = block.first(*ends)
+        found += [] if first is None else [first]
     if problem is not None and not found:
         raise problem
     return min(found, default=None)
@@ -89,10 +90,10 @@ class Finder:
         for number, (owner, block) in enumerate(self._kept):
             inside = block.row.t <= t <= block.row.last
             if owner == node and inside and writer_of(seq) == block.row.writer:
-                places = block.between((t, seq), (t, seq))
-                if len(places):
+                found = block.first((t, seq), (t, seq))
+                if found is not None:
                     self._kept.insert(0, self._kept.pop(number))
-                    return block.rows(places)[0]
+                    return found
         return None
 
     def _read(self, position: Position) -> None:
