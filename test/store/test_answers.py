@@ -63,5 +63,15 @@ def test_an_answer_that_breaks_off_closes_the_connection():
 def test_wide_rows_are_cut_as_others():
     values = [b"a" * WIDE, None, b"", b"b" * WIDE]
     sized = [struct.pack(">i", -1 if v is None else len(v)) + (v or b"") for v in values]
-    page = RawPage(b"head" + struct.pack(">i", 2) + b"".join(sized), 4, 2, list)
-    assert list(page) == [(values[0], None), (b"", values[3])]
+    pages = [RawPage(b"head" + struct.pack(">i", 2) + b"".join(sized), 4, 2, list) for _ in "ab"]
+    rows = [(values[0], None), (b"", values[3])]
+    assert list(pages[0]) == list(pages[0].views()) == rows
+    assert list(pages[1].views()) == rows
+    assert pages[1][-1] == rows[-1]
+    assert list(pages[1]) == rows
+
+
+def test_few_rows_are_cut_as_others():
+    sized = b"".join(struct.pack(">i", len(v)) + v for v in (b"a", b"bc", b"d", b""))
+    page = RawPage(struct.pack(">i", 2) + sized, 0, 2, list)
+    assert list(page.views()) == list(page) == [(b"a", b"bc"), (b"d", b"")]

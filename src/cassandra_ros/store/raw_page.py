@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import struct
-from typing import Callable, Dict, Iterator, Optional, Sequence, Tuple, Union, overload
+from typing import Callable, Dict, Iterator, List, Optional, Sequence, Tuple, Union, cast, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,10 +64,25 @@ class RawPage(Sequence[RawRow]):
 
     def _every(self) -> Sequence[RawRow]:
         if self._cut is not None:
-            here = self._count <= FEW or len(self.body) >= WIDE * self._count
+            here = self._count <= FEW or self._wide
             self._rows = self._cut_here() if here else self._cut()
             self.body, self._cut = b"", None  # not to hold it twice
         return self._rows
+
+    @property
+    def _wide(self) -> bool:
+        return bool(len(self.body) >= WIDE * self._count)
+
+    def views(self) -> Iterator[RawRow]:
+        """Yield the rows once; columns of wide ones are no copies but views of the answer."""
+        if self._cut is None or not self._wide:
+            yield from self._every()
+            return
+        body, at = cast(bytes, memoryview(self.body)), self._at  # it is looked at as bytes are
+        for _ in range(self._count):
+            self._last = at
+            yield self._cut_row(body, at)
+            at = self.end(at)
 
     def _cut_here(self) -> Sequence[RawRow]:
         # The compiled parser copies all that it cuts once more.
@@ -132,7 +147,10 @@ class RawPage(Sequence[RawRow]):
 
     def row(self, at: int) -> RawRow:
         """Cut the row that begins at a place."""
-        body, found = self.body, []
+        return self._cut_row(self.body, at)
+
+    def _cut_row(self, body: bytes, at: int) -> RawRow:
+        found: List[Optional[bytes]] = []
         for _ in range(self._width):
             (size,) = _size(body, at)
             at += 4

@@ -45,7 +45,8 @@ def with_messages(
             if large or len(waiting) >= min(MAX_ROWS, max(1, given)) or held >= MAX_BYTES:
                 taken, waiting, held = waiting, [], 0
                 given += len(taken) + large
-                yield from _made(cassandra, taken)
+                if taken:
+                    yield from _made(cassandra, taken)
             if large:
                 yield row, row.message()
     except CassandraRosError:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import threading
 from functools import cached_property
-from typing import FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Any, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
 import zstandard
@@ -297,8 +297,10 @@ def _numbers(
     view: memoryview, at: int, columns: int, count: int, kind: np.dtype[np.generic]
 ) -> Longs:
     """Return columns of numbers that lie one behind the other: (columns, count)."""
-    planes = np.ndarray((columns, kind.itemsize, count), np.uint8, view, at)
-    return planes.transpose(0, 2, 1).copy().view(kind).reshape(columns, count)
+    planes: Bytes = np.ndarray((columns, kind.itemsize, count), np.uint8, view, at)
+    turned: Any = planes.transpose(0, 2, 1).copy()
+    found: Longs = turned.view(kind).reshape(columns, count)
+    return found
 
 
 class _PerThread(threading.local):

@@ -24,6 +24,7 @@ from cassandra_ros.store.blocks.bucket_read import (
 )
 from cassandra_ros.store.blocks.needed import Headers, Needed, downwards, upwards
 from cassandra_ros.store.paging import Asked, RawRow
+from cassandra_ros.store.raw_page import RawPage
 from cassandra_ros.store.row_table import Order, TableRow
 
 ROWS_AT_ONCE = 200
@@ -63,7 +64,8 @@ class _Pages:
         while self._asked is not None:
             asked = self._asked
             page: Sequence[RawRow] = next((p for p in asked.pages(ahead=False) if p), ())
-            blocks = self._part.blocks(page)
+            # All are unpacked before the next page comes: their bytes need not be copied.
+            blocks = self._part.blocks(page.views() if isinstance(page, RawPage) else page)
             self._asked = None
             if not page or not asked.more:
                 yield blocks, None
