@@ -60,13 +60,14 @@ def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
     topic = rosCas.addTopic("/big", format="binary")
     for n in range(40):
         topic.addData(UInt8MultiArray(data=bytes([n]) * (1 << 20)), key=T0 + n * STEP // 10)
+    rosCas.addTopic("/go").addData(Int32(0), key=T0)
     rosCas.parts.registry.put_loss(
         Loss("/big", "", 7, LossKind.BUFFER_FULL, T0 + 5, T0 + SEC, count=12)
     )
     options = ("--queue", "3", "-r", "10", "--wait-for-subscribers")
     with start_node(roscore, "player", *where, *options) as child:
         slow = RawSubscriber(roscore.uri, "/big")
-        with RawSubscriber(roscore.uri, "/big") as fast:
+        with RawSubscriber(roscore.uri, "/big") as fast, RawSubscriber(roscore.uri, "/go"):
             heard = fast.rest()
         assert child.wait() == 0, child.output
         got = 0
@@ -76,7 +77,7 @@ def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
             except OSError:
                 pass  # what was half sent is cut off
     line = child.lines[-1]
-    assert line.startswith("played 40 messages of 1 topic; slow subscribers missed ")
+    assert line.startswith("played 41 messages of 2 topics; slow subscribers missed ")
     assert len(heard) + got + int(line.split()[-1]) == 80
     assert got < 20
     assert "subscribers of /big missed" in child.output

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from itertools import chain, islice
 from typing import Iterable, Sequence
 
 from cassandra_ros.bag.file_writer import FileWriter
@@ -108,18 +108,21 @@ def export_bag(
     if latched and start is not None:
         before = latched_before(ros_cas, low, names, to=high, nodeID=nodeID, run=run, where=where)
     report = ExportReport(os.fspath(path))
+    # Before the file is begun: who follows it while it is written gets nothing of an empty one.
+    first = list(islice(rows, 1))
+    if not (before or first or empty):
+        raise _not_written(report.path, why_empty(ros_cas, names, nodeID, run))
     with make_file(path, compression) as writer:
         numbers = ConnectionNumbers(writer)
         sent = SentFinder(ros_cas, writer.keeps_sent)
         early = ((numbers.latched(row), low, row) for row in before)
-        for number, t_ns, row in chain(early, ((numbers.of(r), r.received, r) for r in rows)):
+        others = ((numbers.of(row), row.received, row) for row in chain(first, rows))
+        for number, t_ns, row in chain(early, others):
             wire = row.wire
             writer.write(number, t_ns, wire, *sent.of(row, t_ns))
             report.add(row.topic, len(wire), early=t_ns != row.received)
             if progress is not None:
                 progress(1, len(wire))
-        if not report.messages and not empty:
-            raise _not_written(report.path, why_empty(ros_cas, names, nodeID, run))
     return report
 
 
