@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
-from typing import Iterable, Sequence
+from typing import Iterable, Iterator, Sequence
 
 from cassandra_ros.bag.file_writer import FileWriter
 from cassandra_ros.bag.message_file import Progress
@@ -115,15 +115,23 @@ def export_bag(
     with make_file(path, compression) as writer:
         numbers = ConnectionNumbers(writer)
         sent = SentFinder(ros_cas, writer.keeps_sent)
-        early = ((numbers.latched(row), low, row) for row in before)
-        others = ((numbers.of(row), row.received, row) for row in chain(first, rows))
-        for number, t_ns, row in chain(early, others):
+        for number, t_ns, row in _numbered(numbers, low, before, chain(first, rows)):
             wire = row.wire
             writer.write(number, t_ns, wire, *sent.of(row, t_ns))
             report.add(row.topic, len(wire), early=t_ns != row.received)
             if progress is not None:
                 progress(1, len(wire))
     return report
+
+
+def _numbered(
+    numbers: ConnectionNumbers, low: int, before: Iterable[StoredRow], rows: Iterable[StoredRow]
+) -> Iterator[tuple[int, int, StoredRow]]:
+    """Yield rows with their connection's number and their time; what was latched before first."""
+    for row in before:
+        yield numbers.latched(row), low, row
+    for row in rows:
+        yield numbers.of(row), row.received, row
 
 
 def _not_written(path: str, reason: str) -> MessageNotFound:
