@@ -90,7 +90,8 @@ def export_bag(
             ``latched_from`` says when it was received, ns.
 
     Raises:
-        MessageNotFound: There is no message for it; a file that was there before stays.
+        MessageNotFound: There is no message for it; a file that was there before stays, and none
+            is begun, of which somebody who follows it would get a part.
         BagError: The file exists, or cannot be written.
         TopicNotFound, RunNotFound: One of the topics is not stored, or there is no such run.
         InvalidOption, InvalidQuery: where is none.
@@ -108,7 +109,6 @@ def export_bag(
     if latched and start is not None:
         before = latched_before(ros_cas, low, names, to=high, nodeID=nodeID, run=run, where=where)
     report = ExportReport(os.fspath(path))
-    # Before the file is begun: who follows it while it is written gets nothing of an empty one.
     first = list(islice(rows, 1))
     if not (before or first or empty):
         raise _not_written(report.path, why_empty(ros_cas, names, nodeID, run))
