@@ -39,7 +39,7 @@ SIZES = [
     *(FRAME_BYTES, FRAME_BYTES + 1, FRAME_BYTES + 2),
     *(64 * 1024 - 1, 64 * 1024, 64 * 1024 + 1),
     *(CHUNK_BYTES - 1, CHUNK_BYTES, CHUNK_BYTES + 1),
-    *(2 * CHUNK_BYTES, 5 * MB),
+    *(2 * CHUNK_BYTES, 8 * CHUNK_BYTES + 1, 5 * MB),
 ]
 
 

@@ -12,6 +12,7 @@ import heapq
 import zlib
 from typing import Iterable, Iterator, NamedTuple, Sequence, Union
 
+from cassandra.cluster import ResultSet
 from cassandra.query import BoundStatement
 
 from cassandra_ros.errors import CorruptMessage
@@ -21,6 +22,7 @@ from cassandra_ros.store.blocks.lookup import Finder, answer_one, ask_one
 from cassandra_ros.store.blocks.stream import stream
 from cassandra_ros.store.directory import Directory, slot_of
 from cassandra_ros.store.paging import Asked, RawRow, sent_ahead
+from cassandra_ros.store.raw_page import RawPage
 from cassandra_ros.store.row_table import (
     FIRST,
     LAST,
@@ -211,9 +213,9 @@ def read_chunks(table: RowTable, row: TableRow, sent: Sent | None = None) -> byt
         sent: What ask_chunks gave, where it was called.
     """
 
-    def data_of(rows: Iterable[RawRow]) -> list[bytes]:
+    def data_of(rows: ResultSet) -> list[bytes]:
         parts: list[bytes] = []
-        for number, data in rows:
+        for number, data in _views(rows):
             if number != encode_int(len(parts)) or len(parts) >= row.nchunks:
                 break
             parts.append(data or b"")
@@ -230,6 +232,16 @@ def read_chunks(table: RowTable, row: TableRow, sent: Sent | None = None) -> byt
             "import or record it again"
         )
     return wire
+
+
+def _views(rows: ResultSet) -> Iterator[RawRow]:
+    """Yield the rows of all pages, where they are wide without a copy of their bytes."""
+    while True:
+        page = rows.current_rows
+        yield from page.views() if isinstance(page, RawPage) else page
+        if not rows.has_more_pages:
+            return
+        rows.fetch_next_page()
 
 
 class NamedKey(NamedTuple):

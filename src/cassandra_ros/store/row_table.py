@@ -8,7 +8,7 @@ import struct
 from functools import partial
 from typing import Callable, Iterable, NamedTuple, Optional, Sequence, Tuple, TypeVar
 
-from cassandra.cluster import ResponseFuture
+from cassandra.cluster import ResponseFuture, ResultSet
 from cassandra.query import UNSET_VALUE, BoundStatement, PreparedStatement, Statement
 
 from cassandra_ros.errors import CorruptMessage
@@ -387,7 +387,7 @@ class RowTable:
     def collect(
         self,
         statement: BoundStatement,
-        make: Callable[[Iterable[RawRow]], _T],
+        make: Callable[[ResultSet], _T],
         what: str = "reading",
         *,
         sent: Sent | None = None,
@@ -481,7 +481,7 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def bind(
-    statement: PreparedStatement, values: Iterable[bytes], page_rows: int | None = None
+    statement: PreparedStatement, values: Iterable[bytes | memoryview], page_rows: int | None = None
 ) -> BoundStatement:
     """Bind values that are encoded already; the answer has pages of so many rows."""
     bound = BoundStatement(statement)

@@ -252,12 +252,12 @@ class RowWriter:
         # Not when its row is made: then its bytes would be far away again.
         crc = new.crc if isinstance(new, Block) else zlib.crc32(new.wire)
         chunks, told = Chunks(-(-len(new.wire) // CHUNK_BYTES), crc), 0
-        outcome = self._chunk_outcome(bucket, new, again, chunks)
+        outcome, wire = self._chunk_outcome(bucket, new, again, chunks), memoryview(new.wire)
         with bucket.mutex:
             bucket.in_air += 1
         try:
             for number in range(chunks.number):
-                data = new.wire[number * CHUNK_BYTES : (number + 1) * CHUNK_BYTES]
+                data = wire[number * CHUNK_BYTES : (number + 1) * CHUNK_BYTES]
                 bound = bind(statement, (*bucket.key(new.t, new.seq), encode_int(number), data))
                 told += 1  # whatever happens in submit, it tells the outcome
                 self._flight.submit(bound, len(data), outcome)
