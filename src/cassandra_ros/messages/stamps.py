@@ -113,8 +113,11 @@ class Stamp(genpy.Time):
     ) -> Stamp:
         """Make a stamp of integer nanoseconds since 1970; InvalidKey after 2106 or before 1970."""
         # As often as messages are read, and six times as quick as by __init__.
+        ns = int(ns)
+        if not 0 <= ns <= MAX_NS:
+            check_ns(ns)
         stamp = cls.__new__(cls)
-        stamp.secs, stamp.nsecs = divmod(check_ns(int(ns)), SECOND_NS)
+        stamp.secs, stamp.nsecs = divmod(ns, SECOND_NS)
         stamp.node, stamp.seq, stamp.table = node, seq, table
         return stamp
 

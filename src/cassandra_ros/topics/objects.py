@@ -11,9 +11,9 @@ from cassandra_ros.messages.classes import deserialize_all
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.topics.stored_row import StoredRow
 
-MAX_ROWS = 256
+MAX_ROWS = 512
 """Whose messages are made at once; fewer at first, for few may be wanted."""
-MAX_BYTES = 256 * 1024
+MAX_BYTES = 512 * 1024
 """Serialised bytes of those."""
 LARGE_BYTES = 4 * 1024
 """Messages over it gain little: copying their bytes would take as long."""

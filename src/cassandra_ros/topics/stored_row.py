@@ -109,7 +109,7 @@ class StoredRow:
         """The row key: exact time or name, and where the row lies."""
         if self.name:
             return RowName.of(self.position)
-        return Stamp.from_ns(self.t, node=self.node, seq=self.seq, table=self.table.name)
+        return Stamp.from_ns(self.t, self.node, self.seq, self.table.name)
 
     @property
     def wire(self) -> bytes:
