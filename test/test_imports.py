@@ -68,6 +68,7 @@ DOORS = {
     "roslz4": {"bag"},
     "lz4": {"bag"},
     "mcap": {"bag"},
+    "isal": {"store/checksum.py"},
     "tf2_py": {"transforms"},
     "geometry_msgs": {"transforms"},
     "lark": {"query"},

@@ -9,7 +9,6 @@ whole table, and some 300 bytes of memory a message.
 from __future__ import annotations
 
 import heapq
-import zlib
 from typing import Iterable, Iterator, NamedTuple, Sequence, Union
 
 from cassandra.cluster import ResultSet
@@ -20,6 +19,7 @@ from cassandra_ros.keys import Position
 from cassandra_ros.store.blocks.bucket_read import BucketRead
 from cassandra_ros.store.blocks.lookup import Finder, answer_one, ask_one
 from cassandra_ros.store.blocks.stream import stream
+from cassandra_ros.store.checksum import crc32
 from cassandra_ros.store.directory import Directory, slot_of
 from cassandra_ros.store.paging import Asked, RawRow, sent_ahead
 from cassandra_ros.store.raw_page import RawPage
@@ -224,7 +224,7 @@ def read_chunks(table: RowTable, row: TableRow, sent: Sent | None = None) -> byt
     what = "reading a large message of"
     parts = table.collect(_select_chunks(table, row), data_of, what, sent=sent)
     wire = b"".join(parts)
-    if len(parts) != row.nchunks or len(wire) != row.size or zlib.crc32(wire) != row.crc:
+    if len(parts) != row.nchunks or len(wire) != row.size or crc32(wire) != row.crc:
         raise CorruptMessage(
             f"the message of topic {table.metadata.topic} at {row.t} is incomplete: "
             f"{len(parts)} of {row.nchunks} chunks, {len(wire)} of {row.size} bytes"

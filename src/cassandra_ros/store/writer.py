@@ -7,7 +7,6 @@ from __future__ import annotations
 import logging
 import threading
 import time
-import zlib
 from collections import deque
 from dataclasses import dataclass
 from typing import Callable, Sequence, Union
@@ -15,6 +14,7 @@ from typing import Callable, Sequence, Union
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound, WriteFailed
 from cassandra_ros.store.blocks.builder import Block, BlockBuilder, Builders
 from cassandra_ros.store.blocks.limits import FULL, Limits
+from cassandra_ros.store.checksum import crc32
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.counting import recount
 from cassandra_ros.store.directory import HEARTBEAT_SEC, BucketTotals, Directory
@@ -250,7 +250,7 @@ class RowWriter:
         self._schema.ensure_chunk_table(table)
         statement = table.insert_chunk()  # before anything is counted: it may fail
         # Not when its row is made: then its bytes would be far away again.
-        crc = new.crc if isinstance(new, Block) else zlib.crc32(new.wire)
+        crc = new.crc if isinstance(new, Block) else crc32(new.wire)
         chunks, told = Chunks(-(-len(new.wire) // CHUNK_BYTES), crc), 0
         outcome, wire = self._chunk_outcome(bucket, new, again, chunks), memoryview(new.wire)
         with bucket.mutex:

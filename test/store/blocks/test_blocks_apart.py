@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import time
+import zlib
 
 import pytest
 from sensor_msgs.msg import Imu
@@ -55,7 +56,7 @@ DAMAGE = {
     "a wrong size": {"_size": encode_int(7)},
     "another version": {
         "_data": b"\x09\x00",
-        "_crc": encode_long(block_row.zlib.crc32(b"\x09\x00")),
+        "_crc": encode_long(zlib.crc32(b"\x09\x00")),
     },
     "another end": {"_last": encode_long(T0 + 30 * MS)},
 }

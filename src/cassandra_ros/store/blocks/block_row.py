@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from functools import partial
 from itertools import repeat
 from typing import FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Tuple
@@ -15,6 +14,7 @@ import numpy as np
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import writer_of
 from cassandra_ros.store.blocks.codec import Longs, Unpacked, unpack_block
+from cassandra_ros.store.checksum import crc32
 from cassandra_ros.store.paging import Asked, RawRow
 from cassandra_ros.store.row_table import (
     ODD,
@@ -250,7 +250,7 @@ class Block:
 def _unpacked(row: BlockRow) -> Unpacked:
     if row.data is None:
         raise CorruptMessage("its bytes are missing")
-    if zlib.crc32(row.data) != row.crc:
+    if crc32(row.data) != row.crc:
         raise CorruptMessage("wrong checksum")
     found = unpack_block(row.data, row.messages, row.size)
     ends = (int(found.times[0]), int(found.seqs[0]), int(found.times[-1])) if len(found) else ()

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-import zlib
 from functools import partial
 from typing import AbstractSet, Callable, List, NamedTuple, Optional, Sequence, Tuple
 from weakref import WeakValueDictionary
@@ -21,6 +20,7 @@ import numpy as np
 
 from cassandra_ros.store.blocks.codec import Longs, pack_block
 from cassandra_ros.store.blocks.limits import ALONE_BYTES, Limits
+from cassandra_ros.store.checksum import crc32
 from cassandra_ros.store.row_table import CHUNK_BYTES, RowTable
 
 Again = Callable[[int, int, bytes], object]
@@ -99,10 +99,10 @@ def make_block(
     zones, nan, odd = table.zones(wires)
     if len(wires[0]) <= CHUNK_BYTES:
         data = pack_block(times, seqs, wires, received)
-        crc = zlib.crc32(data)
+        crc = crc32(data)
     else:
         data = b"" if received is None else pack_block(times, seqs, [b""], received)
-        crc = zlib.crc32(wires[0])
+        crc = crc32(wires[0])
     return Block(times, seqs, received, wires, conn, data, crc, zones, nan, odd, again)
 
 
