@@ -63,6 +63,7 @@ ONE_BY_ONE = {
     "programs": {"nodes", "rostest", "cli", "test_import_process.py"},
     "servers": {"local_server"},
     "pages": {"browser"},
+    "sources": {"test_imports.py"},
 }
 
 
@@ -136,7 +137,7 @@ def pytest_xdist_make_scheduler(config, log):
     class Scheduling(LoadScopeScheduling):
         # What starts programs and waits for them shares a worker, what replays another one: more at
         # a time are too many for a small machine. So does what starts servers: two at once may
-        # choose the same port.
+        # choose the same port; and what looks at all sources, which are parsed once then.
         def _split_scope(self, nodeid):
             module = nodeid.split("::")[0]
             for scope, places in ONE_BY_ONE.items():
