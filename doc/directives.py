@@ -232,8 +232,8 @@ class ApiRoutes(_Shown):
             self.depends_on(path)
         found = nodes.definition_list()
         for route in module.ROUTES:
-            term = nodes.term("", "", nodes.literal(text=f"{route.method} {route.path}"))
-            parts = [nodes.paragraph("", "", *spans(f"{route.summary} {route.body}"))]
+            term = nodes.term("", "", nodes.literal(text=f"GET {route.path}"))
+            parts = [nodes.paragraph("", "", *spans(route.summary))]
             if route.parameters:
                 rows = [
                     (each.name, each.kind, each.summary + " Required." * each.required)
