@@ -47,8 +47,7 @@ class Size:
 
 
 FULL = Size(
-    # Of images and clouds some seconds: the table that is made when the first one comes weighs in
-    # a topic's first hundred as much as a fifth of them.
+    # Of images and clouds some seconds: an import makes two tables before the first one.
     counts={
         "paper": 100_000,
         "imu": 100_000,
