@@ -28,6 +28,8 @@ REQUIREMENTS = (
     *("requirements-doc.txt", "requirements-dev.txt"),
 )
 PYTHONS = ("3.8", "3.9", "3.10", "3.11", "3.12")
+MARKER = re.compile(r'(python_version (<|>=) "3\.\d+"( and platform_machine in "[\w ]+")?)?')
+"""Of a pin: for which Pythons it is, and for which machines where it may be missing."""
 
 
 def files_of_the_checkout():
@@ -182,7 +184,7 @@ def test_every_dependency_is_pinned_with_a_reason():
     for name in REQUIREMENTS:
         for pin, before in requirements(name):
             assert re.fullmatch(r"==[\w.]+", str(pin.specifier)), pin
-            assert re.fullmatch(r'(python_version (<|>=) "3\.\d+")?', str(pin.marker or "")), pin
+            assert MARKER.fullmatch(str(pin.marker or "")), pin
             assert before.startswith("#") or Requirement(before).name == pin.name, pin
 
 

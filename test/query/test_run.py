@@ -304,6 +304,7 @@ def test_condition_for_getdata_and_range(husky):
         ("select latitude, count(*) from fix group by NODE", "latitude", "max(latitude)"),
         ("select NODE from fix group by NODE order by altitude", "altitude", "select it, too"),
         ("select distinct NODE from fix order by altitude", "altitude", "select it, too"),
+        ("select altitude from fix order by count(*)", "count(*)", "by which groups are ordered"),
         ("select count(*) from fix group by axes", "axes", "no field axes"),
         ("select count(*) from joy group by axes", "axes", "is an array"),
         ("select KEY from joy order by axes", "axes", "is an array"),

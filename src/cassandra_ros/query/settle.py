@@ -124,6 +124,10 @@ def _ordered(select: Select) -> Select:
                 how = "DISTINCT" if select.distinct else "aggregates"
                 reason = f"with {how} rows are ordered by a column that is shown; select it, too"
                 raise StatementError(part.position, f"{part.what.text} is not selected: {reason}")
+            if isinstance(part.what, Aggregate):
+                reason = "is one value made of all rows, which orders none of them: GROUP BY makes "
+                reason += "it one of each group, by which groups are ordered where it is selected"
+                raise StatementError(part.position, f"{part.what.text} {reason}")
             place = every + len(hidden)
             hidden.append(Selected(part.what))
         placed.append(Ordering(part.what, part.descending, part.position, place))
