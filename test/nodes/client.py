@@ -54,7 +54,9 @@ def main():
     rospy.init_node("client", anonymous=True, disable_signals=True)
     print("ready", flush=True)
     for line in sys.stdin:
-        print(json.dumps(answer(line)), flush=True)
+        # At once: print writes the end of a line by itself, behind what others log meanwhile.
+        sys.stdout.write(json.dumps(answer(line)) + "\n")
+        sys.stdout.flush()
     rospy.signal_shutdown("no more requests")
 
 

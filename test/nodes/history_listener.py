@@ -27,7 +27,9 @@ printing = threading.Lock()
 
 def say(text):
     with printing:  # two threads do: a line of each, not a line of both
-        print(text, flush=True)
+        # At once: print writes the end of a line by itself, behind what others log meanwhile.
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
 
 
 def take(msg, words):
