@@ -8,28 +8,13 @@ import io
 import json
 
 import numpy as np
-import pytest
-from mapping.room import SHIFT, T0, Drive, assert_room
+from mapping.room import SHIFT, T0, assert_room
 from PIL import Image
-from viewers import running_viewer
 
 from cassandra_ros.mapping.occupancy import OccupancyMap
 from cassandra_ros.viewing import map_routes
 
 SEC = 10**9
-
-
-@pytest.fixture(scope="module")
-def store(fresh):
-    with fresh() as made:
-        Drive().store(made, ("/tf", "/tf_static", "/odom", "/scan"), "robot")
-        yield made
-
-
-@pytest.fixture(scope="module")
-def viewer(store):
-    with running_viewer(store) as running:
-        yield running
 
 
 def ask(viewer, **parameters):

@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mapping.room import SHIFT, T0, Drive, driven, joined
-from viewers import running_viewer
+from mapping.room import SHIFT, T0, driven, joined
 
 from cassandra_ros.errors import StoreUnavailable
 from cassandra_ros.viewing.call import Call
@@ -16,19 +15,6 @@ from cassandra_ros.viewing.settings import ViewerSettings
 from cassandra_ros.viewing.shared import Shared
 
 SEC = 10**9
-
-
-@pytest.fixture(scope="module")
-def store(fresh):
-    with fresh() as made:
-        Drive().store(made, ("/tf", "/tf_static", "/odom", "/scan"), "robot")
-        yield made
-
-
-@pytest.fixture(scope="module")
-def viewer(store):
-    with running_viewer(store) as running:
-        yield running
 
 
 def test_where_robots_were(viewer):
