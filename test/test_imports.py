@@ -163,24 +163,6 @@ def test_text_from_outside_is_never_code():
                 assert dotted not in ("yaml.load", "os.system"), f"{name_of(path)}: {dotted}"
 
 
-def lengths(tree):
-    for node in ast.walk(tree):
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-            doc = ast.get_docstring(node, clean=False)
-            yield (
-                node.name,
-                node.end_lineno - node.lineno + 1 - (len(doc.splitlines()) if doc else 0),
-            )
-
-
-def test_modules_and_functions_are_short():
-    for path in modules():
-        text = path.read_text(encoding="utf-8")
-        assert len(text.splitlines()) <= 500, f"{name_of(path)} is longer than 500 lines"
-        long = [name for name, lines in lengths(tree_of(path)) if lines > 40]
-        assert not long, f"{name_of(path)}: longer than 40 lines: {long}"
-
-
 def test_every_module_says_what_it_is():
     for path in modules():
         text = path.read_text(encoding="utf-8")
