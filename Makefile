@@ -16,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup demo viewer screenshots test campaign lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer clean distclean
+.PHONY: help setup demo viewer screenshots test campaign ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, Studio, workspace .ws"
@@ -26,6 +26,7 @@ help:
 	@echo "make screenshots    take the README's pictures of the viewer anew"
 	@echo "make test           all tests, on a real Cassandra and a real roscore (ARGS='-k name')"
 	@echo "make campaign       random searches and faults, ten times as far (LENGTH=short: once, for CI)"
+	@echo "make ci             lint, test and the short campaign in one run; what fails is run once more, alone"
 	@echo "make lint           ruff, mypy, catkin_lint, make doc"
 	@echo "make doc            the pages of doc/, as build/doc/index.html; a warning is an error"
 	@echo "make bench          measure beside rosbag, MCAP, SQLite and the bare driver (40 minutes)"
@@ -55,6 +56,10 @@ test: setup
 campaign: LENGTH ?= long
 campaign: setup
 	@$(IN_WORKSPACE) CASSANDRA_ROS_CAMPAIGN=$(LENGTH) $(PYTHON) -m pytest -n 3 $(ARGS)
+
+# What make lint, make test and make campaign LENGTH=short do, in one run with one set-up and one Cassandra.
+ci: lint
+	@$(IN_WORKSPACE) CASSANDRA_ROS_CAMPAIGN=ci $(PYTHON) test/second_run.py -n 3 $(ARGS)
 
 lint: setup doc
 	$(PYTHON) -m ruff check .

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How far the searches go: a part of them in make test, all and more in make campaign.
 
-CASSANDRA_ROS_CAMPAIGN says which: unset in make test; short, with the examples that every run of
-.ci/run has; long, with ten times as many, and each fault ten times.
+CASSANDRA_ROS_CAMPAIGN says which: unset in make test; short, with all examples; long, with ten
+times as many, and each fault ten times; ci, the tests of make test and of the short campaign in one
+run, in which a search runs once, with all its examples.
 """
 
 from __future__ import annotations
@@ -13,14 +14,17 @@ import os
 import pytest
 from hypothesis import settings
 
-LENGTH = os.environ.get("CASSANDRA_ROS_CAMPAIGN", "")
+ASKED = os.environ.get("CASSANDRA_ROS_CAMPAIGN", "")
+EVERYTHING = ASKED == "ci"
+"""Whether the tests of make test run, too."""
+LENGTH = "short" if EVERYTHING else ASKED
 SHARES = {"": 0.25, "short": 1, "long": 10}
 """Of the examples that a search names, by the length."""
 FAULTS = {"": 1, "short": 0, "long": 10}
 """How often a test of a fault runs: make test has run it when the short campaign comes."""
 
 if LENGTH not in SHARES:
-    raise pytest.UsageError(f"CASSANDRA_ROS_CAMPAIGN={LENGTH}: it is short, long or unset")
+    raise pytest.UsageError(f"CASSANDRA_ROS_CAMPAIGN={ASKED}: it is short, long, ci or unset")
 
 
 FEW_FORMATS = ("ros", "packed")

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from campaign import FAULTS, LENGTH
+from campaign import EVERYTHING, FAULTS, LENGTH
 from hypothesis import settings
 from keyspaces import Keyspaces, new_name
 
@@ -119,6 +119,8 @@ def pytest_generate_tests(metafunc):
 
 def pytest_collection_modifyitems(config, items):
     """Leave to a campaign only its own tests, and the long ones."""
+    if EVERYTHING:
+        return
     wanted = ("campaign", "long", "fault") if FAULTS[LENGTH] else ("campaign", "long")
 
     def chosen(item):

@@ -227,8 +227,7 @@ def test_a_commit_and_a_change_are_checked_by_the_commands_of_the_project():
     (job,) = read_yaml(".github/workflows/checks.yml")["jobs"].values()
     assert job["steps"][-1] == {"run": ".ci/run"}
     assert os.access(ROOT / ".ci/run", os.X_OK)
-    made = re.findall(r"^make (.*) </dev/null$", (ROOT / ".ci/run").read_text(), re.M)
-    assert made == ["lint", "test", "campaign LENGTH=short"]
+    assert (ROOT / ".ci/run").read_text().endswith("\nmake ci </dev/null\n")
 
 
 def test_the_paper_is_cited():
