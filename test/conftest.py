@@ -51,6 +51,9 @@ MEMORY = Path("/dev/shm")  # noqa: S108 - a name in it is made by mkdtemp
 MEMORY_FREE = 4 << 30
 """So much must be free there, bytes, for that server to keep its files in memory."""
 
+NO_MASTER = "http://127.0.0.1:1/"
+"""Connections are refused there at once. A test that needs a master uses the fixture roscore."""
+
 ONE_BY_ONE = {
     "replays": {
         "test_history_subscriber.py",
@@ -89,6 +92,8 @@ def pytest_configure(config):
     # Whoever runs them may have a cluster that asks for a login, and data of a local one to lose.
     os.environ["CASSANDRA_ROS_CQLSHRC"] = os.devnull
     os.environ.pop("CASSANDRA_ROS_DIR", None)
+    # A master may run on this machine, with topics called as ours: only the tests' own is asked.
+    os.environ["ROS_MASTER_URI"] = NO_MASTER
 
 
 def pytest_sessionstart(session):

@@ -13,10 +13,12 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 import yaml
 from campaign import sparing
+from packageurl.contrib import purl2url
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
@@ -228,6 +230,18 @@ def test_a_commit_and_a_change_are_checked_by_the_commands_of_the_project():
     assert job["steps"][-1] == {"run": ".ci/run"}
     assert os.access(ROOT / ".ci/run", os.X_OK)
     assert (ROOT / ".ci/run").read_text().endswith("\nmake ci </dev/null\n")
+
+
+def test_no_file_names_the_host_of_a_package_registry():
+    """Which one is asked is said by the configuration of pip, Maven and npm on each machine."""
+    named = [purl2url.get_download_url(f"pkg:{kind}/a/b@1") for kind in ("npm", "maven", "cargo")]
+    named += [purl2url.get_repo_url("pkg:pypi/a@1")]
+    hosts = {urlsplit(url).hostname for url in filter(None, named)}
+    assert len(hosts) >= 3
+    texts = [path for path in files_of_the_checkout() if path.suffix not in (".png", ".bag")]
+    for path in texts:
+        text = path.read_bytes()
+        assert not [host for host in hosts if host.encode() in text], path
 
 
 def test_the_paper_is_cited():

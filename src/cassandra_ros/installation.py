@@ -33,6 +33,7 @@ OPTIONAL = {
     "pyarrow": "requirements-tables.txt",
     "aiohttp": "requirements-viewer.txt",
     "matplotlib": "requirements-viewer.txt",
+    "packageurl": "requirements-viewer.txt",
     "PIL": "requirements-viewer.txt",
 }
 

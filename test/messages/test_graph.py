@@ -7,6 +7,8 @@ import threading
 from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
+import rosgraph
+from conftest import NO_MASTER
 
 from cassandra_ros.messages import graph
 from cassandra_ros.messages.graph import topic_type
@@ -54,6 +56,8 @@ def test_no_master_leaves_the_type_open(monkeypatch):
     assert topic_type("/chatter") is None
     monkeypatch.setenv("ROS_MASTER_URI", "nonsense")
     assert topic_type("/chatter") is None
+    # Without the variable it asks ROS's default address, where a master of this machine may run.
+    monkeypatch.setattr(rosgraph.rosenv, "DEFAULT_MASTER_URI", uri)
     monkeypatch.delenv("ROS_MASTER_URI")
     assert topic_type("/chatter") is None
 
@@ -76,3 +80,8 @@ def test_a_master_that_is_silent_is_left_after_a_second(monkeypatch):
 def test_a_real_master(roscore, monkeypatch, patient):
     monkeypatch.setenv("ROS_MASTER_URI", roscore.uri)
     assert topic_type("/rosout_agg") == "rosgraph_msgs/Log"
+
+
+def test_no_test_asks_a_master_that_runs_on_this_machine(ros_env):
+    assert rosgraph.get_master_uri() == ros_env["ROS_MASTER_URI"] == NO_MASTER
+    assert topic_type("/chatter") is None

@@ -14,12 +14,13 @@ import sys
 import tarfile
 import threading
 from dataclasses import replace
+from urllib.parse import urlsplit
 
 import pytest
 
 from cassandra_ros.cli import studio_offer, viewer
 from cassandra_ros.errors import DownloadFailed
-from cassandra_ros.viewing import studio
+from cassandra_ros.viewing import npm_registry, studio
 
 MAP = b"\n//# sourceMappingURL=data:application/json;base64,AAAA"
 
@@ -90,6 +91,8 @@ def registry(monkeypatch, tmp_path):
     monkeypatch.setattr(studio, "PACKAGES", known)
     monkeypatch.setattr(studio, "_PAUSE_SEC", 0)
     monkeypatch.setenv("npm_config_registry", f"http://127.0.0.1:{server.server_port}/")
+    monkeypatch.setenv("npm_config_userconfig", str(tmp_path / "npmrc"))
+    monkeypatch.setattr(npm_registry, "MACHINE_FILES", [tmp_path / "machine"])
     monkeypatch.setenv("no_proxy", "127.0.0.1")
     monkeypatch.setenv("CASSANDRA_ROS_STUDIO", str(tmp_path / "home"))
     yield server
@@ -153,6 +156,38 @@ def test_what_npm_did_not_publish_is_not_installed(registry, monkeypatch, tmp_pa
     assert not any((tmp_path / "home").iterdir())
     monkeypatch.setenv("npm_config_registry", "file:///etc")
     with pytest.raises(DownloadFailed, match="npm_config_registry"):
+        studio.install_studio(studio.studio_folder(), lambda line: None)
+
+
+def test_the_registry_is_the_one_of_npms_configuration(registry, monkeypatch, tmp_path):
+    address = os.environ["npm_config_registry"]
+    monkeypatch.delenv("npm_config_registry")
+    monkeypatch.setenv("PLACE", address)
+    (tmp_path / "machine").write_text("registry=http://127.0.0.1:9/of-the-machine\n")
+    (tmp_path / "npmrc").write_text("; ours\nfund = false\nregistry = ${PLACE}\n")
+    assert studio.install_studio(studio.studio_folder(), lambda line: None)
+    assert len(registry.asked) == len(studio.PACKAGES)
+    # A scope's own registry is for its packages alone, and the environment is stronger than files.
+    with (tmp_path / "npmrc").open("a") as file:
+        file.write('@foxglove:registry="https://scope.invalid/npm/"\n')
+    monkeypatch.setenv("NPM_CONFIG_REGISTRY", "http://env.invalid")
+    asked = [npm_registry.tarball_address(each.name, each.version) for each in studio.PACKAGES[:2]]
+    assert asked == [
+        "https://scope.invalid/npm/@foxglove/studio-base/-/studio-base-1.48.0.tgz",
+        "http://env.invalid/react/-/react-17.0.2.tgz",
+    ]
+
+
+def test_without_a_configuration_it_is_npms_usual_one(registry, monkeypatch):
+    monkeypatch.delenv("npm_config_registry")
+    asked = [npm_registry.tarball_address(each.name, each.version) for each in studio.PACKAGES[:2]]
+    first, second = map(urlsplit, asked)
+    assert first.scheme == second.scheme == "https"
+    assert first.netloc == second.netloc != ""
+    assert first.path == "/@foxglove/studio-base/-/studio-base-1.48.0.tgz"
+    assert second.path == "/react/-/react-17.0.2.tgz"
+    monkeypatch.setitem(sys.modules, "packageurl", None)
+    with pytest.raises(DownloadFailed, match="names no registry: set npm_config_registry.*pip"):
         studio.install_studio(studio.studio_folder(), lambda line: None)
 
 

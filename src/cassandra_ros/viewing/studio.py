@@ -24,10 +24,10 @@ import urllib.request
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO, Callable, Iterator
-from urllib.parse import quote, urlsplit
 
 from cassandra_ros.errors import DownloadFailed
 from cassandra_ros.installation import home_folder
+from cassandra_ros.viewing.npm_registry import tarball_address
 
 _MARKER = "complete.json"
 _ATTEMPTS = 4
@@ -38,7 +38,6 @@ _NEEDED_BYTES = 200 << 20
 """Free space: the largest tarball and all that is unpacked."""
 _MAX_FILE_BYTES = 64 << 20
 _MAX_FILES = 1000
-_DEFAULT_REGISTRY = "https://registry.npmjs.org"
 # The inline map of a file made for debugging: two thirds of it, and it is read each time.
 _SOURCE_MAP = re.compile(rb"\n//# sourceMappingURL=data:[^\n]*\s*\Z")
 
@@ -55,11 +54,6 @@ class Package:
     """Bytes of the tarball, about, for who waits."""
     keep: str
     """What of it is kept: a regular expression, for names below 'package/'."""
-
-    def url(self, registry: str) -> str:
-        """Return the address of the tarball in a registry."""
-        file = f"{self.name.split('/')[-1]}-{self.version}.tgz"
-        return f"{registry.rstrip('/')}/{quote(self.name, safe='@/')}/-/{file}"
 
 
 PACKAGES = (
@@ -113,15 +107,15 @@ def _wanted() -> dict[str, str]:
 def install_studio(folder: Path, say: Callable[[str], None]) -> bool:
     """Fetch the Studio where it is missing; return whether it was.
 
-    The registry is that of $npm_config_registry, as of npm; a proxy that of $https_proxy.
+    The registry is that of npm's configuration; a proxy that of $https_proxy.
 
     Args:
         folder: Where it is to lie; what lay there is replaced.
         say: Is told each step, a line each.
 
     Raises:
-        DownloadFailed: It could not be fetched again and again, is not what npm published, or
-            there is no room for it.
+        DownloadFailed: It could not be fetched again and again, is not what npm published, there
+            is no room for it, or no registry is known.
     """
     if studio_installed(folder):
         return False
@@ -158,9 +152,7 @@ def _put_in_place(draft: Path, folder: Path) -> None:
 
 
 def _install(package: Package, draft: Path, say: Callable[[str], None]) -> None:
-    url = package.url(os.environ.get("npm_config_registry") or _DEFAULT_REGISTRY)
-    if urlsplit(url).scheme not in ("http", "https"):
-        raise DownloadFailed(f"{url} is no address of npm's registry: see $npm_config_registry")
+    url = tarball_address(package.name, package.version)
     say(f"fetching {package.name} {package.version} ({package.size / 1e6:.1f} MB) from {url}")
     with tempfile.TemporaryFile(dir=draft) as file:
         _fetch(package, url, file, say)
