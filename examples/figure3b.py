@@ -27,6 +27,7 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros import RosCassandra
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.mapping.build import makeMap
+from cassandra_ros.mapping.pose_offers import Measurements
 from cassandra_ros.mapping.sensor_poses import PoseChoice, SensorPoses
 
 VIEWER = Path(__file__).resolve().parents[1] / "scripts" / "viewer"
@@ -70,7 +71,7 @@ def add_transforms(rosCas, scan, frame):
     scans = [(row.key, row.message().header) for row in scan.rows()]
     times = np.array([[key.ns, header.stamp.to_nsec()] for key, header in scans])
     sensor = scans[0][1].frame_id
-    poses = SensorPoses(rosCas, PoseChoice(), None, None, times[:, 0].tolist())
+    poses = SensorPoses(rosCas, PoseChoice(), Measurements(rosCas, scan.name), times[:, 0].tolist())
     placed = poses.at(sensor, times[:, 0], times[:, 1])
     for (key, header), place, turn, known in zip(
         scans, placed.poses.moved, placed.poses.turned, placed.known

@@ -135,6 +135,61 @@ def test_a_robot_goes_by_its_own_odometry_and_not_by_its_goal(wheels):
         assert (made.used, made.sources) == (63, [f"{told}, sensor offset as given"])
 
 
+def poses_of(drive, count, later_ns=0):
+    """The first poses that a drive told on /odom, as if they had been told at another time."""
+    drive.messages = [m for m in drive.messages if m[0] == "/odom"][:count]
+    drive.messages = [(topic, message, key + later_ns) for topic, message, key in drive.messages]
+    return drive
+
+
+@pytest.fixture(scope="module")
+def several(fresh):
+    """A robot without tf and four topics of its poses, of which one covers each of its scans."""
+    with fresh() as made:
+        Drive().store(made, ("/odom", "/scan"), rename={"/odom": "/wheels"})
+        some = Drive()
+        poses_of(some, 20).store(made, ("/odom",), rename={"/odom": "/a_third"})
+        hour = poses_of(Drive(), 64, -3600 * SEC)
+        hour.store(made, ("/odom",), rename={"/odom": "/an_hour_ago"})
+        around = poses_of(Drive(), 1, -60 * SEC)
+        around.messages += poses_of(Drive(), 1, 60 * SEC).messages
+        around.store(made, ("/odom",), rename={"/odom": "/around"})
+        yield made
+
+
+def test_the_topic_that_covers_most_of_the_messages_tells_the_poses(several):
+    made = makeMap(several, "/scan")
+    assert (made.used, made.sources) == (63, ["/wheels, no sensor offset"])
+    assert [(offer.topic, offer.taken) for offer in made.offers] == [
+        ("/wheels", True),
+        ("/a_third", False),
+        ("/an_hour_ago", False),
+        ("/around", False),
+    ]
+    shares = [offer.share for offer in made.offers]
+    assert shares == pytest.approx([63 / 64, 19 / 64, 0, 0], abs=0.02)
+    # Of a window in which another one is as good the first by name.
+    first = makeMap(several, "/scan", Stamp.from_ns(T0), Stamp.from_ns(T0 + SEC))
+    assert (first.used, first.sources) == (10, ["/a_third, no sensor offset"])
+    # What is asked for is taken, and what else there is is told.
+    named = makeMap(several, "/scan", poses=PoseChoice(odom="a_third"))
+    assert (named.used, named.without_pose) == (19, 45)
+    assert [offer.topic for offer in named.offers if offer.taken] == ["/a_third"]
+    assert [offer.topic for offer in named.offers][0] == "/wheels"
+
+
+def test_each_run_has_the_poses_that_cover_its_messages(fresh):
+    with fresh() as made:
+        for later, odom in ((0, "/z"), (YEAR, "/y")):
+            drive = Drive()
+            drive.messages = [(t, m, k + later) for t, m, k in drive.messages]
+            drive.store(made, ("/odom", "/scan"), rename={"/odom": odom})
+        runs = {row.run for row in made.getTopic("/scan").rows()}
+        assert len(runs) == 2
+        told = {makeMap(made, "/scan", run=run).sources[0].split(",")[0] for run in runs}
+        assert told == {"/y", "/z"}
+
+
 def test_only_what_has_no_stamp_is_placed_by_its_reception(wheels):
     some = Drive(ahead_ns=YEAR)
     scans = [message for topic, message, _ in some.messages if topic == "/scan"]
@@ -239,6 +294,22 @@ def test_a_map_is_drawn_kept_and_shown_again(bag, store, tmp_path):
     assert not (tmp_path / "room.pgm").exists()
     assert bag("map", "/maps", "-o", "room.pgm", "-f")[0] == 0
     assert (tmp_path / "room.pgm").read_bytes() != before["room.pgm"]
+
+
+def test_the_topic_of_the_poses_is_printed_beside_the_others(several, cassandra, capsys, tmp_path):
+    where = ["--host", cassandra.host, "--port", str(cassandra.port)]
+    words = ["map", "/scan", "-o", str(tmp_path / "a.png"), *where, "--keyspace", several.keyspace]
+    assert cassandra_bag.main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1] == "poses: /wheels, no sensor offset"
+    assert re.fullmatch(
+        r"--odom takes another topic of poses: /a_third \((29|30|31) % of the messages\), "
+        r"/an_hour_ago \(0 % of the messages\), /around \(0 % of the messages\)",
+        lines[2],
+    )
+    assert cassandra_bag.main([*words, "--force", "--json", "--odom", "/a_third"]) == 0
+    told = json.loads(capsys.readouterr().out)["pose_topics"]
+    assert [each["topic"] for each in told if each["taken"]] == ["/a_third"]
 
 
 def test_options_that_make_no_sense_are_refused(bag):

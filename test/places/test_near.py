@@ -532,6 +532,56 @@ def test_what_may_be_meant_in_two_ways_is_asked_for(rosCas):
     assert asked(rosCas, "NEAR(0, 2, 0.5, 'world', 'turtle2')") == [T0 + 2 * SEC]
 
 
+@pytest.fixture
+def two_runs(rosCas):
+    """Two runs of one robot, each with odometry of its own, and another robot with two of them."""
+    for number, (run, topic) in enumerate([("first", "/wheels"), ("second", "/vision")]):
+        with Writer(rosCas, "husky", run) as writer:
+            for n in range(3):
+                t = T0 + number * 100 * SEC + n * SEC
+                writer.put(topic, t, odometry(float(n), 0.0))
+                writer.put("/n", t, Int32(n))
+    with Writer(rosCas, "twins", "third") as writer:
+        for n in range(3):
+            for topic in ("/left", "/right"):
+                writer.put(topic, T0 + n * SEC, odometry(float(n), 0.0))
+            writer.put("/n", T0 + n * SEC, Int32(n))
+    return rosCas
+
+
+def test_near_goes_by_the_poses_of_the_run_and_the_robot_that_are_asked_for(two_runs):
+    store, near = two_runs, "NEAR(2, 0, 0.5, 'odom')"
+    with pytest.raises(InvalidQuery, match="/vision and /wheels tell poses in frame 'odom'"):
+        asked(store, f"{near} and NODE = 'husky'")
+    first, second = T0 + 2 * SEC, T0 + 102 * SEC
+    topic, n = store.getTopic("/n"), "select data from /n where"
+    for run, expected in (("first", first), ("second", second)):
+        inside = f"{near} and RUN = '{run}'"
+        assert asked(store, inside) == [expected]
+        assert asked(store, near, run=run) == [expected]
+        assert asked(store, f"not {near}", run=run) == [expected - 2 * SEC, expected - SEC]
+        for options in ({"where": inside}, {"where": near, "run": run}):
+            assert topic.countTopicData(**options) == 1
+            assert topic.getArrays(["KEY"], **options)["KEY"].tolist() == [expected]
+            assert [key.to_nsec() for key, _ in topic.items(**options)] == [expected]
+        drawn = store.statements.series(f"{n} {inside}")
+        assert drawn.points.rows.sum() == 1
+        assert [row.t for row in store.near(2, 0, 0.5, "odom", ["/n"], run=run)] == [expected]
+    # Another robot's choice is none of this one's business.
+    only = f"RUN = 'first' and NODE = 'husky' and {near}"
+    assert topic.getArrays(["KEY"], where=only)["KEY"].tolist() == [first]
+    with pytest.raises(InvalidQuery, match="/left and /right tell poses in frame 'odom'"):
+        asked(store, f"{near} and NODE = 'twins'")
+
+
+def test_a_run_without_poses_goes_by_those_of_the_others(two_runs):
+    with Writer(two_runs, "husky", "camera") as writer:
+        writer.put("/n", T0 + 2 * SEC, Int32(7))
+    near = "NEAR(2, 0, 0.5, 'odom', '/wheels')"
+    assert asked(two_runs, near, run="camera") == [T0 + 2 * SEC]
+    assert asked(two_runs, near, run="second") == []
+
+
 def test_time_that_begins_at_0_and_a_robot_that_never_moves(rosCas):
     lane(rosCas, start=0, count=5, run="simulated")
     assert asked(rosCas, "NEAR(20, 0, 2)") == [2 * SEC + 1]

@@ -35,6 +35,8 @@ def test_a_map_is_a_picture_and_what_it_means(viewer):
     assert (told["used"], told["without_pose"], told["sources"]) == (63, 1, ["tf (map to laser)"])
     odom, told = ask(viewer, topic="scan", odom="/odom", resolution=0.1, nodes="robot")
     assert (odom.frame, odom.resolution) == ("odom", 0.1)
+    ((topic, share, taken),) = (each.values() for each in told["pose_topics"])
+    assert (topic, share > 0.9, taken) == ("/odom", True, True)
     assert_room(odom)
     window = {"start": f"{T0}", "end": f"{T0 + SEC}"}
     assert ask(viewer, topic="/scan", **window)[1]["used"] == 10

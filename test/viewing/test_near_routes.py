@@ -31,6 +31,9 @@ def test_where_robots_were(viewer):
     (few,) = viewer.get("/api/places", points=10, frame="odom", nodes="robot")["tracks"]
     assert 2 <= len(few["x"]) <= 12
     assert few["frame"] == "odom"
+    runs = [run["id"] for run in viewer.get("/api/runs")["runs"]]
+    assert viewer.get("/api/places", runs=runs)["tracks"][0]["x"] == track["x"]
+    assert viewer.fail("/api/places", runs="none")[1]["error"] == "RunNotFound"
     part = viewer.get("/api/places", start=str(T0), end=str(T0 + SEC))["tracks"][0]
     assert int(part["times"][-1]) <= T0 + SEC
     assert viewer.get("/api/places", start=str(T0 - 9 * SEC), end=str(T0 - SEC))["tracks"] == []

@@ -161,6 +161,7 @@ async function loadMap(wanted, signal) {
     const meta = JSON.parse(response.headers.get("X-Map") ?? "{}");
     view.image = { ...meta, picture: await createImageBitmap(await response.blob()) };
     tell(described(wanted.topic, meta));
+    labelPoses(meta);
   } catch (error) {
     if (!isAbort(error)) {
       view.image = null;
@@ -168,6 +169,40 @@ async function loadMap(wanted, signal) {
     }
     throw error;
   }
+}
+
+/**
+ * The topic out of which a map's poses came; "" where tf told them.
+ * @param {any} meta
+ */
+function posesOf(meta) {
+  return meta?.pose_topics?.find((/** @type {any} */ offer) => offer.taken)?.topic ?? "";
+}
+
+/**
+ * Say in the control of the poses which topic the map was made of, and for how many of its messages
+ * each of the others tells poses.
+ * @param {any} meta
+ */
+function labelPoses(meta) {
+  const offers = new Map(meta.pose_topics.map((/** @type {any} */ offer) => [offer.topic, offer.share]));
+  for (const option of element("map-odom").options) {
+    if (option.value) {
+      const share = offers.get(option.value);
+      option.text = share === undefined ? option.value : `${option.value}: ${percent(share)} of the messages`;
+    } else if (!question().odom) {
+      option.text = `${posesOf(meta) || "tf"}, by itself`;
+    }
+  }
+}
+
+/**
+ * A share, so that only nothing is 0 % and only all is 100 %.
+ * @param {number} share
+ */
+function percent(share) {
+  const rounded = Math.round(100 * share);
+  return `${share > 0 && share < 1 ? Math.min(99, Math.max(1, rounded)) : rounded} %`;
 }
 
 /**
@@ -189,8 +224,8 @@ function described(topic, meta) {
  * @param {AbortSignal} signal
  */
 async function loadTracks(wanted, signal) {
-  const { start, end, nodes, odom } = wanted;
-  const where = { start, end, nodes, frame: view.image?.frame, robot: odom };
+  const { start, end, nodes, runs, odom } = wanted;
+  const where = { start, end, nodes, runs, frame: view.image?.frame, robot: odom || posesOf(view.image) };
   const found = await get("/api/places", where, { signal }).catch((error) => {
     // A store without poses has no tracks; a stored map can be shown all the same, and why is said.
     if (error?.status !== 404 && error?.status !== 400) throw error;

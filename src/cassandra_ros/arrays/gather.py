@@ -15,13 +15,14 @@ from cassandra_ros.arrays.stacked_values import MessageBlock
 from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.arrays.values import empty_values, join_values
 from cassandra_ros.errors import InvalidQuery, TopicNotFound
+from cassandra_ros.query.bounds import bounds_of
 from cassandra_ros.query.computed import INTEGER
 from cassandra_ros.query.names import Findings
 from cassandra_ros.query.nearby import located
 from cassandra_ros.query.parse import parse_condition, parse_select
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.settle import settle
-from cassandra_ros.query.source import Source
+from cassandra_ros.query.source import Source, Writers
 from cassandra_ros.query.syntax import Aggregate, KeyOperand, Select, Selected, Term
 
 Where = Union[None, str, Tuple[str, Sequence[object]]]
@@ -55,6 +56,9 @@ def gather_fields(
     where: Where,
     read: ReadRows,
     blocks: Optional[ReadBlocks] = None,
+    *,
+    node: Optional[str] = None,
+    writers: Writers = None,
 ) -> dict[str, FieldArray]:
     """Gather fields from the rows of a topic.
 
@@ -62,6 +66,7 @@ def gather_fields(
         fields: As a SELECT statement names them, KEY, NODE and RUN included; None = all fields.
         where: Which messages ``read`` gives, and which elements of the arrays that are unnested.
         read, blocks: How they are read; by blocks no object is made of a message.
+        node, writers: The robot and the runs whose messages ``read`` gives; None = all.
 
     Raises:
         InvalidName: fields is no list of names.
@@ -73,7 +78,7 @@ def gather_fields(
         text, params = where
     if text is not None:
         parse_condition(text, params)  # by itself: it must not end before its end
-    select = _statement(topic, fields, text, params)
+    select = _located(_statement(topic, fields, text, params), topic.tables, node, writers)
     findings = Findings(select.text)
     tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
     findings.check()
@@ -126,12 +131,15 @@ def read_arrays(
     where: Where,
     read: ReadRows,
     blocks: Optional[ReadBlocks] = None,
+    *,
+    node: Optional[str] = None,
+    writers: Writers = None,
 ) -> dict[str, AnyArray]:
     """Return fields as arrays, those of which values are missing as masked ones.
 
     Arguments and errors are those of gather_fields.
     """
-    found = gather_fields(topic, fields, where, read, blocks)
+    found = gather_fields(topic, fields, where, read, blocks, node=node, writers=writers)
     return {name: _masked(values, missing) for name, (_, values, missing) in found.items()}
 
 
@@ -142,6 +150,15 @@ def _masked(values: AnyArray, missing: AnyArray) -> AnyArray:
     mask = np.broadcast_to(missing[:, None], values.shape) if many else missing
     masked: AnyArray = np.ma.MaskedArray(values, mask)  # type: ignore[no-untyped-call]
     return masked
+
+
+def _located(
+    select: Select, tables: Sequence[Table], node: Optional[str], writers: Writers
+) -> Select:
+    """Return a statement whose NEARs know when it was so, of the robot and runs it asks for."""
+    named, runs = any(table.named for table in tables), next((t.runs for t in tables), None)
+    bounds = bounds_of(select, node, named, writers, runs)
+    return located(select, tables, bounds.node, bounds.writers)
 
 
 def _statement(
@@ -161,7 +178,7 @@ def _statement(
         reason = "DISTINCT stands in a statement, not before fields; executeCQL answers it"
         raise InvalidQuery(select.text, len("SELECT "), reason)
     tables = topic.tables
-    select = located(settle(select, tables), tables)
+    select = settle(select, tables)
     called: dict[str, Term] = {}
     for column in select.columns or ():
         what = column.what

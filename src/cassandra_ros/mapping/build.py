@@ -36,8 +36,9 @@ from cassandra_ros.errors import (
 from cassandra_ros.mapping.beams import SENSORS, Sensor
 from cassandra_ros.mapping.grid import LogOddsGrid
 from cassandra_ros.mapping.occupancy import OCCUPANCY_GRID, OccupancyMap
+from cassandra_ros.mapping.pose_offers import Measurements, PoseOffer, united_offers
 from cassandra_ros.mapping.sensor_poses import PoseChoice, SensorPoses
-from cassandra_ros.messages.stamps import Stamp, Time
+from cassandra_ros.messages.stamps import Stamp, Time, to_ns
 from cassandra_ros.places.poses import Poses
 from cassandra_ros.places.rigid import Rigid
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
@@ -110,6 +111,9 @@ class MadeMap:
     """Messages whose pose is that at their reception, for none was recorded at their stamps."""
     sources: Sequence[str] = ()
     """From what poses were taken, for people."""
+    offers: Sequence[PoseOffer] = ()
+    """The topics that tell the robots' poses, the best one first: ``PoseChoice(odom=…)`` takes
+    another one. Empty where tf told the poses."""
 
 
 _ALL = MapOptions()
@@ -132,7 +136,8 @@ def makeMap(
     """Make an occupancy grid of stored sensor_msgs/LaserScan or PointCloud2.
 
     Poses are those of recorded tf, each robot's own (by nodeID), or of a topic of Odometry,
-    PoseStamped or PoseWithCovarianceStamped; they are interpolated at the stamps of the headers,
+    PoseStamped or PoseWithCovarianceStamped: of several topics the one whose poses cover most of
+    the messages. They are interpolated at the stamps of the headers,
     and where nothing was recorded that has such stamps, at the times of reception. Of a topic of
     nav_msgs/OccupancyGrid the newest map is returned as it was stored.
 
@@ -201,6 +206,11 @@ class _Rows:
         streams = [read(nodeID=node, reverse=reverse) for node in self.nodes]
         rows = heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
         return islice(rows, limit)
+
+    def measured(self, store: RosCassandra, node: str) -> Measurements:
+        """Return what of this is one robot's."""
+        ends = [None if end is None else to_ns(end) for end in (self.key, self.to_key)]
+        return Measurements(store, self.topic.name, ends[0], ends[1], node, self.writers)
 
     def some_times(self, node: str) -> List[int]:
         """Return the keys of the first, a middle and the last message of a robot, ns."""
@@ -300,8 +310,8 @@ class _Work:
     def _place(self, node: str, sensor: str, measured: Sequence[_Measured]) -> None:
         """Take in the messages of one sensor."""
         if node not in self._robots:
-            times, writers = self._wanted.some_times(node), self._wanted.writers
-            self._robots[node] = SensorPoses(self._store, self._choice, node, writers, times)
+            mine, times = self._wanted.measured(self._store, node), self._wanted.some_times(node)
+            self._robots[node] = SensorPoses(self._store, self._choice, mine, times)
         robot = self._robots[node]
         keys = np.array([each.key for each in measured], np.int64)
         stamps = np.array([each.stamp for each in measured], np.int64)
@@ -360,4 +370,5 @@ class _Work:
             self._unreadable,
             sum(robot.received for robot in robots),
             [source for robot in robots for source in robot.sources],
+            united_offers(robot.offers for robot in robots),
         )

@@ -5,11 +5,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Dict, Optional, Sequence
+from typing import Dict, List, Optional, Sequence
 
 import numpy as np
 
 from cassandra_ros.errors import InvalidOption, TopicNotFound, TransformException
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.mapping.pose_offers import Measurements, PoseOffer
 from cassandra_ros.places.frames import TF, TF_STATIC, Chain, Frames
 from cassandra_ros.places.pose_topic import PoseTopic, tells_robot
 from cassandra_ros.places.poses import LONGEST_GAP_SEC, Poses
@@ -17,7 +19,6 @@ from cassandra_ros.places.rigid import Rigid
 from cassandra_ros.places.samples import Flags, Placed, Samples, Times
 from cassandra_ros.places.sources import key_behind
 from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.topics.runs import Writers
 
 FRAMES = ("map", "odom", "odom_combined", "world")
 """In which of its frames a robot's map is, the first that there is; else in the topmost one."""
@@ -26,7 +27,8 @@ _TYPES = (
     "geometry_msgs/PoseWithCovarianceStamped",
     "geometry_msgs/PoseStamped",
 )
-"""Whose topics are taken by themselves, these first."""
+"""Types of the topics that may be chosen automatically. Of topics that cover the same messages one
+of the first type is chosen."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,8 @@ class PoseChoice:
     frame: Optional[str] = None
     """The map's; None = the best that there is."""
     odom: Optional[str] = None
-    """A topic that tells poses; None = tf where it knows the sensor, else the best topic."""
+    """A topic that tells poses; None = tf where it knows the sensor, else the topic whose poses
+    cover most of the messages."""
     sensor_offset: Optional[Rigid] = None
     """Pose of the sensor on the robot whose poses a topic tells; None = as tf has it, else none."""
     tf: str = TF
@@ -50,10 +53,12 @@ class SensorPoses:
     Args:
         store: Connected to the keyspace.
         choice: From what they are taken.
-        node, writers: Whose records they are; None = anybody's.
-        times: Some of the row keys at which poses will be asked for, ns.
+        measured: The messages for which poses will be asked, all of one robot.
+        times: Row keys of some of them, ns.
 
     Attributes:
+        offers: The topics that tell this robot's poses, the best one first. Empty where tf tells
+            the poses.
         received: How many poses are those at the times of reception, for by the stamps of the
             headers none was known.
     """
@@ -62,16 +67,17 @@ class SensorPoses:
         self,
         store: RosCassandra,
         choice: PoseChoice,
-        node: Optional[str],
-        writers: Writers,
+        measured: Measurements,
         times: Sequence[int],
     ) -> None:
         self._store, self._choice = store, choice
-        self._node, self._writers, self._times = node, writers, times
+        self._measured, self._times = measured, times
+        self._node, self._writers = measured.node, measured.writers
         by_topic = choice.odom or choice.sensor_offset is not None
         self._frames = None if by_topic else self._recorded_tf()
         self._known: Dict[str, Poses] = {}
         self._sources: Dict[str, str] = {}
+        self.offers: List[PoseOffer] = []
         self.received = 0
 
     def _recorded_tf(self) -> Optional[Frames]:
@@ -130,7 +136,9 @@ class SensorPoses:
             if frame is not None and above:
                 self._sources[sensor] = f"tf ({frame.lstrip('/')} to {sensor.lstrip('/')})"
                 return Poses(Chain(self._frames, sensor, frame), choice.longest_gap_sec)
-        topic = choice.odom or self._best_topic(sensor)
+        self.offers = self.offers or self._pose_offers()
+        topic = self._store.getTopic(choice.odom or self._best_topic(sensor)).name
+        self.offers = [offer._replace(taken=offer.topic == topic) for offer in self.offers]
         told = PoseTopic(self._store.getTopic, topic, self._node, self._writers)
         offset, how = self._offset(topic, sensor)
         if choice.frame and told.frame and choice.frame.strip("/") != told.frame:
@@ -163,14 +171,8 @@ class SensorPoses:
 
     def _best_topic(self, sensor: str) -> str:
         """Return the topic that tells poses where tf does not; raises where there is none."""
-        kinds = {
-            topic.name: min(_TYPES.index(t.msg_type) for t in topic.tables if t.msg_type in _TYPES)
-            for topic in self._store.getAllTopics()
-            if any(t.msg_type in _TYPES for t in topic.tables) and tells_robot(topic)
-            if key_behind(topic, -1, self._node, self._writers) is not None
-        }
-        if kinds:
-            return min(kinds, key=lambda name: (kinds[name], name))
+        if self.offers:
+            return self.offers[0].topic
         tf, tf_static = self._choice.tf, self._choice.tf_static
         if self._choice.sensor_offset is not None:
             what = "a sensor offset is one on the robot of which a topic tells poses"
@@ -182,6 +184,17 @@ class SensorPoses:
             f"nobody knows where the sensor was: {what}, and no topic of Odometry, PoseStamped or "
             "PoseWithCovarianceStamped is; name what tells poses with odom="
         )
+
+    def _pose_offers(self) -> List[PoseOffer]:
+        """List the topics that tell this robot's poses, the best one first."""
+        kinds = {
+            topic.name: min(_TYPES.index(t.msg_type) for t in topic.tables if t.msg_type in _TYPES)
+            for topic in self._store.getAllTopics()
+            if any(t.msg_type in _TYPES for t in topic.tables) and tells_robot(topic)
+            if key_behind(topic, -1, self._node, self._writers) is not None
+        }
+        gap_ns = round(self._choice.longest_gap_sec * SECOND_NS)
+        return self._measured.offers(kinds, gap_ns)
 
     def _offset(self, topic: str, sensor: str) -> tuple[Rigid, str]:
         """Return where the sensor is on the robot whose poses a topic tells, and who says so."""

@@ -10,7 +10,7 @@ robot's would be worse.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import (
     Dict,
     FrozenSet,
@@ -78,6 +78,8 @@ class Robot:
     name: str
     """Its frame; '' = the topic tells it."""
     find: Find
+    writers: Writers = None
+    """The runs whose poses are meant; None = all runs."""
 
     @property
     def keys(self) -> Tuple[str, ...]:
@@ -85,18 +87,19 @@ class Robot:
         return (self.name,) if self.name else tuple(table.name for table in self.topic.tables)
 
     def recording(self, writers: Writers = None) -> Recording:
-        """Return what these recorded of it; None = all."""
+        """Return what these runs recorded of it; None = those whose poses are meant."""
+        writers = self.writers if writers is None else writers
         if self.name:
             return Chain(Frames(self.find, self.node, writers), self.name, self.frame)
         return PoseTopic(self.find, self.topic.name, self.node, writers)
 
     def poses(self, writers: Writers = None) -> Poses:
-        """Return where it was, as these recorded it; None = all."""
+        """Return where it was, as these runs recorded it; None = those whose poses are meant."""
         return Poses(self.recording(writers))
 
     def fixed(self) -> Mapping[str, str]:
         """Return for each frame that does not move how it is fixed to another one."""
-        return fixed_frames(Frames(self.find, self.node)) if self.name else {}
+        return fixed_frames(Frames(self.find, self.node, self.writers)) if self.name else {}
 
 
 def fixed_frames(frames: Frames) -> Dict[str, str]:
@@ -147,19 +150,20 @@ def _bodies(frames: Iterable[str]) -> List[str]:
     return sorted(min(n, key=lambda f: BASES.index(f.rpartition("/")[2])) for n in found.values())
 
 
-def look(find: Find, node: str) -> Optional[Seen]:
-    """Look which frames tf has of a node, at some times; None where it has none."""
+def look(find: Find, node: str, writers: Writers = None) -> Optional[Seen]:
+    """Look which frames tf has of a node and some runs, at some times; None where it has none."""
     try:
-        frames = Frames(find, node)
+        frames = Frames(find, node, writers)
     except TopicNotFound:
         return None
     parts = []
     if frames.moving is not None:
-        first, last = key_behind(frames.moving, -1, node, None), last_key(frames.moving, node, None)
+        first = key_behind(frames.moving, -1, node, writers)
+        last = last_key(frames.moving, node, writers)
         if first is not None and last is not None:
             for number in range(_LOOKS):
                 near = first + (last - _LOOK_NS - first) * number // (_LOOKS - 1)
-                at = key_behind(frames.moving, max(first, near) - 1, node, None)
+                at = key_behind(frames.moving, max(first, near) - 1, node, writers)
                 parts.append(frames.read(first if at is None else at, (at or first) + _LOOK_NS))
     seen = seen_in(frames, parts)
     return seen if seen.frames else None
@@ -172,25 +176,34 @@ class Choice:
         stored: The keyspace.
         frame: In which places are asked for; a slash in front does not count.
         robot: Its frame, or a topic of its poses; '' = to be found out.
+        writers: The runs about whose messages it is asked: where they recorded poses of a node
+            only these count, else the poses of all runs. None = all runs.
 
     Raises:
         InvalidOption: Nothing tells it, or what is meant is not clear.
     """
 
-    def __init__(self, stored: Stored, frame: str, robot: str = "") -> None:
+    def __init__(
+        self, stored: Stored, frame: str, robot: str = "", writers: Writers = None
+    ) -> None:
         self._stored = stored
-        self._frame, self._robot = frame.lstrip("/"), robot
+        self._frame, self._robot, self._writers = frame.lstrip("/"), robot, writers
         self._told: Dict[str, List[str]] = {}
         """Topic -> the frames in which it tells poses, for the text of an error."""
-        self._look = lru_cache(None)(lambda node: look(stored.find, node))
+        self._look = lru_cache(None)(partial(look, stored.find))
 
     def robots(self, nodes: Optional[Sequence[str]] = None) -> List[Robot]:
         """Return one for each node of which there is one; of these nodes, None = of all."""
         named = self._named_topic()
         topics = [named] if named is not None else [*self._tf(), *self._candidates]
         every = {each for topic in topics for each in self._stored.nodes(topic)}
-        asked = sorted(every if nodes is None else every.intersection(nodes))
-        found = [self._of_node(each, named) for each in asked]
+        writing = None if self._writers is None else self._stored.run_nodes(self._writers)
+        asked = sorted(
+            node
+            for node in every
+            if (nodes is None or node in nodes) and (writing is None or node in writing)
+        )
+        found = [self._of_runs(each, named) for each in asked]
         robots = [robot for robot in found if robot is not None]
         if not robots and every:
             raise InvalidOption(self._nothing(asked))
@@ -234,16 +247,28 @@ class Choice:
             if any(table.msg_type in _TYPES for table in topic.tables) and tells_robot(topic)
         ]
 
-    def _of_node(self, node: str, named: Optional[ArraySource]) -> Optional[Robot]:
+    def _of_runs(self, node: str, named: Optional[ArraySource]) -> Optional[Robot]:
+        """Return the robot of a node by the poses of the runs, else by those of all runs."""
+        own = None if self._writers is None else self._of_node(node, named, self._writers)
+        return own or self._of_node(node, named, None)
+
+    def _of_node(
+        self, node: str, named: Optional[ArraySource], writers: Writers
+    ) -> Optional[Robot]:
+        def of_topic(topic: ArraySource) -> Robot:
+            return Robot(node, topic, self._frame, "", self._stored.find, writers)
+
         if named is not None:
-            told = self._frame_of(named, node)
-            return self._of_topic(named, node) if told in (self._frame, "") else None
-        seen = self._look(node)
+            if writers is not None and key_behind(named, -1, node, writers) is None:
+                return None
+            told = self._frame_of(named, node, writers)
+            return of_topic(named) if told in (self._frame, "") else None
+        seen = self._look(node, writers)
         if seen is not None and self._frame in seen.frames:
-            return self._in_tf(node, seen)
+            return self._in_tf(node, seen, writers)
         if self._robot:
             return None
-        topics = [t for t in self._candidates if self._frame_of(t, node) == self._frame]
+        topics = [t for t in self._candidates if self._frame_of(t, node, writers) == self._frame]
         kind = next((kind for kind in _TYPES if any(_is_of(t, kind) for t in topics)), "")
         meant = [topic for topic in topics if _is_of(topic, kind)]
         if len(meant) > 1:
@@ -252,9 +277,9 @@ class Choice:
                 f"{names} tell poses in frame {self._frame!r}; say which is meant, as "
                 f"NEAR(x, y, radius, '{self._frame}', '{meant[0].name}')"
             )
-        return self._of_topic(meant[0], node) if meant else None
+        return of_topic(meant[0]) if meant else None
 
-    def _in_tf(self, node: str, seen: Seen) -> Optional[Robot]:
+    def _in_tf(self, node: str, seen: Seen, writers: Writers) -> Optional[Robot]:
         name = self._robot.lstrip("/")
         if name and name not in seen.frames:
             return None
@@ -268,13 +293,10 @@ class Choice:
                 )
             name = others[0]
         moving = self._tf()[0]
-        return Robot(node, moving, self._frame, name, self._stored.find)
+        return Robot(node, moving, self._frame, name, self._stored.find, writers)
 
-    def _of_topic(self, topic: ArraySource, node: str) -> Robot:
-        return Robot(node, topic, self._frame, "", self._stored.find)
-
-    def _frame_of(self, topic: ArraySource, node: str) -> str:
-        frame = PoseTopic(self._stored.find, topic.name, node).frame
+    def _frame_of(self, topic: ArraySource, node: str, writers: Writers = None) -> str:
+        frame = PoseTopic(self._stored.find, topic.name, node, writers).frame
         self._told.setdefault(topic.name, []).append(frame or _UNTOLD)
         return frame
 

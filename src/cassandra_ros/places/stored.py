@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, Sequence
+from typing import FrozenSet, NamedTuple, Optional, Protocol, Sequence
 
 from cassandra_ros.places.sources import ArraySource
 
@@ -34,6 +34,9 @@ class Stored(Protocol):
 
     def extents(self, topic: ArraySource, node: str, low: int, high: int) -> Sequence[Extent]:
         """List when runs of a node have messages of a topic, as far as that touches [low, high]."""
+
+    def run_nodes(self, writers: FrozenSet[int]) -> Optional[FrozenSet[str]]:
+        """Return the nodeIDs of the runs of some writers; None where a writer has no run."""
 
     def run_text(self, writer: int) -> str:
         """Return what RUN says of the messages of a writer."""

@@ -19,6 +19,7 @@ from cassandra_ros.places.paths import LONGEST_GAP_NS, LONGEST_WAY_M, Path, merg
 from cassandra_ros.places.robots import Robot
 from cassandra_ros.places.samples import Times
 from cassandra_ros.places.whereabouts import Whereabouts
+from cassandra_ros.query.source import Writers
 
 WHOLE_NS = 7200 * SECOND_NS
 """Up to so much time with poses is read whole."""
@@ -56,6 +57,7 @@ def find_tracks(
     places: Whereabouts,
     asked: Tuple[str, str],
     nodes: Optional[Sequence[str]],
+    writers: Writers,
     window: Tuple[int, int, int],
     watch: Callable[[], None],
 ) -> List[RobotTrack]:
@@ -64,12 +66,13 @@ def find_tracks(
     Args:
         asked: Frame and robot, as a Disk has them.
         nodes: Of which nodes; None = all.
+        writers: Of a node of which these runs recorded poses only these count; None = all.
         window: First and last time, ns, and most points of a track.
         watch: Called now and then; may raise.
     """
     low, high, most = window
     found = []
-    for robot in places.robots(*asked, nodes):
+    for robot in places.robots(*asked, nodes, writers):
         extents = places.extents(robot, low, high)
         spans = list(merged(sorted((max(low, e[2]), min(high, e[3])) for e in extents)))
         path = _path(robot, spans, watch)

@@ -21,6 +21,7 @@ from cassandra_ros.places.robots import Choice, Robot
 from cassandra_ros.places.stored import Extent, Stored
 from cassandra_ros.places.windows import WINDOW_NS, Window, Windows
 from cassandra_ros.query.protocols import Disk
+from cassandra_ros.query.source import Writers
 from cassandra_ros.store.place_index import PlaceIndex
 
 
@@ -148,19 +149,20 @@ class Whereabouts:
         finally:
             del self._local.answers
 
-    def stays(self, disk: Disk, node: Optional[str] = None) -> RegionStays:
-        """Say when robots were on a disk; of one node, None = of all.
+    def stays(self, disk: Disk, node: Optional[str] = None, writers: Writers = None) -> RegionStays:
+        """Say when robots were on a disk; of one node, by the poses of some runs, None = of all.
 
         Raises:
             InvalidOption: Nothing tells it, or several robots may be meant.
         """
-        answers: Dict[Tuple[Disk, Optional[str]], RegionStays]
+        answers: Dict[Tuple[Disk, Optional[str], Writers], RegionStays]
         answers = getattr(self._local, "answers", {})
-        if (disk, node) not in answers:
+        asked = disk, node, writers
+        if asked not in answers:
             region = Round(disk.x, disk.y, disk.radius)
             nodes = None if node is None else [node]
-            answers[disk, node] = self.within(region, disk.frame, disk.robot, nodes)
-        return answers[disk, node]
+            answers[asked] = self.within(region, disk.frame, disk.robot, nodes, writers)
+        return answers[asked]
 
     def within(
         self,
@@ -168,17 +170,26 @@ class Whereabouts:
         frame: str,
         robot: str = "",
         nodes: Optional[Sequence[str]] = None,
+        writers: Writers = None,
     ) -> RegionStays:
-        """Say when robots were in a region; arguments as a Disk has them, and errors of stays."""
-        every = self.robots(frame, robot, nodes)
+        """Say when robots were in a region; arguments as a Disk has them, and errors of stays.
+
+        Args:
+            writers: Of a node of which these runs recorded poses only these count; None = all.
+        """
+        every = self.robots(frame, robot, nodes, writers)
         windows = {each.node: Windows(each, self._stored) for each in every}
         return RegionStays(region, windows, self._coverage)
 
     def robots(
-        self, frame: str, robot: str = "", nodes: Optional[Sequence[str]] = None
+        self,
+        frame: str,
+        robot: str = "",
+        nodes: Optional[Sequence[str]] = None,
+        writers: Writers = None,
     ) -> List[Robot]:
         """Return what tells where robots were; arguments as of within, and errors, too."""
-        return Choice(self._stored, frame, robot).robots(nodes)
+        return Choice(self._stored, frame, robot, writers).robots(nodes)
 
     def usual_frame(self) -> str:
         """Return the frame in which places are mostly wanted: map or odom, else what there is."""
@@ -186,4 +197,5 @@ class Whereabouts:
 
     def extents(self, robot: Robot, low: int, high: int) -> Sequence[Extent]:
         """List when poses of a robot may have been recorded, as far as it touches [low, high]."""
-        return self._stored.extents(robot.topic, robot.node, low, high)
+        found = self._stored.extents(robot.topic, robot.node, low, high)
+        return [e for e in found if robot.writers is None or e.writer in robot.writers]

@@ -13,10 +13,11 @@ import heapq
 import math
 from dataclasses import replace
 from numbers import Real
-from typing import Callable, Iterator, Optional, Sequence, Tuple
+from typing import Callable, Iterator, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import InvalidOption, InvalidQuery
 from cassandra_ros.query.protocols import Disk, Table
+from cassandra_ros.query.source import Writers
 from cassandra_ros.query.syntax import (
     All,
     DurationNs,
@@ -40,8 +41,16 @@ _METRES = ("x", "y", "the radius")
 _NAMES = ("the frame", "the robot")
 
 
-def located(select: Select, tables: Sequence[Table], node: Optional[str] = None) -> Select:
-    """Return a statement whose NEARs know when it was so; node: only of this one, None = all.
+def located(
+    select: Select,
+    tables: Sequence[Table],
+    node: Optional[str] = None,
+    writers: Writers = None,
+) -> Select:
+    """Return a statement whose NEARs know when it was so.
+
+    Args:
+        node, writers: The robot and the runs whose messages are asked for; None = all.
 
     Raises:
         InvalidQuery: One takes other values, or no pose answers it.
@@ -50,27 +59,35 @@ def located(select: Select, tables: Sequence[Table], node: Optional[str] = None)
     if condition is None or not any(isinstance(leaf, Near) for leaf in leaves(condition)):
         return select
     try:
-        return replace(select, condition=_located(condition, tables, node))
+        return replace(select, condition=_located(condition, _Asked(tables, node, writers)))
     except StatementError as exc:
         raise InvalidQuery(select.text, exc.position, exc.reason) from None
 
 
-def _located(item: Expression, tables: Sequence[Table], node: Optional[str]) -> Expression:
+class _Asked(NamedTuple):
+    """Whose messages a statement asks for."""
+
+    tables: Sequence[Table]
+    node: Optional[str]
+    writers: Writers
+
+
+def _located(item: Expression, asked: _Asked) -> Expression:
     if isinstance(item, Near):
-        return _answered(item, tables, node)
+        return _answered(item, asked)
     if isinstance(item, Negation):
-        return Negation(_located(item.item, tables, node))
+        return Negation(_located(item.item, asked))
     if isinstance(item, (All, Either)):
-        return replace(item, items=tuple(_located(each, tables, node) for each in item.items))
+        return replace(item, items=tuple(_located(each, asked) for each in item.items))
     return item
 
 
-def _answered(near: Near, tables: Sequence[Table], node: Optional[str]) -> Near:
+def _answered(near: Near, asked: _Asked) -> Near:
     disk = disk_of(near)
-    if not tables:
+    if not asked.tables:
         return near
     try:
-        return replace(near, stays=tables[0].places.stays(disk, node))
+        return replace(near, stays=asked.tables[0].places.stays(disk, asked.node, asked.writers))
     except InvalidOption as exc:
         raise StatementError(near.position, str(exc)) from exc
 

@@ -58,8 +58,14 @@ class Stays(Protocol):
 class Places(Protocol):
     """Where the robots of a keyspace were."""
 
-    def stays(self, disk: Disk, node: Optional[str] = None) -> Stays:
+    def stays(
+        self, disk: Disk, node: Optional[str] = None, writers: Optional[FrozenSet[int]] = None
+    ) -> Stays:
         """Say when robots were on a disk; of one node, None = of all.
+
+        Args:
+            writers: The runs about whose messages it is asked: their own poses count, where they
+                recorded any. None = all runs.
 
         Raises:
             InvalidOption: No pose in its frame is stored, or several robots may be meant.

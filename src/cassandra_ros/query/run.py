@@ -129,7 +129,9 @@ class Condition:
             InvalidQuery: The condition names a field that no definition of the topic has, or
                 compares one with a value of another kind.
         """
-        return Projections(located(self._select, tables, self._node), tables).hit
+        bounds = self.bounds(tables)
+        select = located(self._select, tables, bounds.node, bounds.writers)
+        return Projections(select, tables).hit
 
     def rows(
         self,
@@ -149,7 +151,7 @@ class Condition:
         """
         tables = source.tables
         bounds = self.bounds(tables).within(key, to_key)
-        select = located(self._select, tables, bounds.node)
+        select = located(self._select, tables, bounds.node, bounds.writers)
         projections = Projections(select, tables)
         bounds = replace(bounds, spans=spans_of(select.condition))
         columns, chooser = projections.columns if bare else None, Pushdown(select.condition)
@@ -241,7 +243,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         named = any(table.named for table in tables)
         runs = next((table.runs for table in tables), None)
         bounds = bounds_of(select, node, named, run, runs)
-        self.select = select = located(select, tables, bounds.node)
+        self.select = select = located(select, tables, bounds.node, bounds.writers)
         self._bounds = bounds = self._spanned(bounds)
         if not named:
             _warn_of_seconds(select)

@@ -29,7 +29,9 @@ class _NoRuns:
 class _NoPlaces:
     """Where a robot was is known of what is stored."""
 
-    def stays(self, disk: Disk, node: Optional[str] = None) -> Stays:
+    def stays(
+        self, disk: Disk, node: Optional[str] = None, writers: Optional[FrozenSet[int]] = None
+    ) -> Stays:
         """Refuse to answer."""
         raise InvalidOption(
             "NEAR asks where a robot was, and that is known of stored messages only: record them, "

@@ -411,8 +411,9 @@ class CassandraTopic:
             InvalidQuery: A field or the condition is not one of this topic; shows the spot.
             InvalidKey: key or to_key cannot be one.
         """
-        reads = self._finder(nodeID, where, run).reads(key, to_key)
-        return read_arrays(self, fields, where, *reads)
+        finder = self._finder(nodeID, where, run)
+        reads, writers = finder.reads(key, to_key), finder.whose.writers
+        return read_arrays(self, fields, where, *reads, node=nodeID, writers=writers)
 
     def toDataFrame(
         self,
@@ -436,8 +437,9 @@ class CassandraTopic:
         Raises:
             MissingDependency: pandas is not installed; the text says how.
         """
-        reads = self._finder(nodeID, where, run).reads(key, to_key)
-        return read_frame(self, fields, where, *reads)
+        finder = self._finder(nodeID, where, run)
+        reads, writers = finder.reads(key, to_key), finder.whose.writers
+        return read_frame(self, fields, where, *reads, node=nodeID, writers=writers)
 
     def createIndex(self, field: str, progress: Optional[Progress] = None) -> int:
         """Make an index on a field, so that conditions on it read only the rows that they find.

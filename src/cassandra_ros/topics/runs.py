@@ -106,6 +106,12 @@ class Runs:
         hint = f"did you mean {', '.join(near)}?" if near else f"it holds {len(every)} runs"
         return f"there is no run {run!r:.80} in keyspace {self._name}; {hint}"
 
+    def nodes(self, writers: FrozenSet[int]) -> Optional[FrozenSet[str]]:
+        """Return the nodeIDs of the runs of some writers; None where a writer has no run."""
+        found = [run for run in self._registry.runs() if run.writer in writers]
+        known = {run.writer for run in found} == writers
+        return frozenset(run.node for run in found) if known and writers else None
+
     def context(self, run: RunName) -> Optional[RunContext]:
         """Return what stood around a run at its start; None where that was not kept."""
         for each in self.find("" if run is None or isinstance(run, frozenset) else run):

@@ -116,14 +116,14 @@ def read_series(
     """
     tables = topic.tables
     plain = settle(select, tables)
-    settled = located(plain, tables, asker.node)
+    named, runs = any(t.named for t in tables), next((t.runs for t in tables), None)
+    bounds = bounds_of(plain, asker.node, named, asker.writers, runs)
+    settled = located(plain, tables, bounds.node, bounds.writers)
     drawn = drawn_columns(settled, tables)
-    if any(table.named for table in tables):
+    if named:
         return _nothing(topic, _without(drawn, "of messages that lie under names, not at a time"))
     if settled.gathers or settled.limit is not None:
         return _of_rows(topic, select, drawn, window, asker)
-    runs = next((table.runs for table in tables), None)
-    bounds = bounds_of(settled, asker.node, False, asker.writers, runs)
     if asker.cache is None:
         bounds = bounds.within(window.low, window.high)
     ends = _extent(topic, bounds, window) if drawn.columns else None

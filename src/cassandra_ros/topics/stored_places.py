@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from itertools import islice
-from typing import TYPE_CHECKING, List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, FrozenSet, List, Optional, Sequence, Tuple
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.places.sources import ArraySource
@@ -81,6 +81,10 @@ class StoredPlaces:
             )
             found += [each.t for each in islice(rows, 1)]
         return (min(found), max(found)) if found else None
+
+    def run_nodes(self, writers: FrozenSet[int]) -> Optional[FrozenSet[str]]:
+        """Return the nodeIDs of the runs of some writers; None where a writer has no run."""
+        return self._catalog.keyspace.runs.nodes(writers)
 
     def run_text(self, writer: int) -> str:
         """Return what RUN says of the messages of a writer."""

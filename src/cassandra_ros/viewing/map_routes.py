@@ -107,6 +107,7 @@ def _answer(made: MadeMap) -> Bytes:
         "unreadable": made.unreadable,
         "received": made.received,
         "sources": list(made.sources),
+        "pose_topics": [offer._asdict() for offer in made.offers],
     }
     headers = {"X-Map": json.dumps(told), "Cache-Control": "no-cache"}
     return Bytes(map_png(made.map, transparent=True), "image/png", headers)
@@ -118,7 +119,9 @@ ROUTES: tuple[Route, ...] = (
         _map,
         "An occupancy grid as a picture: a pixel a cell, dark where something is, transparent "
         "where nothing was seen. Header X-Map says as JSON where it lies (frame, resolution in "
-        "metres, pose x, y, yaw of the lower left corner) and what it was made of.",
+        "metres, pose x, y, yaw of the lower left corner), what it was made of, and as pose_topics "
+        "which topics tell poses, the best first: share is that of the messages that lie between "
+        "two of its poses, taken says whether the map was made of them.",
         (
             Parameter(
                 "topic",

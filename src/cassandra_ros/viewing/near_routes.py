@@ -13,6 +13,7 @@ from cassandra_ros.places.regions import Polygon, Region, Round
 from cassandra_ros.places.tracks import find_tracks
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.choice import whose_chosen
 from cassandra_ros.viewing.route import Parameter, Route
 
 MOST_STAYS = 1000
@@ -24,6 +25,7 @@ _ROBOT = Parameter(
     "robot", "text", "The frame that moves, or a topic of poses; missing: to be found out."
 )
 _NODES = Parameter("nodes", "texts", "Only of these robots (nodeIDs); without: of all.")
+_RUNS = Parameter("runs", "texts", "By the poses of these runs, where they recorded any.")
 
 
 def _near(call: Call) -> Json:
@@ -35,7 +37,8 @@ def _near(call: Call) -> Json:
     places = call.store.parts.places
     low, high = _ends(call)
     found: List[Json] = []
-    asked = places.within(_region(call), frame or places.usual_frame(), robot, call.texts("nodes"))
+    nodes, writers = call.texts("nodes"), whose_chosen(call).writers
+    asked = places.within(_region(call), frame or places.usual_frame(), robot, nodes, writers)
     more = False
     for node in asked.nodes:
         stays = asked.spans(low, high, node=node, watch=lambda: _check_waited_for(call))
@@ -59,6 +62,7 @@ def _places(call: Call) -> Json:
         places,
         (frame, robot),
         call.texts("nodes"),
+        whose_chosen(call).writers,
         (low, high, points),
         lambda: _check_waited_for(call),
     )
@@ -114,6 +118,7 @@ ROUTES: tuple[Route, ...] = (
             _ROBOT,
             *_TIMES,
             _NODES,
+            _RUNS,
             Parameter("limit", "count", f"So many at most, 1 to {MOST_STAYS}.", False, USUAL_STAYS),
         ),
     ),
@@ -125,6 +130,7 @@ ROUTES: tuple[Route, ...] = (
         (
             *_TIMES,
             _NODES,
+            _RUNS,
             _FRAME,
             _ROBOT,
             Parameter(

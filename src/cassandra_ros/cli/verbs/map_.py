@@ -12,6 +12,7 @@ Where the sensor was is taken from recorded tf, interpolated at the stamps of th
 is in frame map where that is above the sensor, else in odom, else in the topmost frame. Where no tf
 was recorded, or with --odom, it is taken from a topic of Odometry, PoseStamped or
 PoseWithCovarianceStamped, and the sensor's place on the robot from --sensor-offset, else from tf.
+Of several topics the one is taken whose poses cover most of the messages; the others are printed.
 Messages of which no place is known are left out and counted.
 
 Of a scan +Inf (or range_max itself) means that nothing was seen so far; NaN and what lies outside
@@ -245,6 +246,7 @@ def _tell(made: MadeMap, files: list[str], options: argparse.Namespace) -> None:
             "unreadable": made.unreadable,
             "placed_by_reception": made.received,
             "poses": list(made.sources),
+            "pose_topics": [offer._asdict() for offer in made.offers],
             "files": files,
             "stored": {"topic": options.store, "name": _name(options)} if options.store else None,
         }
@@ -262,6 +264,10 @@ def _text(made: MadeMap, files: list[str], options: argparse.Namespace) -> str:
         f"{found.width} x {found.height} cells of {found.resolution:g} m",
         f"poses: {shown('; '.join(made.sources))}",
     ]
+    others = [offer for offer in made.offers if not offer.taken]
+    if others:
+        told = ", ".join(f"{shown(o.topic)} ({_percent(o.share)} of the messages)" for o in others)
+        lines.append(f"--odom takes another topic of poses: {told}")
     if made.without_pose:
         lines.append(f"left out: {made.without_pose} messages, for no pose is known at their times")
     if made.unreadable:
@@ -274,3 +280,8 @@ def _text(made: MadeMap, files: list[str], options: argparse.Namespace) -> str:
     if options.store:
         lines.append(f"stored on {shown(options.store)} as {shown(_name(options))}")
     return "\n".join(lines)
+
+
+def _percent(share: float) -> str:
+    """Write a share so that only nothing is 0 % and only all is 100 %."""
+    return f"{min(99, max(1, round(100 * share))) if 0 < share < 1 else round(100 * share)} %"

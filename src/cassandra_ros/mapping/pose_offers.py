@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which topics tell the poses of a robot while it measured, and for how much of its messages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+
+from cassandra_ros.keys import MAX_NS
+from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.runs import Writers
+from cassandra_ros.topics.selection import Whose
+from cassandra_ros.topics.timeline.cells import Bools, Floats, Longs, Scale
+from cassandra_ros.topics.timeline.lanes import Timeline, View
+
+_CELLS = 2000
+"""Number of equal cells into which the time of the messages is divided."""
+_AS_GOOD = 0.99
+"""Share of the best topic's messages from which on another topic is as good: a topic that begins
+one message later is not worse."""
+
+
+class PoseOffer(NamedTuple):
+    """A topic that tells poses of a robot."""
+
+    topic: str
+    share: float
+    """Share of the messages that lie between two of its poses, 0 to 1, as the directory counts."""
+    taken: bool = False
+    """Whether the poses were taken from it."""
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """The messages of one robot for which poses are asked."""
+
+    store: RosCassandra
+    topic: str
+    start: Optional[int] = None
+    """First key, ns, included; None = that of the first message."""
+    end: Optional[int] = None
+    """Last key, ns, included; None = that of the last message."""
+    node: Optional[str] = None
+    """nodeID of the robot; None = all robots."""
+    writers: Writers = None
+    """Writer ids of the runs; None = all runs."""
+
+    def offers(self, ranks: Mapping[str, int], gap_ns: int) -> List[PoseOffer]:
+        """Say for how many of the messages topics tell the poses, by what the directory counts.
+
+        Args:
+            ranks: The topics, with a rank each: of topics that are equally good the one with the
+                lowest rank comes first, then the one whose name comes first.
+            gap_ns: Longest time between two poses between which the pose is known.
+
+        Returns:
+            One for each topic, the best one first.
+        """
+        if not ranks:
+            return []
+        shares = self._shares(sorted(ranks), gap_ns)
+        good = _AS_GOOD * max(shares.values())
+
+        def order(name: str) -> Tuple[float, int, str]:
+            share = shares[name]
+            return (-1.0 if share >= good else 1.0 - share, ranks[name], name)
+
+        return [PoseOffer(name, shares[name]) for name in sorted(ranks, key=order)]
+
+    def _shares(self, names: Sequence[str], gap_ns: int) -> Dict[str, float]:
+        shares = dict.fromkeys(names, 0.0)
+        nodes = None if self.node is None else [self.node]
+        timeline, whose = Timeline(self.store), Whose(nodes, self.writers)
+        own = View(self.start, self.end, 1, [self.topic], whose)
+        found = timeline.picture(own).scale
+        if found is None:
+            return shares
+        # Poses around the first and the last message count.
+        start, end = max(0, found.start - gap_ns), min(MAX_NS, found.end + gap_ns)
+        every = View(start, end, _CELLS, [self.topic, *names], whose, detail=True)
+        picture = timeline.picture(every)
+        scale = picture.scale
+        if scale is None:
+            return shares
+        counts = {name: np.zeros(scale.cells) for name in [self.topic, *names]}
+        for lane in picture.lanes:
+            counts[lane.topic] += lane.cells(scale).counts
+        asked = _inside(counts[self.topic], scale, found)
+        if asked.any():
+            for name in names:
+                covered = _covered(counts[name] > 0, gap_ns / scale.step)
+                shares[name] = float(asked[covered].sum() / asked.sum())
+        return shares
+
+
+def _inside(counts: Floats, scale: Scale, window: Scale) -> Floats:
+    """Return the counts of the cells that touch a window, and 0 for the others."""
+    first, last = scale.cells_of(np.array([window.start, window.end]))
+    cells = np.arange(len(counts))
+    return np.where((cells >= first) & (cells <= last), counts, 0.0)
+
+
+def _covered(filled: Bools, gap: float) -> Bools:
+    """Say which cells lie between two filled ones that are at most a gap apart, both included.
+
+    Args:
+        gap: In cells.
+    """
+    cells: Longs = np.arange(len(filled))
+    before = np.maximum.accumulate(np.where(filled, cells, -len(cells)))
+    after = np.minimum.accumulate(np.where(filled, cells, 2 * len(cells))[::-1])[::-1]
+    known = (before >= 0) & (after < len(cells))
+    return np.asarray(known & (after - before <= gap + 1))
+
+
+def united_offers(robots: Iterable[Sequence[PoseOffer]]) -> List[PoseOffer]:
+    """Return the offers of several robots as one list: of a topic the larger share."""
+    found: Dict[str, PoseOffer] = {}
+    for offer in (offer for offers in robots for offer in offers):
+        other = found.get(offer.topic, offer)
+        share, taken = max(offer.share, other.share), offer.taken or other.taken
+        found[offer.topic] = PoseOffer(offer.topic, share, taken)
+    return list(found.values())
