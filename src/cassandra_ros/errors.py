@@ -8,6 +8,7 @@
   - StoreUnavailable, WriteFailed, AccessDenied, KeyspaceNotFound, SchemaConflict,
     UnsupportedSchema, TopicExists, ClockNotSet, NotConfirmed, ServerError, DownloadFailed
   - TopicNotFound, MessageNotFound, RunNotFound (also a KeyError)
+    + BagNotFound, a RunNotFound (also a FileNotFoundError)
   - TransformException
     + LookupException, ConnectivityException, ExtrapolationException
   - TypeMismatch, UnknownFormat, UnknownEncoding, InvalidKey, InvalidName, InvalidOption,
@@ -108,6 +109,10 @@ class MessageNotFound(CassandraRosError, KeyError):
 
 class RunNotFound(CassandraRosError, KeyError):
     """No recording or import has this name or writer id; the text gives the nearest names."""
+
+
+class BagNotFound(RunNotFound, FileNotFoundError):
+    """Class Bag was given the name or path of a bag that is not stored: as rosbag, an OSError."""
 
 
 class TransformException(CassandraRosError):

@@ -21,7 +21,14 @@ import cassandra_ros
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.summary import Summary, TopicSummary
 from cassandra_ros.bag.writer import BagWriter
-from cassandra_ros.errors import BagError, InvalidKey, InvalidOption, RunNotFound, TypeMismatch
+from cassandra_ros.errors import (
+    BagError,
+    BagNotFound,
+    InvalidKey,
+    InvalidOption,
+    RunNotFound,
+    TypeMismatch,
+)
 from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.messages.stamps import Stamp
 
@@ -272,21 +279,106 @@ def test_a_script_works_by_changing_one_line(store, path, cassandra, ros_env, tm
 
 
 def test_a_run_is_found_by_name_and_path_and_without_one_all_is_read(store, path):
-    for name in ("walk.bag", path, f"/elsewhere/{path.name}"):
+    (run,) = (each for each in store.runs() if each.name == "walk.bag")
+    for name in ("walk.bag", path, bytes(path), str(run.writer)):
         with cassandra_ros.Bag(name, rosCas=store) as bag:
             assert bag.get_message_count() == 24, name
-            assert repr(bag) == f"<Bag {str(name)!r} of keyspace {store.keyspace}, mode r>"
+    with cassandra_ros.Bag("walk.bag", rosCas=store) as bag:
+        assert repr(bag) == f"<Bag 'walk.bag' of keyspace {store.keyspace}, mode r>"
     with cassandra_ros.Bag(rosCas=store) as bag:
         assert "of another run" in [m.data for _, m, _ in bag.read_messages("/chatter")]
         assert bag.filename == store.keyspace
     with pytest.raises(RunNotFound, match=r"no run 'wolk.bag' .* did you mean walk.bag"):
         cassandra_ros.Bag("wolk.bag", rosCas=store)
-    with pytest.raises(BagError, match="is not overwritten: add to it with mode 'a'"):
-        cassandra_ros.Bag("walk.bag", "w", rosCas=store)
+    for name in ("walk.bag", path):
+        with pytest.raises(BagError, match="is not overwritten: add to it with mode 'a'"):
+            cassandra_ros.Bag(name, "w", rosCas=store)
     assert store.getTopic("/chatter").countTopicData(run="walk.bag") == 20
     for wrong in ({"mode": "rb"}, {"mode": "w"}):
         with pytest.raises(InvalidOption):
             cassandra_ros.Bag(rosCas=store, **wrong)
+
+
+def other_file(folder, name="walk.bag"):
+    """Make another bag, which is not stored."""
+    folder.mkdir()
+    with rosbag.Bag(str(folder / name), "w") as bag:
+        bag.write("/other", String(data="of the other file"), rospy.Time(5))
+    return folder / name
+
+
+@pytest.mark.parametrize("mode", ["r", "a"])
+def test_another_file_of_a_stored_name_is_not_taken_for_it(
+    store, path, tmp_path, monkeypatch, mode
+):
+    (run,) = (each for each in store.runs() if each.name == "walk.bag")
+    other = other_file(tmp_path / "d2")
+    known = f"stored run 'walk.bag' is of {path} .open it as Bag.'{path}'. or Bag.'{run.writer}'"
+    with pytest.raises(BagNotFound, match=f"{other} is not stored .*; the {known}"):
+        cassandra_ros.Bag(other, mode, rosCas=store)
+    # Also where the folder is not named: the file is the one that is meant here.
+    monkeypatch.chdir(other.parent)
+    for name in ("walk.bag", "./walk.bag"):
+        with pytest.raises(BagNotFound, match=known):
+            cassandra_ros.Bag(name, mode, rosCas=store)
+    # And one of which nothing at all is stored.
+    new = other_file(tmp_path / "d3", "new.bag")
+    with pytest.raises(OSError, match=f"{new} is not stored .*: cassandra_bag import {new}"):
+        cassandra_ros.Bag(new, mode, rosCas=store)
+
+
+def test_a_path_whose_file_was_moved_or_removed(fresh, tmp_path):
+    moved = other_file(tmp_path / "before", "drive.bag")
+    (tmp_path / "link").symlink_to(moved.parent)
+    with fresh() as store:
+        import_bag(store, moved)
+        for name in (moved, tmp_path / "link" / "drive.bag"):
+            with cassandra_ros.Bag(name, rosCas=store) as bag:
+                assert [m.data for _, m, _ in bag] == ["of the other file"]
+        target = tmp_path / "after.d" / "drive.bag"
+        target.parent.mkdir()
+        moved.rename(target)
+        for name in (moved, "drive.bag"):
+            with cassandra_ros.Bag(name, rosCas=store) as bag:
+                assert bag.get_message_count() == 1
+        with pytest.raises(BagNotFound, match=rf"is not stored .* is of {moved} .open it as Bag"):
+            cassandra_ros.Bag(target, rosCas=store)
+        target.unlink()
+        with pytest.raises(BagNotFound, match=f"is of {moved} "):
+            cassandra_ros.Bag(target, rosCas=store)
+
+
+def words(store, name):
+    with cassandra_ros.Bag(name, rosCas=store) as bag:
+        return [m.data for _, m, _ in bag.read_messages()]
+
+
+def test_what_is_written_is_found_by_its_path_and_replaced_under_it_alone(fresh, tmp_path):
+    first, second = tmp_path / "d1" / "out.bag", tmp_path / "d2" / "out.bag"
+    with fresh() as store:
+
+        def write(name, word, mode="w", **options):
+            with cassandra_ros.Bag(name, mode, rosCas=store, **options) as bag:
+                bag.write("/out", String(data=word), rospy.Time(5))
+
+        write(first, "one")
+        write(second, "two")
+        assert (words(store, first), words(store, second)) == (["one"], ["two"])
+        assert sorted(words(store, "out.bag")) == ["one", "two"]
+        write(second, "three", "a")
+        assert (words(store, first), words(store, second)) == (["one"], ["two", "three"])
+        write(second, "of a robot", nodeID="robot")
+        assert words(store, second) == ["two", "three", "of a robot"]
+        # As rosbag empties the file; what another path or robot has stays.
+        write(second, "four")
+        assert sorted(words(store, second)) == ["four", "of a robot"]
+        assert words(store, first) == ["one"]
+        with pytest.raises(BagError, match=f"run out.bag .of {first}. is stored already"):
+            cassandra_ros.Bag("out.bag", "w", rosCas=store)
+        assert len(store.runs()) == 3
+        going_on = cassandra_ros.Bag(tmp_path / "open.bag", "w", rosCas=store)
+        with going_on, pytest.raises(ValueError, match="goes on"):
+            cassandra_ros.Bag(tmp_path / "open.bag", "w", rosCas=store)
 
 
 def test_by_the_environment(store, path, cassandra, monkeypatch):

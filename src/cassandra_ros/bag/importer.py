@@ -12,6 +12,7 @@ from typing import AbstractSet, Iterable, Mapping, Sequence
 
 from cassandra_ros.arguments import check_integer, check_new_topic
 from cassandra_ros.bag import identity
+from cassandra_ros.bag.file_runs import source_of
 from cassandra_ros.bag.identity import BagContent
 from cassandra_ros.bag.job_process import Part, bag_writer, connect, stretches
 from cassandra_ros.bag.jobs import MAX_JOBS, run_parts, spans_of_jobs
@@ -160,8 +161,7 @@ def _run(
     reader: MessageFile, node: str, writer_id: int, format: str | None, content: BagContent
 ) -> Run:
     """Describe the import for the list of runs."""
-    # The name of a file may be no text.
-    path = os.fsencode(os.path.abspath(reader.path)).decode("utf-8", "replace")
+    path = source_of(reader.path)
     labels = {identity.CONTENT: content.digest}
     name = os.path.basename(path)
     return Run(node, writer_id, "import", name, path, format or "", labels=labels)

@@ -5,10 +5,13 @@
 from __future__ import annotations
 
 import atexit
+import io
 import os
 import statistics
+from enum import Enum
 from itertools import count
 from typing import (
+    IO,
     AbstractSet,
     Any,
     Callable,
@@ -21,8 +24,11 @@ from typing import (
 )
 
 from cassandra_ros.arguments import check_list, check_new_topic
+from cassandra_ros.bag.chunk import COMPRESSIONS
+from cassandra_ros.bag.file_runs import runs_meant, runs_of_file, source_of, told_alike
+from cassandra_ros.bag.rosbag_errors import bag_error
 from cassandra_ros.bag.summary import Summary, TopicSummary
-from cassandra_ros.errors import BagError, InvalidOption, TypeMismatch
+from cassandra_ros.errors import BagNotFound, InvalidOption, RunNotFound, TypeMismatch
 from cassandra_ros.keys import SECOND_NS, new_writer_id
 from cassandra_ros.messages.classes import installed_definition, serialize
 from cassandra_ros.messages.connection import Connection, live_connection
@@ -83,6 +89,15 @@ class TypesAndTopicsTuple(NamedTuple):
     topics: Mapping[str, TopicTuple]
 
 
+class _Everything(Enum):
+    EVERYTHING = "all that the keyspace holds"
+
+
+EVERYTHING = _Everything.EVERYTHING
+"""In the place of the name of a bag that is read."""
+FileName = Union[str, bytes, "os.PathLike[str]", IO[bytes]]
+
+
 class Bag:
     """A run of the store as if it were a bag: what a script does with rosbag.Bag it does with this.
 
@@ -90,21 +105,29 @@ class Bag:
     that are not there are passed over, as by rosbag. Not safe to share between threads.
 
     Args:
-        f: Name of a run: an imported bag is one of the file's name, and a path is taken for that.
-            Several of one name are read as one. None = all that the keyspace holds.
-        mode: 'r' reads, 'w' writes a new run, 'a' adds to those of the name; both read, too.
+        f: Path of a bag that was imported, or that a Bag wrote: links are followed, and no other
+            file is taken for it. Or the name of a run, which an imported bag has from its file, or
+            a writer id: where no file is called so here. Several runs of one name are read as one.
+            A file object stands for its path, and is closed with the bag. Left out = all that the
+            keyspace holds.
+        mode: 'r' reads; 'w' writes a new run, in the place of what a Bag wrote to this path before;
+            'a' adds to those of the name. 'w' and 'a' read, too.
         compression, chunk_threshold, allow_unindexed, options, skip_index: Taken so that a script
             need not change; they are about files. A store has formats instead. The first two are
-            attributes, and in the attribute options, for a script that writes a bag like this one.
+            checked, and are attributes, for a script that writes a bag like this one.
         rosCas: A RosCassandra that is connected to a keyspace; it stays the caller's. None = one of
             its own, opened as the environment says (CASSANDRA_ROS_HOST, _PORT, _KEYSPACE; 'ros').
         nodeID: Reading: only messages of this robot, None = of all; writing: whose they are.
         format: Storage format of new topics, as addTopic takes it.
 
     Raises:
-        RunNotFound: There is none of this name; the text gives the nearest.
-        BagError: Mode 'w', and there is one already: nothing is overwritten.
-        InvalidOption: The mode is none, or there is no name to write under.
+        BagNotFound: No run has this path or name (a RunNotFound, and as rosbag an OSError). The
+            text names runs of other files that are called so, and how to open those; or the
+            nearest names.
+        BagError: Mode 'w', and an imported bag or a recording has this path or name: that is not
+            overwritten.
+        InvalidOption: A mode, a compression, a threshold or a name that is none (as rosbag a
+            ValueError); mode 'w', and what a Bag writes to this path has not ended.
         ConnectionFailed: No store answers.
     """
 
@@ -113,12 +136,12 @@ class Bag:
 
     def __init__(
         self,
-        f: str | os.PathLike[str] | None = None,
+        f: FileName | _Everything = EVERYTHING,
         mode: str = "r",
         compression: str = "none",
         chunk_threshold: int = 768 * 1024,
         allow_unindexed: bool = False,
-        options: Mapping[str, object] | None = None,
+        options: Mapping[str, Any] | None = None,
         skip_index: bool = False,
         *,
         rosCas: RosCassandra | None = None,
@@ -127,13 +150,16 @@ class Bag:
     ) -> None:
         if mode not in ("r", "w", "a"):
             raise InvalidOption(f"mode={mode!r:.80} is none of 'r', 'w' and 'a'")
-        if f is None and mode != "r":
+        if f is EVERYTHING and mode != "r":
             raise InvalidOption("a run that is written needs a name: Bag('patrol', 'w')")
+        if options is not None and not isinstance(options, Mapping):
+            raise InvalidOption("options must be a dict: {'compression': 'bz2'}")
+        given: dict[str, Any] = {"compression": compression, "chunk_threshold": chunk_threshold}
+        given.update(options or {})
+        self.compression, self.chunk_threshold = given["compression"], given["chunk_threshold"]
         self.mode = mode
-        given = {"compression": compression, "chunk_threshold": chunk_threshold}
-        self.options: dict[str, object] = {**given, **(options or {})}
-        self.compression = self.options["compression"]
-        self.chunk_threshold = self.options["chunk_threshold"]
+        self._file = f if isinstance(f, io.IOBase) else None
+        name = "" if f is EVERYTHING else _path_of(f)
         self._own = rosCas is None
         self._store = rosCas or RosCassandra(keyspace=from_environment("KEYSPACE") or "ros")
         self._node = nodeID
@@ -142,43 +168,86 @@ class Bag:
         self._handles: dict[object, Handle] = {}
         self._counter = count()
         try:
-            self.filename = str(self._store.keyspace) if f is None else os.fspath(f)
-            self._run = None if f is None else self._open(f, format)
+            self.filename = name or str(self._store.keyspace)
+            self._run = None if f is EVERYTHING else self._open(format)
         except BaseException:
             self.close()
             raise
 
-    def _open(self, f: str | os.PathLike[str], format: str | None) -> frozenset[int]:
+    @property
+    def options(self) -> dict[str, Any]:
+        """The options of a bag that is written like this one."""
+        return {"compression": self.compression, "chunk_threshold": self.chunk_threshold}
+
+    @property
+    def compression(self) -> str:
+        """'none', 'bz2' or 'lz4', as it was given; the store packs messages in its own way."""
+        return self._compression
+
+    @compression.setter
+    def compression(self, name: str) -> None:
+        if name not in COMPRESSIONS:
+            raise InvalidOption(f"compression={name!r:.80} is none of {', '.join(COMPRESSIONS)}")
+        self._compression = name
+
+    @property
+    def chunk_threshold(self) -> int:
+        """Bytes, 0 or more, as it was given; the store has no chunks of a file."""
+        return self._chunk_threshold
+
+    @chunk_threshold.setter
+    def chunk_threshold(self, size: int) -> None:
+        if not size >= 0:
+            raise InvalidOption(f"chunk_threshold={size!r:.80} is less than 0 bytes")
+        self._chunk_threshold = size
+
+    def _open(self, format: str | None) -> frozenset[int]:
         """Return the writer ids that the bag is of; begin a run where it is to be written."""
-        name = os.fspath(f)
-        found = self._find(name)
+        name, runs = self.filename, self._store.parts.registry.runs()
+        found = frozenset(run.writer for run in runs_meant(runs, name))
         if self.mode == "r":
-            # Raises with the nearest names.
-            return found or self._store.parts.runs.writers(name) or found
-        if found and self.mode == "w":
-            raise BagError(
-                f"run {name} is stored already in keyspace {self._store.keyspace}, and is not "
-                "overwritten: add to it with mode 'a', choose another name, or remove it first "
-                "with rosCas.upkeep.delete(run=…)"
-            )
+            return found or self._absent(name, runs)
+        if self.mode == "w":
+            found = self._make_room(name, runs)
+        elif not found and os.path.isfile(name) and os.path.getsize(name):
+            self._absent(name, runs)
         writer = new_writer_id()
-        run = Run(self._node or "", writer, "api", os.path.basename(name), format=format or "")
+        base, source = os.path.basename(name), source_of(name)
+        run = Run(self._node or "", writer, "api", base, source, format or "")
         self._writer = self._store.messageWriter(
             writer_id=writer, nodeID=run.node, format=format, run=run
         )
         atexit.register(self.close)  # a script that forgets to close loses nothing
         return found | {writer}
 
-    def _find(self, name: str) -> frozenset[int]:
-        runs, path = self._store.parts.registry.runs(), os.path.abspath(name)
-        same = {run.writer for run in runs if run.source and os.path.abspath(run.source) == path}
-        if same:
-            return frozenset(same)
-        for each in (name, os.path.basename(name)):
-            named = {run.writer for run in runs if each and each in (run.name, str(run.writer))}
-            if named:
-                return frozenset(named)
-        return frozenset()
+    def _absent(self, name: str, runs: Sequence[Run]) -> frozenset[int]:
+        """Return the writer id that a name is, though no run has it; else raise BagNotFound."""
+        alike = told_alike(runs, name)
+        place = f"{name} is not stored in keyspace {self._store.keyspace}"
+        if alike and (os.path.isfile(name) or os.path.basename(name) != name):
+            raise BagNotFound(f"{place}; {alike}")
+        if os.path.isfile(name):
+            raise BagNotFound(f"{place}: store it first: cassandra_bag import {name}")
+        try:
+            return self._store.parts.runs.writers(name) or frozenset()
+        except RunNotFound as exc:
+            raise BagNotFound(str(exc)) from exc
+
+    def _make_room(self, name: str, runs: Sequence[Run]) -> frozenset[int]:
+        """Delete what a Bag wrote to this path before, as rosbag would empty its file."""
+        before = runs_of_file(runs, name)
+        named = [run for run in runs if run.name == name and run not in before]
+        for run in named + [run for run in before if run.kind != "api"]:
+            place = f" (of {run.source})" if run.source else ""
+            raise bag_error(
+                f"run {name}{place} is stored already in keyspace {self._store.keyspace}, and is "
+                "not overwritten: add to it with mode 'a', choose another name or path, or remove "
+                "it first with rosCas.upkeep.delete(run=…)"
+            )
+        mine = frozenset(run.writer for run in before if run.node == (self._node or ""))
+        if mine:
+            self._store.upkeep.delete(run=mine)
+        return frozenset(run.writer for run in before) - mine
 
     def read_messages(
         self,
@@ -290,7 +359,7 @@ class Bag:
         """
         self._require_open()
         if self._writer is None:
-            raise BagError(f"{self.filename} is open for reading: open it with mode 'w' or 'a'")
+            raise bag_error(f"{self.filename} is open for reading: open it with mode 'w' or 'a'")
         ns = now_ns(None) if t is None else to_ns(t)
         if raw:
             if not isinstance(msg, (tuple, list)) or len(msg) not in (4, 5):
@@ -373,7 +442,7 @@ class Bag:
             rows = (self._store.getTopic(n).rows(run=self._run, nodeID=self._node) for n in own)
             times += [row.received for each in rows for row in each]
         if not times:
-            raise BagError(f"{self.filename} contains no message")
+            raise bag_error(f"{self.filename} contains no message")
         return min(times), max(times)
 
     @property
@@ -389,7 +458,7 @@ class Bag:
 
     def _require_open(self) -> None:
         if self._closed:
-            raise BagError(f"{self.filename} is closed: open another Bag")
+            raise bag_error(f"{self.filename} is closed: open another Bag")
 
     def close(self) -> None:
         """Flush, and close the connection to the store if it is our own. Twice is harmless."""
@@ -403,6 +472,8 @@ class Bag:
         finally:
             if self._own:
                 self._store.close()
+            if self._file is not None:
+                self._file.close()
 
     def __enter__(self) -> Bag:
         return self
@@ -426,6 +497,22 @@ class Bag:
         lines = [TopicSummary(name, *topic) for name, topic in topics.items()]
         ends = self._ends() if topics else None
         return Summary(self.filename, self.size, ends, types, lines)
+
+
+def _path_of(f: object) -> str:
+    """Return the path that a file name means, or that of a file object."""
+    if isinstance(f, io.IOBase):
+        if "b" not in getattr(f, "mode", "b"):
+            raise bag_error("a file object must be opened in binary mode: open(path, 'rb')")
+        f = getattr(f, "name", None)
+        if not isinstance(f, (str, bytes)):
+            raise InvalidOption("a file object stands for the path of its file; this one has none")
+    if not f or not isinstance(f, (str, bytes, os.PathLike)):
+        raise InvalidOption(
+            f"f={f!r:.80} names no bag: give a run's name or a path; without f all is read that "
+            "the keyspace holds"
+        )
+    return os.fsdecode(f)
 
 
 def _raw(row: StoredRow) -> tuple[object, ...]:
