@@ -22,6 +22,9 @@ import genpy
 import genpy.dynamic
 import numpy
 
+LIKE_KINDS = {kind: {kind} for kind in ("text", "time", "duration")}
+LIKE_KINDS.update(dict.fromkeys(("number", "bool"), {"number", "bool"}))
+"""By the kind of one side of a comparison those of the other."""
 MISSING = type("Missing", (), {"__repr__": lambda self: "MISSING"})()
 KEY, NODE, RUN = "KEY", "NODE", "RUN"
 LONGEST_NS = 10**29
@@ -77,7 +80,7 @@ class Path:
         name, array = types.name, False
         for attribute, index in self.steps:
             found = types.field(name, attribute) if "/" in name else None
-            if found is None:
+            if found is None or (found[1] is None and index is not None):
                 return None
             name, array = found[0], found[1] is not None and index is None
         if self.part:
@@ -89,7 +92,7 @@ class Path:
         name, found = types.name, []
         for n, (attribute, index) in enumerate(self.steps):
             known = types.field(name, attribute) if "/" in name else None
-            if known is None:
+            if known is None or (known[1] is None and index is not None):
                 return []
             name = known[0]
             many = known[1] is not None and index is None and "/" in name
@@ -308,7 +311,9 @@ class Row:
 
     def quantified(self, tree):
         array, wanted = self.value(tree.array), [self.value(value) for value in tree.values]
-        if array is MISSING or MISSING in wanted:
+        if array is MISSING or not isinstance(array, (list, bytes)) or MISSING in wanted:
+            return None
+        if not {self.kind(value) for value in tree.values} <= LIKE_KINDS[self.kind(tree.array)]:
             return None
         found = [self.passes(tree.sign, element, wanted) != tree.negated for element in array]
         return all(found) if tree.every else any(found)
@@ -341,7 +346,9 @@ class Row:
         if not comparable(kind, wanted):
             return None
         if sign == "CONTAINS":
-            return contains(value, wanted.wanted)
+            # In some definition it may be no array.
+            held = isinstance(value, (list, bytes))
+            return contains(value, wanted.wanted) if held else None
         if sign == "LIKE":
             return like(value, wanted.wanted)
         return compare(sign, value, wanted.wanted)
@@ -350,6 +357,8 @@ class Row:
 def computed(function, values, kinds):
     """What a function makes of values that are all there."""
     if function in ("len", "min", "max", "sum", "avg"):
+        if function in ("sum", "avg") and kinds[0] not in ("number", "bool"):
+            return MISSING
         found = TOTALS[{"len": "count"}.get(function, function)](list(values[0]))
         return MISSING if found is None else found
     if function == "time":

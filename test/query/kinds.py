@@ -102,9 +102,36 @@ string b""",
 )
 """A type with fields of every primitive type, and arrays in arrays."""
 
-# Two definitions of one topic: some fields are of the same type, some of another, some missing.
-OLDER = "string name\nfloat64 x\nint32 n\nstring what\nfloat32 only_older\nint32[] list"
-NEWER = "float32 x\nstring name\nuint64 n\nint32 what\ntime only_newer\nfloat64[] list\nbool b"
+# Two definitions of one topic: some fields are of the same type, some of another, some missing,
+# beside an array of messages that both have, so that a statement unnests it in both.
+OLDER = SEPARATOR.join(
+    [
+        """string name
+float64 x
+int32 n
+string what
+float32 only_older
+int32[] list
+int32[] list_older
+string[] loose
+mixed_msgs/Item[] items""",
+        "MSG: mixed_msgs/Item\nint32 n\nfloat64[] w",
+    ]
+)
+NEWER = SEPARATOR.join(
+    [
+        """float32 x
+string name
+uint64 n
+int32 what
+time only_newer
+float64[] list
+bool b
+int32[] loose
+mixed_msgs/Item[] items""",
+        "MSG: mixed_msgs/Item\nfloat64 w\nint32 n\nint32[] list_newer",
+    ]
+)
 
 
 class EdgeMaker(WireMaker):

@@ -307,6 +307,7 @@ class Asker:
         """Strategy of what is computed of some fields, and of KEY; of times, too, or not."""
         numbers = [p for p in paths if self._kinds(p) <= NUMBERS and self._kinds(p)]
         arrays = [p for p in paths if self._isNumbers(p)]
+        loose = [p for p in paths if self._isLoose(p)]
         times = [KEY, *(p for p in paths if self._kinds(p) == {("time", False)})]
         lengths = [p for p in paths if self._kinds(p) == {("duration", False)}]
         texts = [p for p in paths if self._kinds(p) == {("text", False)}]
@@ -316,6 +317,9 @@ class Asker:
         if arrays:
             functions = st.sampled_from(("len", "min", "max", "sum", "avg"))
             number += [st.builds(_of, functions, st.sampled_from(arrays))] * 2
+        if loose:
+            functions = st.sampled_from(("len", "sum", "avg"))
+            number += [st.builds(_of, functions, st.sampled_from(loose))]
         number += [st.sampled_from(texts).map(lambda path: _of("len", path))] if texts else []
         base = st.one_of(number)
         some = st.one_of(base, st.sampled_from(SMALL))
@@ -337,6 +341,11 @@ class Asker:
     def _isNumbers(self, path):
         return bool(self._kinds(path)) and self._kinds(path) <= {("number", True)}
 
+    def _isLoose(self, path):
+        """Whether it is an array of numbers in one definition, and of texts in another."""
+        kinds = self._kinds(path)
+        return ("number", True) in kinds and len(kinds) > 1 and all(array for _, array in kinds)
+
     def _ofArrays(self, paths, terms):
         """Strategy of conditions with ANY and ALL, and on operands beside one another."""
         beside = [KEY, *(p for p in paths if len(self._kinds(p)) == 1 and not self._isArray(p))]
@@ -352,11 +361,17 @@ class Asker:
             number = self._terms(paths, of_numbers=True)
             field = st.sampled_from(like["number"])
             pairs += [st.builds(Related, number, st.sampled_from(ORDERED), field)] * 2
-        arrays = [p for p in paths if self._isNumbers(p)]
-        for path in arrays[:3]:
+        arrays = [p for p in paths if ("number", True) in self._kinds(p)]
+        # First those that some definition lacks, or has of another type.
+        arrays.sort(key=lambda p: all(p.kind(types) == ("number", True) for types in self._types))
+        fields = like.get("number", [])
+        # Fields that make each element of an array of messages a row, whatever they stand beside.
+        deep = [p for p in fields if p != KEY and any(p.unnested(t) for t in self._types)]
+        for path in arrays[:4]:
             value = self._valuesOf(path)
-            wanted = st.one_of(value, value, st.sampled_from(like.get("number", [path])))
-            wanted = value if "number" not in like else wanted
+            # Beside texts a number is refused where no definition has numbers in both.
+            beside = () if self._isLoose(path) else (fields, deep)
+            wanted = st.one_of(value, value, *(st.sampled_from(some) for some in beside if some))
             fixed = (st.just(path), st.booleans())
             pairs += [
                 st.builds(AnyAll, *fixed, st.sampled_from(ORDERED), st.tuples(wanted)),
@@ -465,7 +480,8 @@ class Asker:
         rows = [row for message in self._messages for row in rows_of(message, [operand])]
         found = [value for value in (row.value(operand) for row in rows) if value is not MISSING]
         if self._isArray(operand):
-            found = [element for array in found for element in array[:50]]
+            arrays = [array for array in found if isinstance(array, (list, bytes))]
+            found = [element for array in arrays for element in array[:50]]
         # Of the very long ones only what they begin with: a statement has its limits, too.
         found = [v[:100] if isinstance(v, str) and len(v) > 100_000 else v for v in found]
         distinct = list({str(canonical(value)): value for value in found}.values())

@@ -12,6 +12,8 @@ import pytest
 import rosbag
 from campaign import sparing
 from geometry_msgs.msg import Twist
+from query.brute_force import Types
+from query.kinds import serialized
 from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import Float32, String
 
@@ -435,6 +437,39 @@ def test_definitions_are_united(rosCas):
         rosCas.executeCQL("select count(*), min(data) from x")
     assert caught.value.position == len("select count(*), ")
     assert rosCas.executeCQL("select min(data) from x where data > 1") == [(1.5,)]
+
+
+ITEMS = "pkg/Item[] items\n{}\n" + "=" * 80 + "\nMSG: pkg/Item\nint32 n\n{}"
+
+
+@pytest.mark.parametrize("format", ["packed", "ros", "binary"])
+def test_every_definition_is_unnested_whatever_it_lacks_beside(rosCas, format):
+    """Each message has two items; those of the first definition lack fb, or have it otherwise."""
+    older = Types("pkg/T", ITEMS.format("string[] loose\nint32 only_older", "float64[] w"))
+    newer = Types("pkg/T", ITEMS.format("int32[] loose\nint32[] fb", "float64 w"))
+    with rosCas.messageWriter(format=format) as writer:
+        for n, types in enumerate((older, older, newer)):
+            item = types.classes["pkg/Item"]
+            message = types.root(items=[item(n=1), item(n=5)])
+            if types is newer:
+                message.fb, message.loose = [3], [3]
+            header = {"type": types.name, "md5sum": types.md5sum}
+            header["message_definition"] = types.text
+            connection = live_connection("/t", header)
+            writer.write(writer.connect(connection), T0 + n, n, serialized(message))
+
+    def count(condition):
+        return rosCas.executeCQL(f"select count(*) from t where {condition}")[0][0]
+
+    every = "or KEY > 0"
+    assert count(f"ALL(fb) <= items.n {every}") == 6
+    assert count("ALL(fb) <= items.n") == 1
+    assert count(f"ANY(fb) BETWEEN 0 AND items.n + 1 {every}") == 6
+    assert count(f"sum(loose) + items.n > 0 {every}") == 6
+    assert count("sum(loose) + items.n > 0") == 2
+    assert count(f"items.w = 0 {every}") == count(f"items.w contains 0 {every}") == 6
+    # Each definition lacks one of the fields: nothing matches, and nothing is refused.
+    assert count("ANY(fb) = only_older") == count("sum(loose) + only_older = 5") == 0
 
 
 def test_odd_values(rosCas):

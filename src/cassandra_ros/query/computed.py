@@ -23,7 +23,7 @@ import operator
 from fractions import Fraction
 from numbers import Integral, Real
 from operator import itemgetter
-from typing import Any, Callable, NamedTuple, Optional, Union
+from typing import Any, Callable, NamedTuple, Optional, Sequence, Union
 
 from cassandra_ros.messages.stamps import is_time
 from cassandra_ros.query.literals import BEYOND_NS, fit_to_time, length_ns
@@ -96,7 +96,7 @@ def compile_term(term: Term, find: Find) -> Optional[Computed]:
         return _of_array(term, find)
     if term.function == "time":
         _check_stretch(term.arguments[1])
-    parts = [compile_term(argument, find) for argument in term.arguments]
+    parts = _compile_all(term.arguments, find)
     known = [part for part in parts if part is not None]
     if len(known) < len(parts):
         return None
@@ -111,6 +111,20 @@ def compile_term(term: Term, find: Find) -> Optional[Computed]:
         kind = "float64" if any(k.startswith("float") for k in kinds) else INTEGER
     gets = [part.get for part in known]
     return Computed(kind, _unary(compute, *gets) if len(gets) == 1 else _binary(compute, *gets))
+
+
+def _compile_all(terms: Sequence[Term], find: Find) -> list[Optional[Computed]]:
+    """Compile terms, and find the fields of all of them before the first error is raised."""
+    parts: list[Optional[Computed]] = []
+    problems: list[StatementError] = []
+    for term in terms:
+        try:
+            parts.append(compile_term(term, find))
+        except StatementError as exc:
+            problems.append(exc)
+    if problems:
+        raise problems[0]
+    return parts
 
 
 def fold(call: Call) -> Union[Literal, Call]:

@@ -169,13 +169,18 @@ class Names:
 
     def _computed(self, term: Term) -> Optional[Computed]:
         """Compile a term; None where the table lacks it."""
+        made = None
         try:
             made = compile_term(term, self._find)
         except StatementError as exc:
             self._findings.wrong.setdefault(exc.position, exc)
-            return None
         if made is not None:
             self._findings.fine.update(part.position for part in inside(term))
+        elif isinstance(term, Call):
+            # What of it makes sense here is no error where another definition lacks it.
+            for part in term.arguments:
+                if isinstance(part, Call):
+                    self._computed(part)
         return made
 
     def _find(self, operand: Operand, array: Optional[bool]) -> Optional[Found]:
@@ -246,13 +251,18 @@ class Names:
 
     def _tests(self, leaf: Quantified) -> Sequence[Optional[Get]]:
         array = self._output(leaf.operand, array=True)
-        return [None if array is None else self._wanted(leaf, array, *t) for t in leaf.tests]
+        return [self._wanted(leaf, array, sign, term) for sign, term in leaf.tests]
 
-    def _wanted(self, leaf: Quantified, array: Output, sign: str, term: Term) -> Optional[Get]:
+    def _wanted(
+        self, leaf: Quantified, array: Optional[Output], sign: str, term: Term
+    ) -> Optional[Get]:
+        # A term names its fields, and makes rows of their arrays, also where the array is missing.
+        made = None if isinstance(term, Literal) else self._computed(term)
+        if array is None:
+            return None
         if isinstance(term, Literal):
             value = self._fitted(Compare(leaf.operand, sign, term), array, term)
             return None if value is None else lambda values: value
-        made = self._computed(term)
         if made is None or not self._are_alike(
             leaf.operand, array.kind, term, made.kind, leaf.position
         ):
@@ -301,17 +311,22 @@ class Names:
         try:
             if self._definition is None:
                 raise StatementError(path.position, "the messages of this topic have no definition")
+            self._unnest_inside(path, fields_of(path, self._definition))
             found = resolve(self._definition)
         except StatementError as exc:
             self._findings.wrong.setdefault(path.position, exc)
             return []
         self._findings.fine.add(path.position)
-        for ref in found:
+        return found
+
+    def _unnest_inside(self, path: Path, refs: Sequence[FieldRef]) -> None:
+        """Make a row of each element of the arrays in which a path lies, however it is used."""
+        for ref in refs:
             # Those whose elements the path names, not those that it names whole.
             for array in ref.arrays:
                 if len(array) < len(path.parts) and array not in self.unnested:
                     self._unnest(path, array)
-        return found
+                    self._place(ref)  # its values are as many as the array has elements
 
     def _unnest(self, path: Path, array: Array) -> None:
         inner = self.unnested[-1] if self.unnested else ()
