@@ -16,11 +16,11 @@ import ssl
 import struct
 from collections import deque
 from functools import cached_property
-from typing import Any, Sequence, Tuple
+from typing import Any, Callable, Sequence, Tuple
 
 from cassandra import ProtocolVersion
 from cassandra.cluster import DefaultConnection
-from cassandra.connection import ProtocolError, _Frame
+from cassandra.connection import ProtocolError, Timer, _Frame
 from cassandra.cqltypes import BytesType
 from cassandra.protocol import BatchMessage, ExecuteMessage, ProtocolHandler, ResultMessage
 
@@ -131,6 +131,29 @@ class _Received:
         return b"".join(found)
 
 
+class _Alarm:
+    """The timer of a request, which lets go of the request when that is answered.
+
+    The driver's own holds it for good, and the request holds its timer: the messages in it would
+    stay in memory until Python's cyclic collector comes round, minutes later.
+    """
+
+    def __init__(self, ring: Callable[[], None]) -> None:
+        self._ring: Callable[[], None] | None = ring
+        self.timer: Timer | None = None
+
+    def __call__(self) -> None:
+        ring = self._ring
+        if ring is not None:
+            ring()
+
+    def cancel(self) -> None:
+        """Ring no more."""
+        timer, self.timer, self._ring = self.timer, None, None
+        if timer is not None:
+            timer.cancel()
+
+
 class LargeBuffers(DefaultConnection):
     """A connection whose socket is read and written by the MB."""
 
@@ -138,6 +161,13 @@ class LargeBuffers(DefaultConnection):
     out_buffer_size = BUFFER_BYTES
     _frame: tuple[_Frame, int] | None = None
     """The answer that is being received, and the size of its body."""
+
+    @classmethod
+    def create_timer(cls, timeout: float, callback: Callable[[], None]) -> _Alarm:
+        """Have the driver's thread call something in so many seconds."""
+        alarm = _Alarm(callback)
+        alarm.timer = super().create_timer(timeout, alarm)
+        return alarm
 
     @cached_property
     def _iobuf(self) -> _Received:
