@@ -85,6 +85,28 @@ def test_pages_of_other_sites_ask_for_nothing(open_viewer):
     assert found.headers["Cross-Origin-Resource-Policy"] == "same-origin"
 
 
+OPENED = {"Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}
+
+
+@pytest.mark.parametrize("path", ["/api/one", "/window.bag", "/window.mcap"])
+def test_a_page_of_another_site_opens_no_answer(open_viewer, closed_viewer, path):
+    answered = open_viewer.ask(path).status  # curl and old browsers say nothing of a site
+    for site in ("cross-site", "same-site"):
+        opened = {**OPENED, "Sec-Fetch-Site": site}
+        found = open_viewer.ask(path, **opened)
+        assert (found.status, "--allow-origin" in found.text) == (403, True), site
+        assert open_viewer.ask(path, Referer="https://evil.example/", **opened).status == 403
+        assert open_viewer.ask("/look.html", **opened).status == 200  # a link to a page
+        let_in = closed_viewer.ask(path, {"token": SECRET}, Referer=f"{LICHTBLICK}/x", **opened)
+        assert let_in.status == answered
+        for evil in (f"{LICHTBLICK}.evil.example/", f"https://evil.example/?{LICHTBLICK}/", ""):
+            found = closed_viewer.ask(path, {"token": SECRET}, Referer=evil, **opened)
+            assert found.status == 403, evil
+    # Of the address bar, a bookmark, and our own pages.
+    for site in ("none", "same-origin"):
+        assert open_viewer.ask(path, **OPENED, **{"Sec-Fetch-Site": site}).status == answered
+
+
 def test_a_site_that_is_named_reads(closed_viewer):
     asked = {"Origin": LICHTBLICK, "Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "cors"}
     preflight = {"Access-Control-Request-Private-Network": "true", **asked}
@@ -101,6 +123,11 @@ def test_a_site_that_is_named_reads(closed_viewer):
 
 
 def test_nothing_is_answered_without_the_token(closed_viewer):
+    for length in range(len(SECRET)):
+        part = SECRET[:length]
+        assert closed_viewer.ask("/api/one", {"token": part}).status == 401
+        bearer = "Bearer " + part.encode().decode("latin-1")
+        assert closed_viewer.ask("/api/one", Authorization=bearer).status == 401
     for path in ("/", "/look.html", "/modules/a.js", "/api/one", "/none", "/window.bag"):
         for given in ({}, {"token": ""}, {"token": "wrong"}, {"token": SECRET + "x"}):
             found = closed_viewer.ask(path, given)
@@ -127,6 +154,9 @@ def test_the_token_goes_from_the_address_into_a_cookie(closed_viewer):
     assert closed_viewer.ask("/look.html", Cookie=kept).text == "<p>look"
     assert closed_viewer.ask("/api/one", Cookie=kept).data == b"1"
     assert closed_viewer.ask("/api/one", Cookie=kept.replace("=", "x=")).status == 401
+    name, value = kept.split("=")
+    for length in range(len(value)):
+        assert closed_viewer.ask("/api/one", Cookie=f"{name}={value[:length]}").status == 401
     assert closed_viewer.ask("/", {"token": SECRET}).headers["Location"] == "./"
     for path in ("//evil.example/x.html", "/\\evil.example/x.html", "/%2f/evil.example/x.html"):
         there = closed_viewer.ask(path, {"token": SECRET}).headers.get("Location", "./")

@@ -9,6 +9,7 @@ and what a stream reads is closed.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import logging
 import threading
@@ -44,6 +45,8 @@ class Handling:
         self._shared = shared
         self._threads = ThreadPoolExecutor(shared.settings.threads, "viewer")
         self._calls: set[Call] = set()
+        self._held_bytes = 0
+        """Bytes of the answers that are being sent."""
 
     def handler(self, route: Route) -> Handler:
         """Return the coroutine that answers a route."""
@@ -58,9 +61,7 @@ class Handling:
                     return await self._send_stream(request, call, found)
                 if isinstance(found, SpooledFile):
                     return await send_file(request, found)
-                return web.Response(
-                    body=found.data, content_type=found.content_type, headers=found.headers
-                )
+                return await self._send_bytes(request, found)
             finally:
                 call.gone.set()
                 self._calls.discard(call)
@@ -70,6 +71,44 @@ class Handling:
     def _run(self, work: Callable[[], T]) -> asyncio.Future[T]:
         # Of a task that is cancelled the thread cannot be: it looks at call.gone.
         return asyncio.wrap_future(self._threads.submit(work))
+
+    async def _send_bytes(self, request: web.Request, found: Bytes) -> web.StreamResponse:
+        """Send an answer piece by piece: a connection does not copy a large one as a whole."""
+        piece = self._shared.settings.limits.piece_bytes
+        if len(found.data) <= piece:
+            return web.Response(
+                body=found.data, content_type=found.content_type, headers=found.headers
+            )
+        with self._held(len(found.data)):
+            response = web.StreamResponse(headers=found.headers)
+            response.content_type = found.content_type
+            response.content_length = len(found.data)
+            await response.prepare(request)
+            if request.method != "HEAD":
+                view = memoryview(found.data)
+                for start in range(0, len(view), piece):
+                    await response.write(view[start : start + piece])
+            await response.write_eof()
+            return response
+
+    @contextlib.contextmanager
+    def _held(self, size: int) -> Iterator[None]:
+        """Count some bytes that are held until a client has taken them.
+
+        Raises:
+            StoreUnavailable: All clients together would hold too many.
+        """
+        most = self._shared.settings.limits.answers_bytes
+        if self._held_bytes + size > most:
+            raise StoreUnavailable(
+                f"the viewer is already sending {self._held_bytes / 1e6:.0f} MB to other clients, "
+                f"of at most {most / 1e6:.0f} MB: ask again later, or for less"
+            )
+        self._held_bytes += size
+        try:
+            yield
+        finally:
+            self._held_bytes -= size
 
     async def _send_stream(
         self, request: web.Request, call: Call, chunks: _Chunks
@@ -82,7 +121,8 @@ class Handling:
             await response.prepare(request)
             while chunk is not None and request.method != "HEAD":
                 if chunk:
-                    await response.write(chunk)
+                    with self._held(len(chunk)):
+                        await response.write(chunk)
                 chunk = await self._run(chunks.next)
             if call.gone.is_set():  # it may have ended for that: nobody may take it for the whole
                 raise StoreUnavailable("the viewer ends")

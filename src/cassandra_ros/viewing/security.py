@@ -35,6 +35,8 @@ POLICIES: dict[str, str] = {
     ).replace("frame-ancestors 'none'", "frame-ancestors 'self'"),
 }
 """Those of pages that need another one, by path."""
+_ANSWERS = ("/api/", "/window")
+"""Paths below which answers are made, and no page or file of one lies."""
 _COOKIE_SEC = 30 * 86_400
 _READABLE = "Accept-Ranges, Content-Disposition, Content-Length, Content-Range, ETag"
 _REFUSED = (
@@ -133,6 +135,14 @@ class Guard:
         origin = request.headers.get("Origin", "")
         return origin if origin in self._origins else ""
 
+    def _may_lead_here(self, request: web.Request) -> bool:
+        """Say whether the page with a link, or that opens an address, is of a site that may.
+
+        Browsers send no Origin then; where the page hides its referrer it is not let in.
+        """
+        referrer = request.headers.get("Referer", "")
+        return any(f"{referrer}/".startswith(f"{origin}/") for origin in self._origins)
+
     def _check_host(self, request: web.Request) -> None:
         try:
             host = urlsplit(f"//{request.host}").hostname or ""
@@ -145,12 +155,21 @@ class Guard:
             )
 
     def _check_site(self, request: web.Request) -> None:
-        """Refuse what the page of another site asks for behind its reader's back."""
-        origin = request.headers.get("Origin", "")
+        """Refuse what the page of another site asks for behind its reader's back.
+
+        A link on it may lead to our pages. It may not lead to an answer: a page could have many
+        expensive ones made by opening them. Clients that do not say from where they ask (curl, old
+        browsers) go on.
+        """
+        headers = request.headers
+        origin = headers.get("Origin", "")
         foreign = bool(origin) and urlsplit(origin).netloc != request.host
-        navigates = request.method == "GET" and request.headers.get("Sec-Fetch-Mode") == "navigate"
-        cross = request.headers.get("Sec-Fetch-Site") == "cross-site" and not navigates
-        if (foreign or cross) and not self._allowed(request):
+        cross = headers.get("Sec-Fetch-Site") in ("cross-site", "same-site")
+        navigates = request.method == "GET" and headers.get("Sec-Fetch-Mode") == "navigate"
+        follows_link = navigates and not request.path.startswith(_ANSWERS)
+        if not foreign and (not cross or follows_link):
+            return
+        if not self._allowed(request) and not (navigates and self._may_lead_here(request)):
             raise web.HTTPForbidden(
                 text=f"a page of {origin or 'another site'} may not read this viewer: start it "
                 "with --allow-origin and the origin of that page to let it\n"

@@ -17,6 +17,7 @@ from aiohttp import web
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.viewing.application import make_application
+from cassandra_ros.viewing.clients import Clients
 from cassandra_ros.viewing.route import Route
 from cassandra_ros.viewing.routes import ROUTES
 from cassandra_ros.viewing.security import is_loopback
@@ -64,21 +65,28 @@ async def listening(
     Raises:
         InvalidOption: Nobody can listen there; the text says why.
     """
+    clients = Clients(settings.limits)
+    application = make_application(settings, store, routes)
+    application.middlewares.insert(0, clients.heard)
     runner = web.AppRunner(
-        make_application(settings, store, routes),
+        application,
         access_log=None,
+        keepalive_timeout=settings.limits.idle_sec,
         max_line_size=MAX_LINE_BYTES,
         handler_cancellation=True,  # who goes away ends what was read for him
         shutdown_timeout=LAST_ANSWERS_SEC,
     )
     await runner.setup()
+    listener: asyncio.Server | None = None
     try:
         try:
-            await web.TCPSite(runner, settings.host, settings.port).start()
+            listener = await clients.listen(runner.server, settings.host, settings.port)
         except OSError as exc:
             raise InvalidOption(_why_not(settings, exc)) from exc
-        yield runner.addresses[0][1]
+        yield listener.sockets[0].getsockname()[1]
     finally:
+        if listener is not None:
+            listener.close()
         await runner.cleanup()
 
 

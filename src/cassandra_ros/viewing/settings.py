@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from cassandra_ros.installation import shipped_file
+from cassandra_ros.viewing.clients import Limits
 from cassandra_ros.viewing.studio import studio_folder
 
 DEFAULT_HOST = "127.0.0.1"
@@ -39,6 +40,8 @@ class ViewerSettings:
     """What the files in it take together, at most."""
     threads: int = DEFAULT_THREADS
     """Questions that are answered at the same time; others wait."""
+    limits: Limits = Limits()
+    """What clients may take."""
     web: Path = field(default_factory=_web_folder)
     """Our own pages."""
     studio: Path = field(default_factory=studio_folder)
