@@ -14,7 +14,7 @@ import threading
 from typing import NamedTuple
 
 from cassandra import ConsistencyLevel
-from cassandra.protocol import BatchMessage, ExecuteMessage
+from cassandra.protocol import BatchMessage, ExecuteMessage, SupportedMessage
 
 EXECUTE, BATCH = ExecuteMessage.opcode, BatchMessage.opcode
 _ERROR = 0x00
@@ -132,6 +132,11 @@ class Proxy:
         if self._listener is not None:
             self.cut()
 
+    def freeze(self):
+        """Answer nothing more that the connections of now ask, but their heartbeats."""
+        for pair in self._pairs:
+            pair.frozen = True
+
     def cut(self):
         """Be a server that is gone: connections end, and nobody listens."""
         self._listener.shutdown(socket.SHUT_RDWR)
@@ -165,8 +170,9 @@ class _Pair:
         self._caught = caught
         self._writing = {"client": threading.Lock(), "server": threading.Lock()}
         self._failing = {}
+        self.frozen = False
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         for sender, take in (("client", self._request), ("server", self._answer)):
-            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             threading.Thread(target=self._pump, args=(sender, take), daemon=True).start()
 
     def close(self):
@@ -202,16 +208,21 @@ class _Pair:
 
     def _late(self, frame, caught):
         caught.wait_for_release()
-        if caught.failed:
-            self._fail(frame)
-        else:
-            self._send("server", frame)
+        try:
+            if caught.failed:
+                self._fail(frame)
+            else:
+                self._send("server", frame)
+        except OSError:
+            pass  # who had sent it is gone
 
     def _fail(self, frame):
         body = TIMED_OUT[frame.opcode]
         self._send("client", Frame(frame.version | 0x80, 0, frame.stream, _ERROR, body))
 
     def _answer(self, frame):
+        if self.frozen and frame.opcode != SupportedMessage.opcode:
+            return
         request, caught = self._failing.pop(frame.stream, (None, None))
         if caught is not None:
             threading.Thread(target=self._late, args=(request, caught), daemon=True).start()

@@ -133,6 +133,21 @@ def test_opening_a_bag_of_many_chunks_takes_little_memory(tmp_path):
     tracemalloc.stop()
 
 
+def start_import(proxy, keyspace, path, *options):
+    """Start the program that imports a bag by way of a proxy."""
+    return subprocess.Popen(
+        [
+            *(sys.executable, str(ROOT / "scripts/cassandra_bag"), "import", str(path)),
+            *("--host", proxy.host, "--port", str(proxy.port), "--keyspace", keyspace),
+            *("--format", "binary", *options),
+        ],
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
 @pytest.mark.parametrize(
     "signal_number", sparing([signal.SIGINT, signal.SIGTERM], kept=[signal.SIGTERM])
 )
@@ -144,17 +159,7 @@ def test_a_signal_ends_an_import_and_the_next_completes_it(
     with Proxy(cassandra.host, cassandra.port) as proxy:
         held = proxy.catch(lambda f: f.opcode == BATCH and b"A" * 90 in f.body, failed=False)
         held.hold()
-        child = subprocess.Popen(
-            [
-                *(sys.executable, str(ROOT / "scripts/cassandra_bag"), "import", str(path)),
-                *("--host", proxy.host, "--port", str(proxy.port), "--keyspace", keyspace),
-                *("--format", "binary"),
-            ],
-            env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        child = start_import(proxy, keyspace, path)
         held.wait()
         child.send_signal(signal_number)
         held.release()
@@ -163,6 +168,29 @@ def test_a_signal_ends_an_import_and_the_next_completes_it(
     errors = "".join(line for line in errors.splitlines(True) if "trying again" not in line)
     assert errors == "cassandra_bag: interrupted; the same command again completes the import\n"
     assert [run.state for run in rosCas.runs()] == ["interrupted"]
+    import_bag(rosCas, path)
+    assert verify_bag(rosCas, path).equal
+    assert sum(counts_agree(rosCas, cql).values()) == 60_000
+
+
+@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("jobs", sparing([1, 2], kept=[1, 2]))
+@pytest.mark.fault
+def test_the_first_signal_ends_an_import_whose_store_is_silent(
+    rosCas, cassandra, keyspace, cql, tmp_path, signal_number, jobs
+):
+    """It does not wait until what is on its way is given up, which would be another error."""
+    path = write_bag(tmp_path / "a.bag", 60_000, 100)
+    with Proxy(cassandra.host, cassandra.port) as proxy:
+        held = proxy.catch(lambda f: f.opcode == BATCH and b"A" * 90 in f.body, failed=False)
+        held.hold()
+        child = start_import(proxy, keyspace, path, "--jobs", str(jobs))
+        held.wait()
+        proxy.freeze()
+        child.send_signal(signal_number)
+        _, errors = child.communicate(timeout=300)
+    assert child.returncode == 128 + signal_number, errors
+    assert errors == "cassandra_bag: interrupted; the same command again completes the import\n"
     import_bag(rosCas, path)
     assert verify_bag(rosCas, path).equal
     assert sum(counts_agree(rosCas, cql).values()) == 60_000

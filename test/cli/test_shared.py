@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import argparse
 import signal
+import threading
+import time
 
 import pytest
 from conftest import ROOT
@@ -22,6 +24,8 @@ from cassandra_ros.cli.text import (
     shown,
 )
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
+from cassandra_ros.errors import StoreUnavailable
+from cassandra_ros.store.outage import Outage
 
 
 @pytest.fixture
@@ -122,12 +126,39 @@ def test_no_bar_where_there_is_no_terminal(capsys):
 
 def test_a_signal_waits_for_a_safe_moment():
     before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt), SafeInterrupt() as stop:
+    outage = Outage("here")
+    with pytest.raises(KeyboardInterrupt), SafeInterrupt(outage) as stop:
         stop.check()
         signal.raise_signal(signal.SIGINT)
         assert signal.getsignal(signal.SIGINT) is before
         stop.check()
-    with pytest.raises(SystemExit) as ended, SafeInterrupt():
+    with pytest.raises(SystemExit) as ended, SafeInterrupt(outage):
         signal.raise_signal(signal.SIGTERM)
     assert ended.value.code == 143
     assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_wait_for_a_store_that_is_silent(number):
+    """The first one does, wherever the wait is; an error of the store is not told then."""
+    before = [signal.getsignal(each) for each in (number, signal.SIGALRM)]
+    with pytest.raises((KeyboardInterrupt, SystemExit)), SafeInterrupt(Outage("here")):
+        signal.raise_signal(number)
+        threading.Event().wait(600)
+        raise AssertionError("the wait went on")
+    with pytest.raises((KeyboardInterrupt, SystemExit)), SafeInterrupt(Outage("here")):
+        signal.raise_signal(number)
+        raise StoreUnavailable("it does not answer")
+    assert [signal.getsignal(each) for each in (number, signal.SIGALRM)] == before
+
+
+def test_a_store_that_answers_has_its_time():
+    """What is on its way is stored first."""
+    outage, answers = Outage("here"), 0
+    with pytest.raises(KeyboardInterrupt), SafeInterrupt(outage):
+        signal.raise_signal(signal.SIGINT)
+        while answers < 40:
+            time.sleep(0.05)
+            outage.answered()
+            answers += 1
+    assert answers == 40

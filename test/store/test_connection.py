@@ -60,9 +60,9 @@ def test_ports_that_are_none(environment, port):
 def test_what_was_begun_gives_all_pages_and_each_in_time(cassandra, monkeypatch):
     waited = []
 
-    def counted(future):
+    def counted(future, outage):
         waited.append(future)
-        return answered(future)
+        return answered(future, outage)
 
     monkeypatch.setattr(connection, "answered", counted)
     cql, what = "SELECT table_name FROM system_schema.tables WHERE keyspace_name = ?", "tables"

@@ -9,12 +9,13 @@ last, and at its end one for what the store has acknowledged.
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 import time
 from dataclasses import asdict, dataclass
 from types import FrameType
-from typing import Dict, Iterator, List, Optional, Tuple
+from typing import Callable, Dict, Iterator, List, Optional, Tuple
 
 from cassandra_ros.arguments import check_node
 from cassandra_ros.bag.message_file import MessageFile, Stretch
@@ -135,10 +136,13 @@ class _Teller:
         self._messages = self._bytes = 0
         self._told = time.monotonic()
         self.ended = False
+        self.hurry: Callable[[], None] = lambda: None
+        """Lets waits for the store end."""
 
     def end(self, _number: int, _frame: Optional[FrameType]) -> None:
         """Handle a signal: stop before the next message."""
         self.ended = True
+        self.hurry()
 
     def add(self, number: int, messages: int, nbytes: int) -> None:
         """Count messages of a connection that were handed over."""
@@ -166,6 +170,7 @@ def _write(part: Part, teller: _Teller) -> None:
     """Store the messages of a part; those that the teller has counted are acknowledged then."""
     reader = open_file(part.path, part.salvage)
     with RosCassandra(**part.store) as ros_cas, reader:  # type: ignore[arg-type]
+        teller.hurry = ros_cas.cassandra.outage.hurry
         # The import's run, its heartbeat and its tables are those of the process that started us.
         with bag_writer(ros_cas, reader, part.writer_id, part.node) as writer:
             handles = {
@@ -196,4 +201,6 @@ def main() -> int:
         counts = teller.counts if isinstance(exc, BagError) else {}
         stored = Stored(counts, type(exc).__name__, str(exc))
     _say(stored.to_line())
+    if teller.ended:  # threads that connect to a silent store are not waited for
+        os._exit(1)
     return 1 if stored.error else 0

@@ -7,10 +7,13 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import signal
 import sys
+import threading
 import time
 from functools import partial
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Callable, Sequence
 
 from cassandra_ros.errors import ConnectionFailed, InvalidKey, InvalidOption, TlsMismatch
@@ -26,6 +29,7 @@ from cassandra_ros.store.login import CQLSHRC, CREDENTIALS, read_login
 
 if TYPE_CHECKING:
     from cassandra_ros.messages.stamps import Stamp
+    from cassandra_ros.store.outage import Outage
     from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 RETRY_SEC = 1.0
@@ -137,6 +141,7 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
     ros_cas = _connect(options)
     # Found while it runs: one that has ended cannot be.
     ros_cas.cassandra.outage.hint = partial(_trouble, _local_directories(options))
+    _hurry_on_interrupt(ros_cas.cassandra.outage)
     if not make:
         try:
             ros_cas.parts.side_tables.require_keyspace()
@@ -144,6 +149,18 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
             ros_cas.close()
             raise
     return ros_cas
+
+
+def _hurry_on_interrupt(outage: Outage) -> None:
+    """Let Ctrl-C end the waits for the store, too, by which a program would tidy up."""
+
+    def interrupted(number: int, frame: FrameType | None) -> None:
+        outage.hurry()
+        signal.default_int_handler(number, frame)
+
+    main = threading.current_thread() is threading.main_thread()
+    if main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, interrupted)
 
 
 def _connect(options: argparse.Namespace) -> RosCassandra:

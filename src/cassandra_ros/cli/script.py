@@ -8,15 +8,19 @@ missing Python package, Ctrl-C, a reader of the output that is gone.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import logging
 import os
 import signal
 import sys
+from typing import NoReturn
 
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.installation import explain_missing, is_needed
 
 EXIT_INTERRUPTED = 128 + signal.SIGINT
+_SIGNALLED = (EXIT_INTERRUPTED, 128 + signal.SIGTERM)
 
 
 def run_script(module: str) -> None:
@@ -31,9 +35,22 @@ def run_script(module: str) -> None:
             raise
         status = f"{module.rsplit('.', 1)[-1]}: {explain_missing(exc)}"
     except KeyboardInterrupt:
-        status = EXIT_INTERRUPTED
+        _end_now(EXIT_INTERRUPTED)
+    except SystemExit as exc:
+        if exc.code in _SIGNALLED:
+            _end_now(exc.code)
+        raise
     except BrokenPipeError:
         # Whoever read our output has had enough (| head); let nothing more be flushed to it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 128 + signal.SIGPIPE
     sys.exit(status)
+
+
+def _end_now(status: int) -> NoReturn:
+    """End the process after a signal: threads that connect to a silent store are not waited for."""
+    logging.shutdown()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):  # its reader is gone, or it is closed
+            stream.flush()
+    os._exit(status)

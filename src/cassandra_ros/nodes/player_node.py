@@ -79,6 +79,7 @@ def play(
 
     def signalled(number: int, frame: Optional[FrameType]) -> None:
         signals.append(number)
+        ros_cas.cassandra.outage.hurry()
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signalled)

@@ -62,7 +62,10 @@ def record(
     def signalled(number: int, frame: Optional[FrameType]) -> None:
         signals.append(number)
         recorder.interrupt()
+        if not began:  # what has come is stored with more patience
+            ros_cas.cassandra.outage.hurry()
 
+    began = False
     signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signalled)
@@ -70,6 +73,7 @@ def record(
         serve(recorder)
         say(f"services under {rospy.get_name()}")
         recorder.start()
+        began = True
         tick = _ticker(recorder, ros_cas, options, show)
         while not (signals or rospy.is_shutdown() or recorder.wait(POLL_SEC)):
             tick()

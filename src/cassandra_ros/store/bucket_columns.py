@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassandra_ros.store.connection import AT_ONCE, Cassandra
-from cassandra_ros.store.paging import RawRow, retried, sent_ahead
+from cassandra_ros.store.paging import RawRow, answered, retried, sent_ahead
 
 Longs = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -81,9 +81,10 @@ def _ask(
 
     def run() -> BucketColumns:
         future = sent.pop() if sent else cassandra.send_raw(bound)
-        return columns_of(list(future.result()))
+        return columns_of(list(answered(future, outage)))
 
-    return partial(retried, "reading the directory of buckets", run, outage=cassandra.outage)
+    outage = cassandra.outage
+    return partial(retried, "reading the directory of buckets", run, outage=outage)
 
 
 def columns_of(rows: Sequence[RawRow]) -> BucketColumns:

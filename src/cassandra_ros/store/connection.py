@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import math
 import socket
 import ssl
 import threading
 import time
+from contextlib import suppress
 from typing import Any, Callable, Iterable, Sequence, Tuple
 
 from cassandra import ConsistencyLevel, UnresolvableContactPoints
@@ -32,6 +34,7 @@ from cassandra_ros.errors import (
     ConnectionFailed,
     InvalidOption,
     KeyspaceNotFound,
+    StoreUnavailable,
     TopicNotFound,
 )
 from cassandra_ros.store.driver_errors import (
@@ -42,6 +45,7 @@ from cassandra_ros.store.driver_errors import (
     translate,
     translated,
 )
+from cassandra_ros.store.link import Link, Links
 from cassandra_ros.store.login import read_login
 from cassandra_ros.store.login_errors import explain_refusal
 from cassandra_ros.store.outage import Outage
@@ -62,6 +66,8 @@ from cassandra_ros.store.protocol import (
 CONNECT_TIMEOUT_SEC = 10.0
 NEW_TABLE_SEC = 1.0
 POOL_PAUSE_SEC = 0.05
+LAST_WORD_SEC = 0.5
+"""How long the end of a connection may take where the program is to end, s."""
 AT_ONCE = 16
 """Statements of execute_many that are in the air together."""
 
@@ -118,15 +124,39 @@ class Cassandra:
         self._prepared: dict[str, PreparedStatement] = {}
         self._prepare_lock = threading.Lock()
         self._closed = False
+        self._keyspaces: set[str] = set()
+        self._connecting_until = 0.0
+        places = [(host, self.port) for host in self.hosts]
+        self._links = Links(self._make_link, self._adopt, places, self._where)
+        self.outage.failing = self._links.failed
+
+    def _make_link(self) -> Link:
         try:
-            self._cluster = self._make_cluster()
+            cluster = self._make_cluster()
         except (UnresolvableContactPoints, UnicodeError) as exc:
             raise ConnectionFailed(
                 f"no host of this name can be found: {','.join(self.hosts)!r}; check the name, "
                 f"or give the address; {START_HINT}"
             ) from exc
-        self._session, self._raw_session = self._connect()
+        link = self._connect(cluster)
         self._connecting_until = time.monotonic() + CONNECT_TIMEOUT_SEC
+        for keyspace in sorted(self._keyspaces):
+            with suppress(*DRIVER_ERRORS):  # rows then take a way round by another node
+                cluster.refresh_keyspace_metadata(keyspace)
+        return link
+
+    def _adopt(self, link: Link) -> None:
+        # What the server has forgotten the driver prepares again, out of these.
+        for statement in list(self._prepared.values()):
+            link.cluster.add_prepared(statement.query_id, statement)
+
+    @property
+    def _cluster(self) -> Cluster:
+        return self._links.current.cluster
+
+    @property
+    def _session(self) -> Session:
+        return self._links.current.session
 
     def _make_cluster(self) -> Cluster:
         name, password = self._login.username, self._login.password
@@ -162,12 +192,12 @@ class Cassandra:
             reconnection_policy=ExponentialReconnectionPolicy(0.5, 10),
         )
 
-    def _connect(self) -> tuple[Session, Session]:
+    def _connect(self, cluster: Cluster) -> Link:
         try:
-            session = self._cluster.connect()
-            raw_session = self._cluster.connect()
+            session = cluster.connect()
+            raw_session = cluster.connect()
         except NoHostAvailable as exc:
-            self._cluster.shutdown()
+            cluster.shutdown()
             by_tls = self._ssl_context is not None or self._login.tls is not None
             refusal = explain_refusal(host_errors(exc), self._login, by_tls, self._where)
             if refusal:
@@ -179,13 +209,13 @@ class Cassandra:
             failure.refused = not is_passing(exc)
             raise failure from exc
         except (*DRIVER_ERRORS, OSError) as exc:
-            self._cluster.shutdown()
+            cluster.shutdown()
             raise ConnectionFailed(f"cannot connect to Cassandra at {self._where}: {exc}") from exc
         for each in (session, raw_session):
             # Robots' clocks are wrong, and a fast one would hide later rows.
             each.use_client_timestamp = False
         raw_session.client_protocol_handler = RawProtocolHandler
-        return session, raw_session
+        return Link(cluster, session, raw_session)
 
     # ---------------------------------------------------------------- statements
 
@@ -208,7 +238,13 @@ class Cassandra:
         return f"<Cassandra {self._where}{', closed' if self._closed else ''}>"
 
     def require_open(self) -> None:
-        """Raise ConnectionFailed where it is closed; the driver takes that for a passing one."""
+        """Raise ConnectionFailed where it is closed; the driver takes that for a passing one.
+
+        Raises:
+            StoreUnavailable: The program is to end, and the store does not answer.
+        """
+        if self.outage.left_sec <= 0:
+            raise StoreUnavailable(f"the store at {self._where} does not answer")
         if self._closed:
             raise ConnectionFailed(
                 f"the connection to Cassandra at {self._where} is closed; make another RosCassandra"
@@ -222,6 +258,8 @@ class Cassandra:
             with self._prepare_lock:
                 statement = self._prepared.get(cql) or self._prepare_new(cql)
                 self._prepared[cql] = statement
+                # The link may be another one than that which has prepared it.
+                self._cluster.add_prepared(statement.query_id, statement)
         return statement
 
     def _prepare_new(self, cql: str) -> PreparedStatement:
@@ -268,9 +306,17 @@ class Cassandra:
             bound = self.prepare(cql).bind(tuple(params))
             if consistency is not None:
                 bound.consistency_level = consistency
-            return list(self._session.execute(bound))
+            return self._all_rows(self._session.execute_async(bound, timeout=None))
 
         return retried(what, run, seconds=retry_sec, outage=self.outage)
+
+    def _all_rows(self, future: ResponseFuture) -> list[CqlRow]:
+        """Wait for all pages of an answer."""
+        rows: list[CqlRow] = list(answered(future, self.outage).current_rows)
+        while future.has_more_pages:
+            future.start_fetching_next_page()
+            rows += answered(future, self.outage).current_rows
+        return rows
 
     def system_schema(self, of: str, names: str, keyspace: str, table: str = "") -> list[CqlRow]:
         """Read what the server's schema says of a keyspace, or of one of its tables.
@@ -321,7 +367,11 @@ class Cassandra:
         bound = self.prepare(cql).bind(tuple(params))
         bound.is_idempotent = False
         with translated(what):
-            return list(self._session.execute(bound))
+            return self._all_rows(self._open_session().execute_async(bound, timeout=None))
+
+    def _open_session(self) -> Session:
+        """Return the session for a request that is made once; another one where it has ended."""
+        return self._links.await_open(RETRY_SEC).session
 
     def begin(
         self, cql: str, params: Sequence[object] = (), *, what: str, retry_sec: Seconds = RETRY_SEC
@@ -332,11 +382,7 @@ class Cassandra:
 
         def answer() -> list[CqlRow]:
             try:
-                rows: list[CqlRow] = list(answered(future).current_rows)
-                while future.has_more_pages:
-                    future.start_fetching_next_page()
-                    rows += answered(future).current_rows
-                return rows
+                return self._all_rows(future)
             except DRIVER_ERRORS:
                 return self.execute(cql, params, what=what, retry_sec=retry_sec)
 
@@ -357,7 +403,7 @@ class Cassandra:
         """
         self.require_open()
         with translated(what):
-            result = self._session.execute(SimpleStatement(cql), timeout=60.0)
+            result = self._open_session().execute(SimpleStatement(cql), timeout=60.0)
             deadline = time.monotonic() + 30.0
             agreed = result.response_future.is_schema_agreed
             while not agreed and time.monotonic() < deadline:
@@ -369,25 +415,27 @@ class Cassandra:
         """Run one statement that cannot be prepared, and is no change of the schema, once."""
         self.require_open()
         with translated(what):
-            self._session.execute(SimpleStatement(cql))
+            self._open_session().execute(SimpleStatement(cql))
 
     def use_keyspace(self, keyspace: str) -> None:
         """Learn how a keyspace is replicated: rows then go straight to a node that has them."""
         self.require_open()
         with translated(f"reading the replication of keyspace {keyspace}"):
-            self._cluster.refresh_keyspace_metadata(keyspace)
+            self._links.await_open(RETRY_SEC).cluster.refresh_keyspace_metadata(keyspace)
+        self._keyspaces.add(keyspace)
 
     # ---------------------------------------------------------------- for writer and reader
 
     def send_raw(self, statement: Statement) -> ResponseFuture:
         """Send a bound or batch statement; the rows of its answer are undecoded bytes."""
         self.require_open()
-        return self._raw_session.execute_async(statement, timeout=REQUEST_TIMEOUT_SEC)
+        raw_session = self._links.current.raw_session
+        return raw_session.execute_async(statement, timeout=REQUEST_TIMEOUT_SEC)
 
     def ask_raw(self, statement: Statement) -> ResponseFuture:
         """Send a statement as send_raw does, for somebody who waits for its answer by answered."""
         self.require_open()
-        return self._raw_session.execute_async(statement, timeout=None)
+        return self._links.current.raw_session.execute_async(statement, timeout=None)
 
     def server_time_us(self) -> int:
         """Tell the time of a server, microseconds since 1970: what it stamps writes with."""
@@ -408,7 +456,9 @@ class Cassandra:
         """Close the connection; a second call is harmless."""
         if not self._closed:
             self._closed = True
-            self._cluster.shutdown()
+            # Where the program is to end, a server that is silent is not told of it.
+            hurried = self.outage.left_sec < math.inf
+            self._links.close(LAST_WORD_SEC if hurried else None)
 
     def __enter__(self) -> Cassandra:
         return self

@@ -12,14 +12,23 @@ from typing import Callable
 from cassandra.cluster import ResponseFuture
 from cassandra.query import Statement
 
+from cassandra_ros.errors import StoreUnavailable
 from cassandra_ros.store.driver_errors import is_busy, is_passing
 from cassandra_ros.store.outage import Outage
-from cassandra_ros.store.paging import BUSY_PAUSE_SEC, FIRST_PAUSE_SEC, LAST_PAUSE_SEC, Patience
+from cassandra_ros.store.paging import (
+    BUSY_PAUSE_SEC,
+    FIRST_PAUSE_SEC,
+    LAST_PAUSE_SEC,
+    LOOK_SEC,
+    Patience,
+)
 
 MAX_BYTES = 4 * 1024 * 1024
 """Eight chunks of large messages, or 16 batches. More is no faster, and a server refuses to read on
 when one address sends it heap / 40 ahead."""
 MAX_REQUESTS = 16
+
+_GIVEN_UP = "the program is to end, and the store does not answer"
 
 Outcome = Callable[["BaseException | None"], None]
 
@@ -33,7 +42,6 @@ class _Request:
     """When its turn came; monotonic."""
     pause: float = FIRST_PAUSE_SEC
     settled: bool = False
-    counted: bool = False
 
 
 class Flight:
@@ -54,7 +62,7 @@ class Flight:
         self._outage = outage
         self._changed = threading.Condition()
         self._bytes = 0
-        self._requests = 0
+        self._requests: set[_Request] = set()
 
     def submit(self, statement: Statement, nbytes: int, outcome: Outcome) -> None:
         """Send a statement of so many bytes; blocks while too much is in the air."""
@@ -63,11 +71,12 @@ class Flight:
             with self._changed:
                 # One that is over the bound alone is sent when nothing else is in the air.
                 while self._requests and (
-                    self._requests >= MAX_REQUESTS or self._bytes + nbytes > MAX_BYTES
+                    len(self._requests) >= MAX_REQUESTS or self._bytes + nbytes > MAX_BYTES
                 ):
-                    self._changed.wait()
-                request.counted = True
-                self._requests += 1
+                    self._changed.wait(LOOK_SEC)
+                    if self._is_over():
+                        raise StoreUnavailable(_GIVEN_UP)
+                self._requests.add(request)
                 self._bytes += nbytes
             request.begun = time.monotonic()
             self._launch(request)
@@ -83,9 +92,18 @@ class Flight:
 
     def wait(self) -> None:
         """Return when every statement has its outcome."""
-        with self._changed:
-            while self._requests:
-                self._changed.wait()
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: not self._requests, LOOK_SEC)
+                if not self._requests:
+                    return
+                late = list(self._requests) if self._is_over() else []
+            for request in late:
+                self._settle(request, StoreUnavailable(_GIVEN_UP))
+
+    def _is_over(self) -> bool:
+        """Say whether the program is to end, and the store does not answer."""
+        return self._outage is not None and self._outage.left_sec <= 0
 
     def _launch(self, request: _Request) -> None:
         try:
@@ -109,7 +127,8 @@ class Flight:
     def _failed(self, exc: BaseException, request: _Request) -> None:
         busy, now = is_busy(exc), time.monotonic()
         trying_sec = now - request.begun
-        if not (busy or is_passing(exc)) or now > self._patience.ends(request.begun):
+        ends = now if self._is_over() else self._patience.ends(request.begun)
+        if not (busy or is_passing(exc)) or now >= ends:
             self._settle(request, exc)
             return
         pause = BUSY_PAUSE_SEC
@@ -134,7 +153,7 @@ class Flight:
             request.outcome(exc)
         finally:
             with self._changed:
-                if request.counted:
-                    self._requests -= 1
+                if request in self._requests:
+                    self._requests.remove(request)
                     self._bytes -= request.nbytes
                 self._changed.notify_all()

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from typing import Callable
@@ -18,6 +19,8 @@ GRACE_SEC = 2.0
 STUBBORN_SEC = 10.0
 """A request that fails for so long is told, also where others are answered."""
 REPEAT_SEC = 60.0
+HURRY_SEC = 1.5
+"""How long a program that is to end waits for an answer, from the last one on, s."""
 
 
 class Outage:
@@ -30,18 +33,40 @@ class Outage:
         waiting: Returns what waits for the store and how long it is kept, for the lines that tell
             of an outage; '' = nothing to be said. Whoever keeps something sets it.
         hint: Returns what else is known of the reason; as above.
+        failing: Called with each failure, and how long requests have failed without one that was
+            answered, s; it must not block.
     """
 
     def __init__(self, where: str) -> None:
         self._where = where
         self.waiting: Callable[[], str] = str
         self.hint: Callable[[], str] = str
+        self.failing: Callable[[float], object] = float
         self._mutex = threading.Lock()
         self._failing_since: float | None = None
         """When the first request failed since the last one was answered; monotonic."""
         self._told: float | None = None
         """When the outage was told of last."""
         self._grumbled = -REPEAT_SEC
+        self._hurried: float | None = None
+        """When waits were told to end; monotonic."""
+        self._heard = 0.0
+        """When a request was answered last, since then; monotonic."""
+
+    def hurry(self) -> None:
+        """Let each wait end in which nothing is answered for HURRY_SEC: the program is to end.
+
+        A signal handler may call it.
+        """
+        self._hurried = time.monotonic()
+
+    @property
+    def left_sec(self) -> float:
+        """How long one more answer may be waited for, s; inf = as long as each wait says."""
+        hurried = self._hurried
+        if hurried is None:
+            return math.inf
+        return max(hurried, self._heard) + HURRY_SEC - time.monotonic()
 
     @property
     def seconds(self) -> float:
@@ -55,7 +80,13 @@ class Outage:
         with self._mutex:
             if self._failing_since is None:
                 self._failing_since = now
-            away, first = now - self._failing_since, self._told is None
+            away = now - self._failing_since
+        self.failing(away)
+        self._tell(exc, trying_sec, now, away)
+
+    def _tell(self, exc: BaseException, trying_sec: float, now: float, away: float) -> None:
+        with self._mutex:
+            first = self._told is None
             if away >= GRACE_SEC and (first or now - (self._told or now) >= REPEAT_SEC):
                 self._told = now
             elif first and trying_sec >= STUBBORN_SEC and now - self._grumbled >= REPEAT_SEC:
@@ -72,6 +103,8 @@ class Outage:
 
     def answered(self) -> None:
         """Note that a request was answered; cheap while all are."""
+        if self._hurried is not None:
+            self._heard = time.monotonic()
         if self._failing_since is None:
             return
         with self._mutex:

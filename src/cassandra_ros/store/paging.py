@@ -32,6 +32,8 @@ RETRY_SEC = 30.0
 BUSY_PAUSE_SEC = 0.002
 FIRST_PAUSE_SEC = 0.1
 LAST_PAUSE_SEC = 5.0
+LOOK_SEC = 0.2
+"""How often a wait looks whether the program is to end, s."""
 GROWTH = 4
 """How much larger a page is than the one before, where little was wanted at first."""
 
@@ -108,7 +110,8 @@ def retried(
             now = time.monotonic()
             trying_sec = now - begun
             ends = seconds.ends(begun) if isinstance(seconds, Patience) else begun + seconds
-            if not is_passing(exc) or now + pause > ends:
+            over = outage is not None and outage.left_sec <= 0
+            if not is_passing(exc) or now + pause > ends or over:
                 raise translate(exc, what) from exc
             if not is_busy(exc):
                 if outage is not None:
@@ -117,7 +120,14 @@ def retried(
                     _log.warning("%s; trying again", translate(exc, what))
                 told = True
                 later = min(2 * later, LAST_PAUSE_SEC)
-        time.sleep(pause)
+        _rest(pause, outage)
+
+
+def _rest(seconds: float, outage: Outage | None) -> None:
+    """Sleep for so long, or until the waits of the program are to end."""
+    ends = time.monotonic() + seconds
+    while (left := ends - time.monotonic()) > 0 and (outage is None or outage.left_sec > 0):
+        time.sleep(min(left, LOOK_SEC))
 
 
 def sent_ahead(requests: Iterable[_T], count: int) -> Iterator[_T]:
@@ -130,13 +140,19 @@ def sent_ahead(requests: Iterable[_T], count: int) -> Iterator[_T]:
     yield from sent
 
 
-def answered(future: ResponseFuture) -> ResultSet:
+def answered(future: ResponseFuture, outage: Outage | None = None) -> ResultSet:
     """Wait for the answer of a request that was sent without a time limit, as if it had one.
 
     The driver's own limit is a timer, for which each request wakes the driver's thread.
+
+    Args:
+        outage: Says when the waits of the program are to end.
     """
-    if not future._event.wait(REQUEST_TIMEOUT_SEC):
-        future._on_timeout()
+    ends = time.monotonic() + REQUEST_TIMEOUT_SEC
+    while not future._event.wait(LOOK_SEC):
+        if time.monotonic() >= ends or (outage is not None and outage.left_sec <= 0):
+            future._on_timeout()
+            break
     return future.result()
 
 
@@ -148,6 +164,7 @@ class Asked:
             where a later page fails the rest is asked for from there, so no row comes twice.
         first_rows: Rows of the first page; each further one has GROWTH times as many, up to those
             of the statement, and is not asked for ahead before that. 0 = all are that large.
+        outage: Hears of answers and failures.
 
     Attributes:
         more: There are pages behind the one that was read.
@@ -161,8 +178,10 @@ class Asked:
         refused: Optional[Refused] = None,
         on_page: Optional[OnPage] = None,
         first_rows: int = 0,
+        outage: Optional[Outage] = None,
     ) -> None:
         self._send = send
+        self._outage = outage
         self._statement_from = statement_from
         self._what = what
         self._refused = refused
@@ -195,7 +214,7 @@ class Asked:
         if self._failed:
             self._future, self._failed = self._ask(), False
         try:
-            rows: Sequence[RawRow] = answered(self._future).current_rows
+            rows: Sequence[RawRow] = answered(self._future, self._outage).current_rows
             self.more = self._future.has_more_pages
             return rows
         except DRIVER_ERRORS:
@@ -204,7 +223,7 @@ class Asked:
 
     def page(self) -> Sequence[RawRow]:
         """Wait for the page that is asked for; raises as retried does."""
-        return retried(self._what, self._result, refused=self._refused)
+        return retried(self._what, self._result, refused=self._refused, outage=self._outage)
 
     def pages(self, *, ahead: bool = True) -> Iterator[Sequence[RawRow]]:
         """Yield the pages; ahead: the next is asked for before one is yielded, not behind it."""

@@ -16,7 +16,7 @@ from cassandra_ros.keys import Position
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.names import chunk_table_name, qualified, quote_name
-from cassandra_ros.store.paging import Asked, OnPage, RawRow, Refused, retried
+from cassandra_ros.store.paging import Asked, OnPage, RawRow, Refused, answered, retried
 from cassandra_ros.store.raw_page import Places
 
 UNSET = UNSET_VALUE
@@ -366,8 +366,7 @@ class RowTable:
             left = _encode_ends(ends, read or last, reverse)
             return bind(statement, (*place, *left, *values), page_rows)
 
-        send, doing = self._cassandra.ask_raw, self._doing(what)
-        return Asked(send, rest, doing, refused, on_page, first_rows)
+        return self._asked(rest, what, refused, on_page, first_rows)
 
     def ask_row(self, place: tuple[bytes, bytes], t: int, seq: int | None) -> Asked:
         """Ask for all of a row; seq None = of the first with its time.
@@ -382,7 +381,18 @@ class RowTable:
 
     def send(self, statement: Statement, what: str = "reading") -> Asked:
         """Send a statement whose answer is one page, or of which only one is wanted."""
-        return Asked(self._cassandra.ask_raw, lambda last: statement, self._doing(what))
+        return self._asked(lambda last: statement, what)
+
+    def _asked(
+        self,
+        statement_from: Callable[[RawRow | None], Statement],
+        what: str,
+        refused: Refused | None = None,
+        on_page: OnPage | None = None,
+        first_rows: int = 0,
+    ) -> Asked:
+        send, outage = self._cassandra.ask_raw, self._cassandra.outage
+        return Asked(send, statement_from, self._doing(what), refused, on_page, first_rows, outage)
 
     def collect(
         self,
@@ -400,9 +410,11 @@ class RowTable:
         begun = [sent] if sent is not None else []
 
         def run() -> _T:
-            return make((begun.pop() if begun else self.begin(statement)).future.result())
+            future = (begun.pop() if begun else self.begin(statement)).future
+            return make(answered(future, outage))
 
-        return retried(self._doing(what), run, outage=self._cassandra.outage)
+        outage = self._cassandra.outage
+        return retried(self._doing(what), run, outage=outage)
 
     def begin(self, statement: BoundStatement) -> Sent:
         """Send a statement whose rows collect is to give."""

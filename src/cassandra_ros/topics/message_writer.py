@@ -357,7 +357,8 @@ class MessageWriter:
             try:
                 return self.current(handle)
             except StoreUnavailable:
-                if time.monotonic() >= self._rows.patience.ends(begun):
+                over = self._keyspace.cassandra.outage.left_sec <= 0
+                if over or time.monotonic() >= self._rows.patience.ends(begun):
                     raise
                 time.sleep(TABLE_PAUSE_SEC)
 

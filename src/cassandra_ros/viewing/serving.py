@@ -47,8 +47,13 @@ async def _serve(
     settings: ViewerSettings, store: RosCassandra, ready: Callable[[str], None]
 ) -> None:
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
+
+    def end() -> None:
+        store.cassandra.outage.hurry()
+        ended.set()
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, ended.set)
+        loop.add_signal_handler(number, end)
     async with listening(settings, store) as port:
         ready(address(settings, port))
         await ended.wait()

@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     (start, end), begun = read_times(options), time.monotonic()
     with open_store(options) as ros_cas:
         topics = stored_topics(ros_cas, options)
-        with MessageBar("checking") as bar, SafeInterrupt() as stop:
+        with MessageBar("checking") as bar, SafeInterrupt(ros_cas.cassandra.outage) as stop:
 
             def progress(done: int, total: int) -> None:
                 bar.reach(done, total)

@@ -42,7 +42,9 @@ def run(options: argparse.Namespace) -> int:
         reports = []
         for topic in stored_topics(ros_cas, options) or ():
             begun = time.monotonic()
-            with MessageBar(f"converting {shown(topic)}") as bar, SafeInterrupt() as stop:
+            with MessageBar(f"converting {shown(topic)}") as bar, SafeInterrupt(
+                ros_cas.cassandra.outage
+            ) as stop:
 
                 def progress(done: int, total: int, bar: MessageBar = bar) -> None:
                     bar.reach(done, total)

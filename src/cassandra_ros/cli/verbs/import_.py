@@ -47,6 +47,7 @@ from cassandra_ros.errors import (
 if TYPE_CHECKING:
     from cassandra_ros.bag.importer import ImportReport
     from cassandra_ros.bag.message_file import Progress
+    from cassandra_ros.store.outage import Outage
     from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 
@@ -74,6 +75,8 @@ class _Outcome:
 
 
 _WHOLE = ("stored", "salvaged")
+LOOK_SEC = 0.2
+"""How often an import that is to end looks whether the store still answers, s."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -153,7 +156,7 @@ def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> Im
         total = reader.message_count
     begun, name = time.monotonic(), os.path.basename(path)
     first, second = MessageBar(f"reading {name}", total), MessageBar(f"importing {name}", count)
-    with first, second, SafeInterrupt() as stop:
+    with first, second, SafeInterrupt(ros_cas.cassandra.outage) as stop:
 
         def shown_by(bar: MessageBar) -> Progress:
             def add(messages: int, size: int) -> None:
@@ -233,15 +236,23 @@ def _answer(outcome: _Outcome) -> dict[str, object]:
 class SafeInterrupt:
     """Ctrl-C and SIGTERM at a moment of our choice: between two messages, not amid a write.
 
-    While it is entered, the first signal waits for check(); a second one acts at once.
+    While it is entered, the first signal waits for check(), or until the store has answered
+    nothing for a moment; a second one acts at once.
+
+    Args:
+        outage: Of the store; its waits end then.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, outage: Outage) -> None:
+        self._outage = outage
         self._came: int | None = None
         self._handlers: dict[int, signal._HANDLER] = {}
+        self._alarm: signal._HANDLER = None
 
     def check(self) -> None:
         """Raise KeyboardInterrupt after a Ctrl-C, SystemExit with a shell's status on SIGTERM."""
+        if self._came is not None:
+            self._quiet()  # what tidies up now is not to be cut off
         if self._came == signal.SIGINT:
             raise KeyboardInterrupt
         if self._came is not None:
@@ -250,6 +261,19 @@ class SafeInterrupt:
     def _note(self, number: int, frame: FrameType | None) -> None:
         self._came = number
         self._restore()
+        self._outage.hurry()
+        self._alarm = signal.signal(signal.SIGALRM, self._look)
+        signal.setitimer(signal.ITIMER_REAL, LOOK_SEC, LOOK_SEC)
+
+    def _look(self, number: int, frame: FrameType | None) -> None:
+        if self._outage.left_sec <= 0:
+            self.check()
+
+    def _quiet(self) -> None:
+        if self._alarm is not None:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, self._alarm)
+            self._alarm = None
 
     def _restore(self) -> None:
         while self._handlers:
@@ -262,5 +286,7 @@ class SafeInterrupt:
 
     def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
         self._restore()
-        if kind is None:
+        self._quiet()
+        # An error of the store is no news where its waits were told to end.
+        if kind is None or issubclass(kind, CassandraRosError):
             self.check()
