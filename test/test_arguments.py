@@ -10,7 +10,7 @@ import pytest
 from geometry_msgs.msg import Twist
 from std_msgs.msg import String, UInt8MultiArray
 
-from cassandra_ros.arguments import MAX_MESSAGE_NAME_BYTES, MAX_NODE_BYTES, MAX_TOPIC_BYTES
+from cassandra_ros.arguments import MAX_MESSAGE_NAME_BYTES, MAX_NAME_BYTES
 from cassandra_ros.errors import (
     CassandraRosError,
     InvalidKey,
@@ -124,8 +124,8 @@ def test_nodeID_wherever_it_is_taken(filled):
 
 def test_the_longest_names_can_be_stored(rosCas):
     """Of a message in chunks, for its pieces have the longest partition keys."""
-    node, name = "ä" * (MAX_NODE_BYTES // 2) + "x", "k" * MAX_MESSAGE_NAME_BYTES
-    topic = rosCas.addTopic("/" + "t" * (MAX_TOPIC_BYTES - 1), key_format="manual", nodeID=node)
+    node, name = "ä" * (MAX_NAME_BYTES // 2), "k" * MAX_MESSAGE_NAME_BYTES
+    topic = rosCas.addTopic("/" + "t" * (MAX_NAME_BYTES - 1), key_format="manual", nodeID=node)
     key = topic.addData(UInt8MultiArray(data=bytes(700_000)), key=name)
     assert len(topic.getData(key).data) == len(topic.getData(name, nodeID=node).data) == 700_000
     assert topic.getMeta["nodeIDs"] == [node]

@@ -17,11 +17,13 @@ from cassandra_ros.errors import CassandraRosError, InvalidKey, InvalidName, Inv
 from cassandra_ros.keys import KEY_FORMATS, MAX_WRITER
 from cassandra_ros.metadata import FACTS
 
-MAX_TOPIC_BYTES = 65_535
-"""CQL has no longer name in the map in which a run counts the messages of its topics."""
+MAX_NAME_BYTES = 256
+"""Maximum length of a new name: of a topic, a robot, a run or a label, and of a label's text. What
+was stored under a longer name by an earlier version is still read and deleted."""
 MAX_MESSAGE_NAME_BYTES = 4096
 MAX_NODE_BYTES = 61_411
-"""Beside a name, a time and a counter in a partition key, which has 65,535 bytes in all."""
+"""Maximum length of a nodeID that is asked for. Beside a name, a time and a counter a partition key
+of 65,535 bytes holds no longer one."""
 MAX_TEXT_BYTES = 1 << 20
 """Each client reads every comment: a topic's metadata are no place for files."""
 MAX_LIMIT = 2**63 - 1
@@ -84,6 +86,12 @@ def check_node(node: Any) -> str:
     return check_text("nodeID", node, MAX_NODE_BYTES, InvalidName, wanted)
 
 
+def check_new_node(node: Any) -> str:
+    """Return a nodeID under which messages can be stored, '' = no robot, or raise InvalidName."""
+    wanted = f"the name of a robot, as 'robot_1', of up to {MAX_NAME_BYTES} bytes"
+    return check_text("nodeID", node, MAX_NAME_BYTES, InvalidName, wanted)
+
+
 def check_nodes(node: Any) -> Optional[tuple[str, ...]]:
     """Return the nodes whose messages a nodeID asks for, None = all, or raise InvalidName."""
     return None if node is None else (check_node(node),)
@@ -99,16 +107,22 @@ def check_run(run: Any) -> Union[None, str, int]:
     return check_text("run", run, MAX_TEXT_BYTES, InvalidName, wanted)
 
 
+def check_run_name(name: Any) -> str:
+    """Return a name that a new run can have, '' = none, or raise InvalidName."""
+    wanted = f"the name of a run, of up to {MAX_NAME_BYTES} bytes"
+    return check_text("run.name", name, MAX_NAME_BYTES, InvalidName, wanted)
+
+
 def check_labels(labels: Any) -> dict[str, str]:
-    """Return the labels of a run, texts by texts, or raise InvalidName."""
+    """Return labels that a new run can have, texts by texts, or raise InvalidName."""
     if not isinstance(labels, Mapping):
         raise InvalidName(
             f"labels={_shown(labels)} are no mapping: give one like {{'site': 'lab'}}"
         )
-    wanted = "labels that are texts, as {'site': 'lab'}"
+    wanted = f"labels that are texts of up to {MAX_NAME_BYTES} bytes, as {{'site': 'lab'}}"
     return {
-        check_text("label", name, MAX_NODE_BYTES, InvalidName, wanted): check_text(
-            f"label {name}", text, error=InvalidName, wanted=wanted
+        check_text("label", name, MAX_NAME_BYTES, InvalidName, wanted): check_text(
+            f"label {name}", text, MAX_NAME_BYTES, InvalidName, wanted
         )
         for name, text in labels.items()
     }
@@ -123,8 +137,8 @@ def check_topic(topic: Any) -> str:
 
 def check_new_topic(topic: Any) -> str:
     """Return the name of a topic if a table can be made for it, or raise InvalidName."""
-    wanted = f"a name like '/scan', of up to {MAX_TOPIC_BYTES} bytes"
-    name = check_text("topic", topic, MAX_TOPIC_BYTES, InvalidName, wanted)
+    wanted = f"a name like '/scan', of up to {MAX_NAME_BYTES} bytes"
+    name = check_text("topic", topic, MAX_NAME_BYTES, InvalidName, wanted)
     if not name or "\0" in name:
         raise InvalidName(f"{name!r:.80} is not a topic name: it is empty or contains NUL")
     return name

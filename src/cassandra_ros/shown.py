@@ -1,6 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How things are shown where Python is typed: names that a person uses, tables in a notebook."""
+"""How things are shown: text from outside on a terminal, names and tables where Python is typed.
+
+Names of runs, topics, robots and labels come from bags, publishers and other clients. Whatever is
+printed of them goes through here, so that no escape sequence reaches the terminal.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,34 @@ from typing import Callable, Container, Iterable, List, Mapping, Optional, Seque
 MOST_ROWS = 60
 """A table that is shown has no more rows; as pandas."""
 
+MOST_CHARACTERS = 256
+"""Maximum number of characters shown of a name: as many as a new name may have."""
+
 _Item = TypeVar("_Item")
+
+
+def shown(text: str, most: int | None = MOST_CHARACTERS) -> str:
+    """Return text from outside as one line that is safe for a terminal.
+
+    Args:
+        text: Characters that are not printable are escaped, line breaks too.
+        most: Maximum number of characters; a longer text ends in '…'. None = no limit.
+    """
+    line = text if most is None else text[: most + 1]
+    if not line.isprintable():
+        line = "".join(map(_printable, line))
+    return line if most is None or len(line) <= most else line[: most - 1] + "…"
+
+
+def shown_lines(text: str) -> str:
+    """Return text of several lines, safe for a terminal: only line breaks and tabs are kept."""
+    if text.replace("\n", "").replace("\t", "").isprintable():
+        return text
+    return "".join(c if c in "\n\t" else _printable(c) for c in text)
+
+
+def _printable(c: str) -> str:
+    return c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 
 def public_names(thing: object, inner: Container[str]) -> list[str]:

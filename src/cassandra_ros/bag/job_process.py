@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from types import FrameType
 from typing import Callable, Dict, Iterator, List, Optional, Tuple
 
-from cassandra_ros.arguments import check_node
+from cassandra_ros.arguments import check_new_node
 from cassandra_ros.bag.message_file import MessageFile, Stretch
 from cassandra_ros.bag.opening import open_file
 from cassandra_ros.bag.read_ahead import ReadAhead
@@ -116,7 +116,7 @@ def bag_writer(
 ) -> MessageWriter:
     """Make the writer for a bag or for a part of it."""
     # Blocks are not sealed by time, nor do they depend on the topics that are chosen.
-    limits, node = limits_for(len(reader.connections)), check_node(node)
+    limits, node = limits_for(len(reader.connections)), check_new_node(node)
     return MessageWriter(ros_cas.parts, writer_id, format=format, node=node, run=run, limits=limits)
 
 

@@ -29,8 +29,9 @@ def add_json_option(parser: argparse._ActionsContainer) -> None:
 
 
 def print_json(answer: object) -> None:
-    """Print an answer as JSON: all that plain() takes."""
-    print(json.dumps(plain(answer), ensure_ascii=False, allow_nan=False, indent=1))
+    """Print an answer as JSON: all that plain() takes. What is not printable is escaped."""
+    text = json.dumps(plain(answer), ensure_ascii=False, allow_nan=False, indent=1)
+    print("".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text))
 
 
 def plain(value: object) -> object:

@@ -32,6 +32,13 @@ def make_parser() -> argparse.ArgumentParser:
     return verbs_parser(PROGRAM, __doc__, VERBS, add_arguments)
 
 
+class _ErrorLines(logging.Formatter):
+    """Writes a record as errors are written."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return error_line(PROGRAM, super().format(record))
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the verb that the arguments name.
 
@@ -46,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     answer_shell(parser)
     options = parser.parse_args(strip_remappings(argv))
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter(error_line(PROGRAM, "%(message)s")))
+    handler.setFormatter(_ErrorLines())
     logger = logging.getLogger("cassandra_ros")
     logger.addHandler(handler)
     # The driver's own warnings speak of things that its caller chose.

@@ -58,7 +58,8 @@ def _completer(offer: _Offer) -> Callable[..., List[str]]:
             if of_files is not None:
                 return of_files
             with open_store(parsed_args, make=True) as ros_cas:
-                return sorted(offer(ros_cas, parsed_args))
+                # A shell prints what it is offered, and cannot type what is not printable.
+                return sorted(filter(str.isprintable, offer(ros_cas, parsed_args)))
         except CassandraRosError:
             return []  # a Tab is no place for an error
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Callable, Sequence
 
 from cassandra_ros.errors import ConnectionFailed, InvalidKey, InvalidOption, TlsMismatch
 from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
+from cassandra_ros.shown import shown_lines
 from cassandra_ros.store.address import (
     DEFAULT_HOST,
     DEFAULT_KEYSPACE,
@@ -188,7 +189,7 @@ def _connect(options: argparse.Namespace) -> RosCassandra:
                 raise ConnectionFailed(reason) from exc
             if not told:
                 text = f"waiting up to {options.wait:g} s for the store: {reason}"
-                print(text, file=sys.stderr, flush=True)
+                print(shown_lines(text), file=sys.stderr, flush=True)
             told = True
             time.sleep(min(RETRY_SEC, max(ends - time.monotonic(), 0.0)))
 

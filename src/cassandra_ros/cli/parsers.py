@@ -11,6 +11,7 @@ import sys
 from typing import Callable, Mapping, NoReturn
 
 from cassandra_ros.installation import shipped_file
+from cassandra_ros.shown import shown_lines
 
 _STATUSES = """\
 exit status:
@@ -23,7 +24,7 @@ _RAW = argparse.RawDescriptionHelpFormatter
 
 def error_line(program: str, text: object) -> str:
     """Return what a program prints on standard error where something failed: PROGRAM: why."""
-    return f"{program}: {text}"
+    return f"{program}: {shown_lines(str(text))}"
 
 
 def _closing(program: str, more: str) -> str:

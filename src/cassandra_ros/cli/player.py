@@ -40,8 +40,8 @@ from cassandra_ros.cli.readers import (
     seconds,
     whole_number,
 )
-from cassandra_ros.cli.text import shown
 from cassandra_ros.errors import InvalidName, InvalidOption
+from cassandra_ros.shown import shown, shown_lines
 
 if TYPE_CHECKING:
     from cassandra_ros.nodes.player import PlayerState
@@ -225,7 +225,7 @@ def main() -> int:
 
     def say(text: str) -> None:
         if not options.quiet:
-            print(text, flush=True)
+            print(shown_lines(text), flush=True)
 
     with open_store(options) as ros_cas, Keyboard() as keyboard:
         shows = not options.quiet and sys.stdout.isatty()

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from functools import partial
 from typing import Callable, Sequence
 
 from cassandra_ros.cli.completion import answer_shell
@@ -23,6 +22,7 @@ from cassandra_ros.cli.options import (
     strip_remappings,
 )
 from cassandra_ros.cli.parsers import program_parser
+from cassandra_ros.shown import shown_lines
 
 PROGRAM = "query_server"
 
@@ -78,5 +78,5 @@ def main() -> int:
 
     options = read_options(parser, words, start_node(sys.argv))
     with open_store(options, make=True) as ros_cas:
-        serve(ros_cas, partial(print, flush=True), options.allow_writes)
+        serve(ros_cas, lambda text: print(shown_lines(text), flush=True), options.allow_writes)
     return 0

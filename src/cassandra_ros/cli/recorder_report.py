@@ -7,7 +7,8 @@ from __future__ import annotations
 import shutil
 from typing import TYPE_CHECKING, Optional, Sequence, TextIO
 
-from cassandra_ros.cli.text import format_bytes, format_table, shown
+from cassandra_ros.cli.text import format_bytes, format_table
+from cassandra_ros.shown import shown, shown_lines
 
 if TYPE_CHECKING:
     from cassandra_ros.recording.counts import TopicReport
@@ -37,7 +38,7 @@ class StatusLine:
     def say(self, text: str, quiet: bool) -> None:
         """Print a line above the status."""
         if not quiet:
-            print((_CLEAR if self._stands else "") + text, flush=True)
+            print((_CLEAR if self._stands else "") + shown_lines(text), flush=True)
         self._stands = False
 
     def show(self, status: Status, rates: Rates) -> None:
@@ -120,7 +121,7 @@ def closing_table(reports: Sequence[TopicReport], *, rates: bool = True) -> str:
     for report in reports:
         for kind, count in report.reasons.items():
             why = ": ".join(filter(None, (kind.value, report.details.get(kind, ""))))
-            lines.append(f"{shown(report.topic)}: {count or 'some'} lost: {shown(why)}")
+            lines.append(f"{shown(report.topic)}: {count or 'some'} lost: {shown(why, None)}")
     return "\n".join(lines)
 
 
@@ -142,5 +143,5 @@ def plan_table(plan: Sequence[PlannedTopic], options: RecorderOptions) -> str:
     lines += [f"label {shown(key)}={shown(value)}" for key, value in options.labels.items()]
     lines.append(format_table(names, rows) if rows else "no topic would be recorded now")
     for each in plan:
-        lines += [f"{shown(each.topic)} {shown(text)}" for text in each.differences]
+        lines += [f"{shown(each.topic)} {shown(text, None)}" for text in each.differences]
     return "\n".join(lines)

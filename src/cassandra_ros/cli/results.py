@@ -14,11 +14,12 @@ from types import ModuleType
 from typing import IO, TYPE_CHECKING, Any, Iterable, Iterator, Sequence, Tuple
 
 from cassandra_ros.arrays.array_types import ArrayType
-from cassandra_ros.cli.text import align, shown
+from cassandra_ros.cli.text import align
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import Stamp, iso_time
 from cassandra_ros.query.json_values import json_value, to_json
+from cassandra_ros.shown import shown
 
 if TYPE_CHECKING:
     import pyarrow
@@ -64,8 +65,7 @@ def _are_numbers(column: Sequence[object]) -> bool:
 
 
 def _cell(value: object) -> str:
-    text = "-" if value is None else shown(_text(value))
-    return text if len(text) <= MAX_CELL else text[: MAX_CELL - 1] + "…"
+    return "-" if value is None else shown(_text(value), MAX_CELL)
 
 
 def _text(value: object) -> str:

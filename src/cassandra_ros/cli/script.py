@@ -18,6 +18,7 @@ from typing import NoReturn
 
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.installation import explain_missing, is_needed
+from cassandra_ros.shown import shown_lines
 
 EXIT_INTERRUPTED = 128 + signal.SIGINT
 _SIGNALLED = (EXIT_INTERRUPTED, 128 + signal.SIGTERM)
@@ -29,7 +30,7 @@ def run_script(module: str) -> None:
         status = importlib.import_module(module).main()
         sys.stdout.flush()
     except CassandraRosError as exc:
-        status = f"{module.rsplit('.', 1)[-1]}: {exc}"
+        status = f"{module.rsplit('.', 1)[-1]}: {shown_lines(str(exc))}"
     except ModuleNotFoundError as exc:
         if not is_needed(exc):
             raise

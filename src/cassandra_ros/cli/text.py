@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.shown import shown
 
 _UNITS = ("B", "KB", "MB", "GB", "TB")
 _BARS = "▁▂▃▄▅▆▇█"
@@ -21,8 +22,11 @@ _LENGTHS = ((86_400, "d"), (3_600, "h"), (60, "min"), (1, "s"))
 def format_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], right: Collection[str] = ()
 ) -> str:
-    """Align rows under a header, the columns named ``right`` on the right."""
-    lines = [header, *rows]
+    """Align rows under a header, the columns named ``right`` on the right.
+
+    Each cell may be text from outside; see shown.py.
+    """
+    lines = [[shown(cell) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*lines)]
     return "\n".join(align(line, widths, [name in right for name in header]) for line in lines)
 
@@ -65,14 +69,6 @@ def format_duration(ns: int) -> str:
     return f"{f'{hours}hr ' if hours else ''}{minutes}:{seconds:02d}s ({total}s)"
 
 
-def shown(text: str) -> str:
-    """Make text from outside safe for a terminal: what is not printable is escaped."""
-    return "".join(
-        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii")
-        for c in text
-    )
-
-
 def sparkline(values: Sequence[float], encoding: str | None) -> str:
     """Draw numbers of 0 or more as a line of bars, the tallest for the greatest; 0 is a blank.
 
@@ -96,7 +92,13 @@ class MessageBar(tqdm):
     def __init__(self, text: str, total: int | None = None) -> None:
         # disable=None: only where standard error is a terminal.
         super().__init__(
-            desc=text, total=total, unit=" msg", unit_scale=True, delay=1, leave=False, disable=None
+            desc=shown(text),
+            total=total,
+            unit=" msg",
+            unit_scale=True,
+            delay=1,
+            leave=False,
+            disable=None,
         )
 
     def add(self, messages: int, size: int = 0) -> None:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import socket
 import struct
@@ -19,6 +20,7 @@ import rospy
 from cassandra_ros.errors import ClockNotSet
 from cassandra_ros.messages.graph import MasterTransport
 from cassandra_ros.nodes.subscription import subscribe
+from cassandra_ros.shown import shown_lines
 
 _OURS = "cassandra_ros"
 _ROSPY = "rosout"
@@ -68,7 +70,10 @@ class _Forwarder(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         target = logging.getLogger(_ROSPY)
         if target.isEnabledFor(record.levelno):
-            target.handle(record)
+            safe = copy.copy(record)
+            # rospy prints it: names of topics and publishers come from outside.
+            safe.msg, safe.args = shown_lines(record.getMessage()), None
+            target.handle(safe)
 
 
 def log_as_rosout() -> None:

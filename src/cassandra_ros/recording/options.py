@@ -99,8 +99,8 @@ class RecorderOptions:
         named = self.regex and any(re.fullmatch(name, topic) for name in self.topics)
         return (self.all or named) and not self.excludes(topic)
 
-    def run_name(self, number: int) -> str:
-        """Name a run that begins now, the first one with number 0."""
+    def run_name(self, number: int, name: str = "") -> str:
+        """Name a run that begins now, the first has number 0; ``name`` goes before the options'."""
         date = time.strftime("%Y-%m-%d-%H-%M-%S")
-        name = self.output_name or "_".join(filter(None, (self.output_prefix, date)))
+        name = name or self.output_name or "_".join(filter(None, (self.output_prefix, date)))
         return f"{name}_{number}" if self.split else name

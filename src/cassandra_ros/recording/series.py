@@ -13,6 +13,7 @@ import time
 from contextlib import suppress
 from typing import Callable, Mapping, NamedTuple, Optional, Sequence
 
+from cassandra_ros.arguments import check_run_name
 from cassandra_ros.errors import CassandraRosError, TopicNotFound
 from cassandra_ros.recording.counts import TopicReport, merge_reports
 from cassandra_ros.recording.filters import Filters
@@ -33,6 +34,8 @@ RETRY_SEC = 2.0
 """How long a store that does not answer is left alone before the next run is tried."""
 BEGIN_SEC = 1.0
 """How long the begin of the next run is waited for at a time: the end is not to wait for it."""
+_LAST_RUN = 10**9
+"""Number that no run of a recording reaches: its name is checked before the first run begins."""
 MAX_LATCHED = 4096
 """Publishers whose latched message is repeated."""
 
@@ -128,6 +131,7 @@ class Series:
 
     def begin(self, name: str = "", labels: Optional[Mapping[str, str]] = None) -> Recording:
         """Begin a run; '' = named as the options say. Raises what the store raises."""
+        check_run_name(self._options.run_name(_LAST_RUN, name))
         self._name, self._number = name, 0
         self._labels = {**self._options.labels, **(labels or {})}
         current = self._new()
@@ -159,9 +163,7 @@ class Series:
 
     def _new(self) -> Recording:
         options = self._options
-        name = self._name or options.run_name(self._number)
-        if self._name and options.split:
-            name = f"{self._name}_{self._number}"
+        name = options.run_name(self._number, self._name)
         recording = Recording(
             self._rosCas,
             clock=self._clock,

@@ -11,7 +11,7 @@ from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
 import yaml
 
-from cassandra_ros.arguments import check_fields, check_text, check_ttl
+from cassandra_ros.arguments import check_fields, check_labels, check_text, check_ttl
 from cassandra_ros.errors import CassandraRosError, InvalidOption, InvalidQuery
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.query.binding import terms_of_condition
@@ -138,7 +138,8 @@ def read_label(text: str) -> Tuple[str, str]:
     key, equals, value = text.partition("=")
     if not (key.strip() and equals):
         raise InvalidOption(f"{text!r:.80} is no label: give KEY=VALUE, as site=lab")
-    return check_text("label", key.strip()), check_text("label", value.strip())
+    ((key, value),) = check_labels({key.strip(): value.strip()}).items()
+    return key, value
 
 
 def check_condition(value: object) -> str:

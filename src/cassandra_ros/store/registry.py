@@ -15,6 +15,7 @@ from datetime import datetime
 from enum import Enum
 from typing import Container, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
+from cassandra_ros.shown import shown
 from cassandra_ros.store.connection import CqlRow
 from cassandra_ros.store.run_context import RunContext, decode_context, encode_context
 from cassandra_ros.store.side_tables import SideTables
@@ -63,10 +64,10 @@ class Run:
 
     def __repr__(self) -> str:
         start, end = (f"{t:%Y-%m-%dT%H:%M:%SZ}" if t else "?" for t in (self.started, self.ended))
-        parts = [self.kind, f"of {self.node}" if self.node else "", self.state]
+        parts = [self.kind, f"of {shown(self.node)}" if self.node else "", self.state]
         parts += [f"{start} to {end}", f"messages: {sum(self.stored.values())}"]
         parts += [f"lost: {sum(self.lost.values())}"] if any(self.lost.values()) else []
-        parts += [f"{name}={text}" for name, text in self.labels.items()]
+        parts += [shown(f"{name}={text}") for name, text in self.labels.items()]
         return f"<Run {self.name!r} {self.writer}: {', '.join(filter(None, parts))}>"
 
 

@@ -12,7 +12,7 @@ from cassandra_ros.arguments import (
     check_field,
     check_limit,
     check_message_name,
-    check_node,
+    check_new_node,
     check_nodes,
     check_text,
     check_user_keys,
@@ -156,7 +156,7 @@ class CassandraTopic:
             TypeMismatch: The message is of another type; nothing is stored.
             InvalidKey, InvalidName, ClockNotSet, WriteFailed.
         """
-        node = self._wish.metadata.nodeID if nodeID is None else check_node(nodeID)
+        node = self._wish.metadata.nodeID if nodeID is None else check_new_node(nodeID)
         table = self._keyspace.table_for(self._wish, msg)
         kind = table.metadata.key_format
         if kind == "manual":

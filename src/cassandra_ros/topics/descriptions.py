@@ -8,7 +8,7 @@ from typing import Callable, Iterable, Sequence
 
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.shown import Listing, html_table
+from cassandra_ros.shown import Listing, html_table, shown
 from cassandra_ros.store.directory import Directory
 from cassandra_ros.store.registry import Run
 from cassandra_ros.topics.topic_table import TopicTable
@@ -44,6 +44,7 @@ def topic_line(
     name: str, directory: Directory, read_tables: Callable[[], Sequence[TopicTable]]
 ) -> str:
     """Say in a line what a topic is; without tables it has no type yet."""
+    name = shown(name)
     try:
         tables = read_tables()
         if not tables:
@@ -51,12 +52,12 @@ def topic_line(
         facts = topic_facts(directory, tables)
     except CassandraRosError as exc:
         # Who debugs wants to see the object also where its store is away.
-        return f"<CassandraTopic {name}: it cannot be read now: {exc}>"
+        return f"<CassandraTopic {name}: it cannot be read now: {shown(str(exc), None)}>"
     text = f"{facts['type']} in format {facts['format']}, messages: {facts['messages']}"
     if "from" in facts:
         text += f" from {facts['from']} to {facts['to']}"
     if "robots" in facts:
-        text += f", robots: {facts['robots']}"
+        text += f", robots: {shown(facts['robots'])}"
     return f"<CassandraTopic {name}: {text}>"
 
 

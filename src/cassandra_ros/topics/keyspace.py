@@ -13,8 +13,8 @@ from typing import Any, Mapping, Optional, Sequence
 from cassandra_ros.arguments import (
     check_fields,
     check_key_format,
+    check_new_node,
     check_new_topic,
-    check_node,
     check_text,
     check_ttl,
     check_user_keys,
@@ -301,7 +301,7 @@ def wished_topic(
         md5sum="",
         format="" if format is None else format,
         bucket_ns=0,
-        nodeID=check_node(node),
+        nodeID=check_new_node(node),
         ttl=check_ttl(ttl),
         comment=check_text("comment", comment),
         user=check_user_keys({} if user is None else user),

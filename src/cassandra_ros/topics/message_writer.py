@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from cassandra_ros.arguments import (
     check_integer,
     check_labels,
+    check_new_node,
     check_new_topic,
-    check_node,
+    check_run_name,
     check_seconds,
-    check_text,
     check_ttl,
 )
 from cassandra_ros.errors import (
@@ -29,7 +29,6 @@ from cassandra_ros.errors import (
     CorruptMessage,
     DefinitionError,
     InvalidKey,
-    InvalidName,
     InvalidOption,
     StoreUnavailable,
     TopicNotFound,
@@ -184,7 +183,7 @@ class MessageWriter:
         Raises:
             SchemaConflict, StoreUnavailable: The table cannot be made.
         """
-        node = self._node if node is None else check_node(node)
+        node = self._node if node is None else check_new_node(node)
         key = (connection, format or self._format, node)
         with self._mutex:
             known = self._handles.get(key)
@@ -454,7 +453,7 @@ def make_writer(
     if run is not None and not isinstance(run, Run):
         raise InvalidOption(f"run={run!r:.80} describes no run: give a store.registry.Run")
     if run is not None:
-        check_text("run.name", run.name, error=InvalidName, wanted="the name of a run")
+        check_run_name(run.name)
         check_labels(run.labels)
     if writer_id is None:
         writer_id = new_writer_id()
@@ -462,7 +461,7 @@ def make_writer(
         keyspace,
         check_integer("writer_id", writer_id, 1, MAX_WRITER, InvalidKey),
         format=format,
-        node=check_node(node),
+        node=check_new_node(node),
         ttl=check_ttl(ttl),
         linger_sec=check_seconds("linger_sec", linger_sec),
         block_sec=None if block_sec is None else check_seconds("block_sec", block_sec),

@@ -10,6 +10,7 @@ from typing import Optional, Sequence
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.shown import shown
 from cassandra_ros.store.counting import count_part, settle
 from cassandra_ros.store.directory import BucketRow, BucketTotals, Directory
 from cassandra_ros.store.fetch import list_names
@@ -51,12 +52,12 @@ class TopicInfo:
     recordings. None where no bucket holds two of one writer."""
 
     def __repr__(self) -> str:
-        node = f" of {self.node}" if self.node else ""
+        node = f" of {shown(self.node)}" if self.node else ""
         text = f"{self.type} in format {self.format}, messages: {self.count}, bytes: {self.bytes}"
         if self.first_ns is not None and self.last_ns is not None:
             text += f", from {iso_time(self.first_ns)} to {iso_time(self.last_ns)}"
         lost = f", lost: {self.lost}" if self.lost else ""
-        return f"<TopicInfo {self.topic}{node}: {text}{lost}>"
+        return f"<TopicInfo {shown(self.topic)}{node}: {text}{lost}>"
 
 
 def count_rows(

@@ -31,9 +31,9 @@ from cassandra_ros.cli.options import (
     read_where,
 )
 from cassandra_ros.cli.readers import whole_number
-from cassandra_ros.cli.text import shown
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.shown import shown, shown_lines
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.stored_row import StoredRow
@@ -97,9 +97,9 @@ class _Printer:
         message = self._message.of(row)
         if not self._json:
             head = " ".join(
-                filter(None, (shown(row.topic), _time(row.t), row.type, shown(row.node)))
+                filter(None, (shown(row.topic), _time(row.t), shown(row.type), shown(row.node)))
             )
-            return f"# {head}\n{message}\n---\n"
+            return f"# {head}\n{shown_lines(message)}\n---\n"
         known = {
             "topic": row.topic,
             "time_ns": row.t,

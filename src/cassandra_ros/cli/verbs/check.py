@@ -27,9 +27,10 @@ from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, add_time_options, open_store, read_times
-from cassandra_ros.cli.text import MessageBar, format_bytes, format_time, shown
+from cassandra_ros.cli.text import MessageBar, format_bytes, format_time
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
+from cassandra_ros.shown import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.checking import CheckReport
@@ -72,7 +73,7 @@ def _print(report: CheckReport, options: argparse.Namespace, seconds: float) -> 
         if damage.first_ns is not None:
             parts.append(f"{format_time(damage.first_ns)} to {format_time(damage.last_ns)}")
         state = "mended" if damage.mended else "damaged"
-        print(f"{state}: {', '.join(filter(None, parts))}: {shown(damage.text)}")
+        print(f"{state}: {', '.join(filter(None, parts))}: {shown(damage.text, None)}")
     if report.found > len(report.damages):
         print(f"… and {report.found - len(report.damages)} more")
     if report.found or not options.quiet:

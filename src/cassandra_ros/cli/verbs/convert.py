@@ -20,10 +20,11 @@ import time
 
 from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.text import MessageBar, shown
+from cassandra_ros.cli.text import MessageBar
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.shown import shown
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -29,8 +29,9 @@ from cassandra_ros.cli.options import (
     read_times,
     read_where,
 )
-from cassandra_ros.cli.text import format_table, shown
+from cassandra_ros.cli.text import format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
+from cassandra_ros.shown import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.ros_cassandra import RosCassandra

@@ -32,8 +32,9 @@ from cassandra_ros.cli.options import (
     read_times,
     read_where,
 )
-from cassandra_ros.cli.text import MessageBar, format_bytes, format_table, shown
+from cassandra_ros.cli.text import MessageBar, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics_option, stored_topics
+from cassandra_ros.shown import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.exporter import ExportReport

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING
 from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import add_format_option, add_store_options, open_store
 from cassandra_ros.cli.parsers import error_line
-from cassandra_ros.cli.text import MessageBar, format_bytes, format_table, shown
+from cassandra_ros.cli.text import MessageBar, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
 from cassandra_ros.errors import (
     BagError,
@@ -43,6 +43,7 @@ from cassandra_ros.errors import (
     TopicExists,
     TopicNotFound,
 )
+from cassandra_ros.shown import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.importer import ImportReport
@@ -190,7 +191,7 @@ def _print_report(report: ImportReport, keyspace: str, seconds: float) -> None:
         header = ("topic", "messages", "size", "format")
         print(format_table(header, rows, right=("messages", "size")))
     print(
-        f"{report.path}: {report.messages} messages of {len(rows)} topics are in keyspace "
+        f"{shown(report.path)}: {report.messages} messages of {len(rows)} topics are in keyspace "
         f"{keyspace} ({seconds:.1f} s)"
     )
 

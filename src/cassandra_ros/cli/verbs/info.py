@@ -42,7 +42,6 @@ from cassandra_ros.cli.text import (
     format_length,
     format_table,
     format_time,
-    shown,
     sparkline,
 )
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
@@ -50,6 +49,7 @@ from cassandra_ros.cli.verbs.runs import time_of
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
 from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.shown import shown, shown_lines
 
 if TYPE_CHECKING:
     from cassandra_ros.store.registry import Loss, LossKind, Run
@@ -171,8 +171,9 @@ def _print_summary(found: _Found) -> None:
             print(f"{name + ':':<10} {iso_time(ns)} ({ns // SECOND_NS}.{ns % SECOND_NS:09d})")
     print(f"size:      {format_bytes(found.bytes)}")
     print(f"messages:  {found.messages} of {len(names)} topics")
-    width = max((len(name) for name, _ in found.types), default=0)
-    for number, (name, md5sum) in enumerate(found.types):
+    types = [(shown(name), shown(md5sum)) for name, md5sum in found.types]
+    width = max((len(name) for name, _ in types), default=0)
+    for number, (name, md5sum) in enumerate(types):
         print(f"{'' if number else 'types:':<10} {name:<{width}} [{md5sum}]")
 
 
@@ -316,6 +317,6 @@ def _print_yaml(answer: object) -> None:
     import yaml
 
     if isinstance(answer, (str, int, float)):
-        print(answer)  # PyYAML would end a document of its own
+        print(shown_lines(str(answer)))  # PyYAML would end a document of its own
     else:
         print(yaml.safe_dump(answer, sort_keys=False, allow_unicode=True), end="")

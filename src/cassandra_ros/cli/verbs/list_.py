@@ -8,7 +8,8 @@ import argparse
 
 from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.text import format_table, shown
+from cassandra_ros.cli.text import format_table
+from cassandra_ros.shown import shown
 
 _HEADER = ("topic", "type", "format")
 

@@ -42,8 +42,9 @@ from cassandra_ros.cli.options import (
     read_times,
 )
 from cassandra_ros.cli.readers import factor, whole_number
-from cassandra_ros.cli.text import MessageBar, shown
+from cassandra_ros.cli.text import MessageBar
 from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound
+from cassandra_ros.shown import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.mapping.build import MadeMap
@@ -262,7 +263,7 @@ def _text(made: MadeMap, files: list[str], options: argparse.Namespace) -> str:
         f"map of {made.used} messages of {shown(options.topic)}, {across:.1f} x {up:.1f} m in "
         f"frame {shown(found.frame)}, "
         f"{found.width} x {found.height} cells of {found.resolution:g} m",
-        f"poses: {shown('; '.join(made.sources))}",
+        f"poses: {shown('; '.join(made.sources), None)}",
     ]
     others = [offer for offer in made.offers if not offer.taken]
     if others:

@@ -18,6 +18,7 @@ from typing import Any
 
 from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store, read_pair
+from cassandra_ros.shown import shown_lines
 
 _FORM = "KEY=VALUE"
 
@@ -59,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
             topic.setMeta(**keys)
         found = dict(topic.getMeta)
     if options.definition:
-        print(found["definition"].rstrip("\n"))
+        print(shown_lines(found["definition"].rstrip("\n")))
     elif options.json:
         print_json(found)
     else:

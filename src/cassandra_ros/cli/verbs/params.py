@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Iterator, Mapping
 from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
 from cassandra_ros.errors import InvalidOption, MessageNotFound
+from cassandra_ros.shown import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.store.run_context import Graph, NodeGraph, RunContext
@@ -85,9 +86,9 @@ def _load(context: RunContext, options: argparse.Namespace) -> None:
         return
     print(f"{count} parameters set")
     if own:
-        print(f"left out, they are the running master's own: {', '.join(own)}")
+        print(f"left out, they are the running master's own: {shown(', '.join(own), None)}")
     if empty:
-        print(f"left out, they have no value: {', '.join(empty)}")
+        print(f"left out, they have no value: {shown(', '.join(empty), None)}")
 
 
 def _is_masters(name: str) -> bool:

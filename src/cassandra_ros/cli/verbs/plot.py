@@ -27,6 +27,7 @@ from cassandra_ros.cli.options import (
     read_times,
 )
 from cassandra_ros.errors import InvalidOption
+from cassandra_ros.shown import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.ros_cassandra import RosCassandra
@@ -85,9 +86,12 @@ def run(options: argparse.Namespace) -> int:
         draw_plot(stream, ending, series, options.size, options.title)
     for each in series:
         for name, reason in each.left_out:
-            print(f"{each.topic}: {name} is not drawn: {reason}", file=sys.stderr)
+            print(
+                f"{shown(each.topic)}: {shown(name)} is not drawn: {shown(reason, None)}",
+                file=sys.stderr,
+            )
         if not len(each.points.times):
-            print(f"{each.topic}: there is nothing to draw in this time", file=sys.stderr)
+            print(f"{shown(each.topic)}: there is nothing to draw in this time", file=sys.stderr)
     return 0
 
 

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Sequence
 from cassandra_ros.cli.answers import print_json
 from cassandra_ros.cli.options import add_origin_options, add_store_options, open_store
 from cassandra_ros.errors import InvalidExpression, InvalidOption
+from cassandra_ros.shown import shown_lines
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.ros_cassandra import RosCassandra
@@ -94,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
             if options.output == "json":
                 print_json(found)
             else:
-                print(found)
+                print(shown_lines(str(found)))
         else:
             _answer(ros_cas, options, params)
     return 0

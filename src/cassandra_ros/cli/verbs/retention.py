@@ -34,8 +34,9 @@ from cassandra_ros.cli.options import (
     read_time,
 )
 from cassandra_ros.cli.readers import age, byte_size, factor, seconds
-from cassandra_ros.cli.text import MessageBar, format_table, shown
+from cassandra_ros.cli.text import MessageBar, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
+from cassandra_ros.shown import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.retention import Retained

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Mapping
 
 from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.text import format_table, shown
+from cassandra_ros.cli.text import format_table
+from cassandra_ros.shown import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.store.registry import Run

@@ -30,7 +30,6 @@ from cassandra_ros.cli.options import (
     read_where,
 )
 from cassandra_ros.cli.readers import duration, whole_number
-from cassandra_ros.cli.text import shown
 from cassandra_ros.errors import (
     CassandraRosError,
     CorruptMessage,
@@ -38,6 +37,7 @@ from cassandra_ros.errors import (
     MessageNotFound,
     UnknownEncoding,
 )
+from cassandra_ros.shown import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.drawing.contact_sheet import Cell

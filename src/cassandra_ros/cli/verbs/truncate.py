@@ -16,8 +16,9 @@ import argparse
 from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.confirming import add_dry_run_option, add_yes_option, confirm
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.text import format_bytes, format_table, shown
+from cassandra_ros.cli.text import format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
+from cassandra_ros.shown import shown
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -25,8 +25,9 @@ from cassandra_ros.cli.options import (
     read_pair,
     read_times,
 )
-from cassandra_ros.cli.text import MessageBar, shown
+from cassandra_ros.cli.text import MessageBar
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
+from cassandra_ros.shown import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.verify import VerifyReport
@@ -129,10 +130,10 @@ def _print_left_out(report: VerifyReport) -> None:
 
 def _print_differences(report: VerifyReport) -> None:
     print(
-        f"different: {report.path}: {report.differences} messages differ from the store, "
+        f"different: {shown(report.path)}: {report.differences} messages differ from the store, "
         f"{report.equal_messages} are equal (compared: {report.scope})"
     )
     for text in report.first:
-        print(f"  {shown(text)}")
+        print(f"  {shown(text, None)}")
     if report.differences > len(report.first):
         print("  …")
