@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassandra_ros.arrays.envelope import Envelope, Grid, breaks
+from cassandra_ros.arrays.envelope import Envelope, Grid
 
 TIMES = st.integers(0, 5000)
 NUMBERS = st.one_of(st.floats(), st.sampled_from([-0.0, 1.0, math.nan]))
@@ -94,10 +94,40 @@ def test_a_span_that_is_wider_than_a_pixel_may_lie_in_each():
         ([], []),
         ([1], []),
         ([1, 1000], []),
-        ([0, 10, 20, 30, 130, 140], []),
-        ([0, 10, 20, 30, 131, 140], [3]),
+        ([0, 10, 20, 30, 80, 90], []),
+        ([0, 10, 20, 30, 81, 90], [3]),
         ([0, 1000, 1010, 1020, 1030, 9000], [0, 4]),
     ],
 )
 def test_a_line_is_broken_where_nothing_came_for_long(times, broken):
-    assert breaks(np.array(times, np.int64)).tolist() == broken
+    envelope = Envelope(Grid(0, 0, 10_000), 1)
+    envelope.add(np.array(times, np.int64), np.zeros((1, len(times))))
+    assert envelope.points().breaks.tolist() == broken
+
+
+def test_a_pause_that_is_short_beside_a_pixel_is_seen():
+    """At 10 Hz nothing for 60 s, which are 600 usual intervals, and less than 2 pixels."""
+    second = 10**9
+    times = np.arange(0, 2000 * second, second // 10)
+    times = times[(times < 800 * second) | (times >= 860 * second)]
+    grid = Grid.between(0, 2000 * second, 100)
+    assert 30 * second < grid.width < 40 * second
+    envelope = Envelope(grid, 1)
+    envelope.add(times, np.zeros((1, len(times))))
+    points = envelope.points()
+    (place,) = points.breaks.tolist()
+    assert points.times[place] < 800 * second < 860 * second <= points.times[place + 1]
+    # A pixel in which something lies is none, however long the pause inside of it.
+    envelope = Envelope(Grid.between(0, 2000 * second, 10), 1)
+    envelope.add(times, np.zeros((1, len(times))))
+    assert envelope.points().breaks.tolist() == []
+
+
+def test_bounds_of_blocks_are_no_pauses():
+    """Of wide spans it is only known that messages lie in them, not how far they are apart."""
+    envelope = Envelope(Grid(0, 0, 100), 1)
+    firsts, lasts = np.array([0, 30, 60]), np.array([25, 55, 85])
+    envelope.add_wide(firsts, lasts, np.zeros((1, 3)), np.ones((1, 3)))
+    assert envelope.points().breaks.tolist() == []
+    envelope.add(np.array([99]), np.zeros((1, 1)))
+    assert envelope.points().breaks.tolist() == [len(envelope.points().times) - 2]

@@ -110,3 +110,35 @@ def test_a_plot_that_never_is_complete_is_not_asked_for_without_end(page):
     write(window, STATEMENT + CONTROL_ENTER)
     assert window.wait_for(ANSWERED) == "done"
     assert window.run("return window.plots") == 4
+
+
+def test_columns_are_drawn_over_another_one_of_them(page):
+    window = page("/ask.html", q="select latitude, longitude, altitude from /fix")
+    assert window.wait_for(ANSWERED) == "done"
+    over = "return [...document.querySelectorAll('#plot-over option')].map((o) => o.text)"
+    assert window.run(over) == ["time", "latitude", "longitude", "altitude"]
+    graphs = "document.querySelectorAll('#plot-panels div.graph').length"
+    assert window.run(f"return {graphs}") == 3  # a panel each
+    window.run(
+        "const s = document.querySelector('#plot-over'); s.value = 'longitude';"
+        "s.dispatchEvent(new Event('change'))"
+    )
+    curves = "document.querySelectorAll('#plot-panels canvas.xy').length"
+    assert window.wait_for(f"return {curves} === 2 && {graphs} === 0")
+    picture = pixels(window.picture("#plot-panels canvas.xy"))
+    assert (~near(picture, (255, 255, 255))).sum() > 200
+    # The address holds it, and a click leads to the moment.
+    address = window.driver.current_url
+    assert "over=longitude" in address
+    window.driver.get("about:blank")
+    window.driver.get(address)
+    assert window.wait_for(ANSWERED) == "done"
+    window.driver.find_element("css selector", "#plot-panels canvas.xy").click()
+    link = window.wait_for("return document.querySelector('#plot-moment a')?.href")
+    assert "/look.html" in link
+    # Back to time: what draws over time draws again.
+    window.run(
+        "const s = document.querySelector('#plot-over'); s.value = '';"
+        "s.dispatchEvent(new Event('change'))"
+    )
+    window.wait_for(f"return {graphs} === 3 && {curves} === 0")

@@ -108,6 +108,35 @@ def test_a_lasso_tells_when_the_robot_was_there(drawn):
     window.wait_for("return document.querySelector('#map').dataset.stays === '0'")
 
 
+def test_keys_work_on_a_fresh_page_and_not_while_a_control_has_the_focus(drawn):
+    window = drawn.window
+    scale = "Number(document.querySelector('#map').dataset.scale)"
+    before = window.run(f"return {scale}")
+    ActionChains(window.driver).send_keys("+").perform()
+    window.wait_for(f"return {scale} > {before * 1.05}")
+    ActionChains(window.driver).send_keys("0").perform()
+    window.wait_for(f"return Math.abs({scale} - {before}) < {before / 100}")
+    ActionChains(window.driver).send_keys("n").perform()
+    window.wait_for("return document.querySelector('#map').dataset.stays === '0'")
+    ActionChains(window.driver).send_keys(Keys.ESCAPE).perform()
+    window.wait_for("return !document.querySelector('#map-near .panel')")
+    # In a control they are the control's.
+    select = window.driver.find_element("css selector", "#map-resolution")
+    select.send_keys("n")
+    assert window.run("return document.querySelector('#map-near').childElementCount") == 0
+
+
+def test_the_control_says_which_topic_told_the_poses(page):
+    window = page("/map.html", start=patrol.START, end=patrol.END, map=patrol.SCAN)
+    drawn = Map(window)
+    assert drawn.data["state"] == "drawn"
+    options = "return [...document.querySelectorAll('#map-odom option')].map((o) => o.text)"
+    assert window.run(options)[0] == "tf, by itself"
+    Map(page("/map.html", start=patrol.START, end=patrol.END, map=patrol.SCAN, odom=patrol.ODOM))
+    (told,) = [text for text in window.run(options) if text.startswith(patrol.ODOM)]
+    assert told.endswith(" % of the messages")
+
+
 def test_why_no_track_is_drawn_is_said(page):
     window = page("/map.html", map=patrol.MAP, odom="/nowhere")
     window.wait_for("return document.querySelector('#map-told').textContent.includes('no tracks')")

@@ -33,6 +33,18 @@ def test_statements_become_one_picture(call, drive, tmp_path):
     assert not list(tmp_path.glob("*.active"))
 
 
+def test_one_column_over_another(call, drive, tmp_path):
+    path, svg = tmp_path / "x.png", tmp_path / "x.svg"
+    asked = "select latitude, altitude from /fix"
+    assert call("plot", asked, "--xy", "altitude", "latitude", "-o", path) == (0, "", "")
+    assert Image.open(path).size == (1200, 600)
+    assert call("plot", asked, "--xy", "altitude", "latitude", "-o", svg)[0] == 0
+    for text in ("altitude [m]", "latitude [°N]"):
+        assert f"<!-- {text} -->" in svg.read_text()
+    status, _, err = call("plot", asked, "--xy", "altitude", "lat", "-o", path, "-f")
+    assert status == 1 and "--xy lat: the statement on /fix has latitude, altitude" in err
+
+
 def test_endings_groups_windows_and_robots(call, drive, tmp_path):
     svg = tmp_path / "x.svg"
     groups = "select time(5s) as t, max(altitude) from fix group by t"

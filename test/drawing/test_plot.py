@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from cassandra_ros.arrays.envelope import Envelope, Grid
-from cassandra_ros.drawing.plot import draw_plot, lines_of
+from cassandra_ros.drawing.plot import curves_of, draw_plot, draw_xy, lines_of
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.query.syntax import KeyOperand
 from cassandra_ros.topics.drawn import Column, Undrawn
@@ -94,3 +94,70 @@ def test_nothing_and_next_to_nothing():
     empty = series([[1.0]])
     nothing = Series("/t", empty.columns, (), empty.grid, Envelope(Grid(0, 0, 1), 1).points())
     assert drawn(nothing)
+
+
+def way(times=None, **options):
+    """A robot that drives a circle of 2 m, twice."""
+    angles = np.linspace(0, 4 * math.pi, 201)
+    both = [2 * np.cos(angles), 2 * np.sin(angles)]
+    return series(both, ("x", "y"), ("m", "m"), times=times, **options)
+
+
+def drawn_xy(*every, names=("x", "y"), size=(400, 300)):
+    stream = io.BytesIO()
+    draw_xy(stream, "png", curves_of(every, names), size)
+    return np.asarray(Image.open(stream).convert("RGB")).astype(int)
+
+
+def blue(picture):
+    return np.argwhere(picture[:, :, 2] > picture[:, :, 0] + 60)
+
+
+def test_a_way_is_drawn_as_it_was_gone_and_a_metre_is_a_metre():
+    (curve,) = curves_of([way(pixels=1000)], ("x", "y"))
+    assert np.hypot(*curve.middle) == pytest.approx(np.full(201, 2.0))
+    assert np.array_equal(curve.low, curve.high)
+    rows, columns = blue(drawn_xy(way(pixels=1000))).T
+    high, wide = np.ptp(rows), np.ptp(columns)
+    assert high > 100
+    assert wide == pytest.approx(high, abs=4)
+    # The other way round.
+    (other,) = curves_of([way(pixels=1000)], ("y", "x"))
+    assert np.array_equal(other.middle, curve.middle[::-1])
+
+
+def test_a_way_is_broken_where_nothing_came():
+    times = T0 + np.arange(201) * SEC
+    times[100:] += 3600 * SEC
+    (curve,) = curves_of([way(times=times, pixels=20_000)], ("x", "y"))
+    assert np.flatnonzero(np.isnan(curve.middle).any(axis=0)).tolist() == [100]
+
+
+def test_several_messages_of_a_pixel_lie_in_a_rectangle():
+    (curve,) = curves_of(
+        [series([[1, 3, 2], [9, 5, 7]], ("x", "y"), ("m", "s"), pixels=1)], ("x", "y")
+    )
+    assert (curve.low.tolist(), curve.high.tolist()) == ([[1], [5]], [[3], [9]])
+    assert curve.middle.tolist() == [[2], [7]]
+    wide = blue(drawn_xy(series([[1, 3] * 99, [9, 5] * 99], ("x", "y"), ("m", "s"), pixels=2)))
+    assert len(wide) > 1000
+
+
+def test_a_degree_east_is_as_long_as_it_is_there():
+    angles = np.linspace(0, 2 * math.pi, 101)
+    ring = [60 + np.sin(angles) / 2, 20 + np.cos(angles)]  # round at 60 degrees north
+    made = series(ring, ("latitude", "longitude"), ("°N", "°E"), pixels=1000)
+    for names in (("longitude", "latitude"), ("latitude", "longitude")):
+        rows, columns = blue(drawn_xy(made, names=names)).T
+        assert np.ptp(rows) == pytest.approx(np.ptp(columns), abs=4)
+
+
+def test_latitude_and_longitude_have_a_panel_each():
+    made = series([[60, 61], [20, 21]], ("latitude", "longitude"), ("°N", "°E"))
+    svg = drawn(made, ending="svg").decode("utf-8")
+    assert "<!-- [°N] -->" in svg and "<!-- [°E] -->" in svg
+
+
+def test_a_column_that_is_not_there_is_told():
+    with pytest.raises(InvalidOption, match="--xy z: the statement on /t has x, y"):
+        curves_of([way()], ("x", "z"))

@@ -280,7 +280,7 @@ def test_what_cannot_be_drawn_is_left_out_with_the_reason(rosCas):
     assert not none.columns and "time(1m)" in dict(none.left_out)["max(seq)"]
     rosCas.addTopic("/fix").addData(NavSatFix(altitude=7, latitude=2), key=T0)
     fix = rosCas.statements.series("select altitude, latitude, position_covariance from fix")
-    assert [(c.name, c.unit) for c in fix.columns] == [("altitude", "m"), ("latitude", "°")]
+    assert [(c.name, c.unit) for c in fix.columns] == [("altitude", "m"), ("latitude", "°N")]
     assert "array" in dict(fix.left_out)["position_covariance"]
     named = rosCas.addTopic("/n", key_format="manual", msg_type="std_msgs/Int64")
     named.addData(Int64(1), "one")

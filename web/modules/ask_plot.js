@@ -3,12 +3,15 @@
 // @ts-check
 /**
  * The plot of a statement: of each pixel the least and the greatest number, as the server knows them.
- * A panel for each unit, all over the same time. Whoever looks closer asks the server again.
+ * A panel for each unit, all over the same time, or over one of the columns (`over` of the address).
+ * Whoever looks closer asks the server again.
  */
 
 import { get } from "./api.js";
 import { lookAt } from "./ask_rows.js";
+import { XY } from "./ask_xy.js";
 import { make } from "./page.js";
+import * as state from "./state.js";
 import { length, shown, ticks } from "./times.js";
 
 /** Debian's libjs-dygraphs, where it is installed. */
@@ -47,6 +50,10 @@ export class Plot {
     /** @type {Set<number>} Places of columns that are hidden. */
     this._hidden = new Set();
     this._wheel = 0;
+    this._over = /** @type {HTMLSelectElement} */ (document.getElementById("plot-over"));
+    this._over.addEventListener("change", () => state.write({ over: this._over.value || null }, { push: true }));
+    state.onChange(() => this._found && this._draw(true));
+    window.addEventListener("resize", () => this._found && this._xPlace() >= 0 && this._draw(true));
     this._addKeys();
   }
 
@@ -133,12 +140,54 @@ export class Plot {
   /** The places of the columns in each panel: those of a unit. @returns {number[][]} */
   _groups() {
     const units = [...new Set(this._found.columns.map((/** @type {any} */ column) => column.unit))];
-    const places = [...this._found.columns.keys()];
-    return units.map((unit) => places.filter((place) => this._found.columns[place].unit === unit));
+    const places = [...this._found.columns.keys()].filter((place) => place !== this._xPlace());
+    return units.map((unit) => places.filter((place) => this._found.columns[place].unit === unit)).filter((places) => places.length);
+  }
+
+  /** The place of the column over which the others are drawn; -1: they are drawn over time. */
+  _xPlace() {
+    const over = state.read().others.over ?? "";
+    const place = this._found?.columns.findIndex((/** @type {any} */ column) => column.name === over) ?? -1;
+    return this._found?.columns.length > 1 ? place : -1;
+  }
+
+  /** Offer the columns over which the others can be drawn. */
+  _offerColumns() {
+    const names = this._found.columns.map((/** @type {any} */ column) => column.name);
+    const options = names.map((/** @type {string} */ name) => make("option", { value: name }, name));
+    this._over.replaceChildren(make("option", { value: "" }, "time"), ...options);
+    this._over.disabled = names.length < 2;
+    this._over.value = this._xPlace() < 0 ? "" : names[this._xPlace()];
+  }
+
+  /** Draw the columns over one of them. */
+  _drawXY() {
+    const { columns, breaks } = this._found;
+    for (const graph of this._graphs) graph.destroy();
+    this._graphs = [];
+    const groups = this._groups();
+    this._legends = groups.map(() => make("ul", { class: "legend" }));
+    const canvases = groups.map(() => /** @type {HTMLCanvasElement} */ (make("canvas", { class: "graph xy" })));
+    this._panels.replaceChildren(...canvases.flatMap((canvas, n) => [this._legends[n], canvas]));
+    for (const [n, places] of groups.entries()) {
+      const shownPlaces = places.filter((place) => !this._hidden.has(place));
+      const ys = shownPlaces.map((place) => ({ column: columns[place], colour: COLOURS[place % COLOURS.length] }));
+      const panel = new XY(canvases[n], columns[this._xPlace()], ys, new Set(breaks));
+      const at = (/** @type {MouseEvent} */ event) => panel.nearest(event.offsetX, event.offsetY);
+      canvases[n].addEventListener("pointermove", (event) => this._showLegend(at(event)));
+      canvases[n].addEventListener("pointerleave", () => this._showLegend(null));
+      canvases[n].addEventListener("click", (event) => {
+        const place = at(event);
+        if (place !== null) this._mark(this._x(this._times[place]));
+      });
+    }
+    this._showLegend(null);
   }
 
   /** @param {boolean} anew */
   _draw(anew) {
+    this._offerColumns();
+    if (this._xPlace() >= 0) return this._drawXY();
     const groups = this._groups();
     if (!anew && this._graphs.length === groups.length) {
       for (const [n, places] of groups.entries()) this._graphs[n].updateOptions(this._options(places));

@@ -40,6 +40,7 @@ const empty = make("section", { class: "panel note grow", id: "empty", hidden: t
 document.getElementById("home")?.replaceChildren(panel, empty, tables);
 
 const timeline = new Timeline(canvas, tip);
+page.takeKeys(canvas);
 /** What a program that tests the page asks: the timeline itself. */
 Object.assign(canvas, { timeline });
 

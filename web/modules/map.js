@@ -313,6 +313,7 @@ view.onHover = (at) => {
 view.canvas.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => {
   if (event.key === "0") showAll();
 });
+page.takeKeys(view.canvas);
 element("map-fit").addEventListener("click", showAll);
 element("map-tools").addEventListener("submit", (/** @type {Event} */ event) => event.preventDefault());
 begin().catch(page.showError);

@@ -108,6 +108,17 @@ export function addSelection(place, choices) {
 }
 
 /**
+ * Hand keys over to an element that are pressed while nothing has the focus, as on a fresh page.
+ * @param {HTMLElement} element
+ */
+export function takeKeys(element) {
+  document.addEventListener("keydown", (event) => {
+    if (event.target !== document.body) return;
+    if (!element.dispatchEvent(new KeyboardEvent("keydown", event))) event.preventDefault();
+  });
+}
+
+/**
  * @param {"topics" | "nodes" | "runs"} name
  * @param {string} title
  * @param {Choice[]} choices

@@ -18,8 +18,8 @@ import numpy as np
 from cassandra_ros.arrays.array_types import AnyArray
 
 _NEVER, _BEFORE = 2**63 - 1, -1
-GAP_STEPS = 10
-"""A line is broken where two of its points are so many times as far apart as they mostly are."""
+GAP_INTERVALS = 5
+"""A line is broken where no message came for more than this number of usual intervals."""
 
 
 class Grid(NamedTuple):
@@ -76,6 +76,8 @@ class Points(NamedTuple):
     high: AnyArray
     rows: AnyArray
     """How many messages, or rows, lie in each; 0 = some, it is not known how many."""
+    breaks: AnyArray
+    """Places of the points behind which a line is broken, for nothing came for long."""
 
 
 class Envelope:
@@ -172,18 +174,31 @@ class Envelope:
         """Return the pixels in which something lies, in the order of time."""
         held = np.flatnonzero(self._last >= 0)
         first, last = self._first[held], self._last[held]
-        middles = first + (last - first) // 2
-        return Points(middles, self._low[:, held], self._high[:, held], self._rows[held])
+        middles, rows = first + (last - first) // 2, self._rows[held]
+        broken = self._breaks(held, rows)
+        return Points(middles, self._low[:, held], self._high[:, held], rows, broken)
+
+    def _breaks(self, held: AnyArray, rows: AnyArray) -> AnyArray:
+        """Return behind which pixels nothing came for long.
+
+        What counts is the time from the last message of a pixel to the first one of the next, which
+        is short where messages are dense, however long the pixels are.
+        """
+        pauses = self._first[held[1:]] - self._last[held[:-1]]
+        # Of a pixel of which only bounds are known the first and the last message may lie anywhere.
+        sure = (rows[1:] > 0) & (rows[:-1] > 0)
+        usual = np.where(sure, np.median(pauses[sure]) if sure.any() else 0, self.grid.width)
+        long = (pauses > GAP_INTERVALS * usual) & (np.diff(held) > 1)
+        return np.flatnonzero(long) if len(pauses) > 1 else np.zeros(0, np.int64)
 
 
 def breaks(times: AnyArray) -> AnyArray:
-    """Return behind which points a line is broken, for the next one is far: their places.
+    """Return behind which of some messages nothing came for long: their places.
 
     Args:
-        times: Of the points, ascending, ns.
+        times: Of the messages, ascending, ns.
     """
-    steps = np.diff(times)
-    if len(steps) < 2:
+    pauses = np.diff(times)
+    if len(pauses) < 2:
         return np.zeros(0, np.int64)
-    found: AnyArray = np.flatnonzero(steps > GAP_STEPS * np.median(steps))
-    return found
+    return np.flatnonzero(pauses > GAP_INTERVALS * np.median(pauses))

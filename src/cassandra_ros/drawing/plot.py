@@ -1,18 +1,19 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Numbers over time as a picture: a panel for each unit, one axis of time for all."""
+"""Numbers as a picture: over time, a panel for each unit; or one column over another."""
 
 from __future__ import annotations
 
-from typing import IO, TYPE_CHECKING, Any, NamedTuple, Sequence, Tuple
+import math
+from typing import IO, TYPE_CHECKING, Any, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
 from cassandra_ros.arrays.array_types import AnyArray
-from cassandra_ros.arrays.envelope import breaks
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.installation import optional_module
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.topics.drawn import Column
 from cassandra_ros.topics.series import Series
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def lines_of(series: Sequence[Series]) -> Sequence[Line]:
     found = []
     for each in series:
         times = each.points.times
-        behind = breaks(times) + 1
+        behind = each.breaks + 1
         broken = np.insert(times, behind, times[behind - 1])
         for n, column in enumerate(each.columns):
             ends = (each.points.low[n], each.points.high[n])
@@ -62,6 +63,119 @@ def lines_of(series: Sequence[Series]) -> Sequence[Line]:
             label = column.name if len(topics) == 1 else f"{each.topic} {column.name}"
             found.append(Line(label, column.unit, broken, low, high))
     return found
+
+
+class Curve(NamedTuple):
+    """One column over another: of each pixel of time the rectangle in which its messages lie."""
+
+    label: str
+    columns: Tuple[Column, Column]
+    """Along x, and along y."""
+    low: AnyArray
+    """(2, points): the smallest x and y of each. NaN where the curve is broken."""
+    high: AnyArray
+
+    @property
+    def middle(self) -> AnyArray:
+        """(2, points): the middle of each rectangle; of a single message exactly its numbers."""
+        return np.asarray(self.low + (self.high - self.low) / 2)
+
+
+def curves_of(series: Sequence[Series], names: Tuple[str, str]) -> Sequence[Curve]:
+    """Return the curves of some statements: of each the second column over the first.
+
+    Args:
+        names: The columns, as the statements call them.
+
+    Raises:
+        InvalidOption: A statement has no such column that is a number.
+    """
+    found = []
+    for each in series:
+        known = [column.name for column in each.columns]
+        for name in names:
+            if name not in known:
+                told = ", ".join(known) or "no column that is a number"
+                raise InvalidOption(f"--xy {name}: the statement on {each.topic} has {told}")
+        places = [known.index(name) for name in names]
+        behind = each.breaks + 1
+        low, high = (
+            np.insert(ends[places], behind, np.nan, axis=1)
+            for ends in (each.points.low, each.points.high)
+        )
+        columns = each.columns[places[0]], each.columns[places[1]]
+        found.append(Curve(each.topic, columns, low, high))
+    return found
+
+
+def draw_xy(
+    stream: IO[bytes],
+    ending: str,
+    curves: Sequence[Curve],
+    size: Tuple[int, int],
+    title: str = "",
+) -> None:
+    """Draw one column of statements over another into one picture.
+
+    Both axes have the same scale where both columns are in metres, or are longitude and latitude.
+
+    Args:
+        stream, ending, size, title: As draw_plot takes them.
+        curves: What is drawn, at least one.
+
+    Raises:
+        MissingDependency: matplotlib is not installed.
+    """
+    figures = optional_module("matplotlib.figure", PURPOSE)
+    figure: Figure = figures.Figure([side / _DPI for side in size], _DPI, layout="constrained")
+    panel = figure.subplots()
+    for n, curve in enumerate(curves):
+        _draw_curve(panel, curve, _COLOURS[n % len(_COLOURS)])
+    x, y = curves[0].columns
+    panel.set_xlabel(_named(x))
+    panel.set_ylabel(_named(y))
+    panel.grid(color=_GRID, linewidth=0.6)
+    panel.set_axisbelow(True)
+    aspect = _aspect(curves[0])
+    if aspect is not None:
+        panel.set_aspect(aspect, adjustable="datalim")
+    if len(curves) > 1:
+        panel.legend(frameon=False, fontsize="small")
+    if title:
+        figure.suptitle(_plain(title))
+    figure.savefig(stream, format=ending)
+
+
+def _draw_curve(panel: Axes, curve: Curve, colour: str) -> None:
+    (x, y), wide = curve.middle, (curve.high > curve.low).any(axis=0)
+    mark: dict[str, Any] = {"color": colour, "linewidth": 1}
+    if np.isfinite(x).sum() <= FEW_POINTS:
+        mark.update(marker=".", markersize=5)
+    panel.plot(x, y, label=_plain(curve.label), **mark)
+    if wide.any():
+        collections = optional_module("matplotlib.collections", PURPOSE)
+        (left, low), (right, high) = curve.low[:, wide], curve.high[:, wide]
+        corners = [[left, low], [right, low], [right, high], [left, high]]
+        boxes = np.moveaxis(np.array(corners), 2, 0)
+        panel.add_collection(collections.PolyCollection(boxes, color=colour, alpha=0.3))
+
+
+def _named(column: Column) -> str:
+    return _plain(column.name) + (f" [{column.unit}]" if column.unit else "")
+
+
+def _aspect(curve: Curve) -> Optional[float]:
+    """Return how long a unit along y is beside one along x; None where they do not compare."""
+    units = tuple(column.unit for column in curve.columns)
+    if units[0] == units[1] != "":
+        return 1.0
+    if set(units) != {"°E", "°N"}:
+        return None
+    latitude = curve.middle[units.index("°N")]
+    if not np.isfinite(latitude).any():
+        return None
+    degree = max(0.01, math.cos(math.radians(float(np.nanmean(latitude)))))
+    return 1 / degree if units == ("°E", "°N") else degree
 
 
 def draw_plot(

@@ -20,6 +20,9 @@ _SAME = ("abs", "neg", "min", "max", "sum", "avg")
 """What is made of values of a unit has it, too."""
 
 _METRES, _RADIANS = "m", "rad"
+_BY_NAME = {"latitude": "°N", "longitude": "°E"}
+"""Units of fields of these names, in any type. Two units, for neither can be seen in a plot whose
+axis has to hold the other one, too."""
 _UNITS = {
     "geometry_msgs/Point": {"x": _METRES, "y": _METRES, "z": _METRES},
     "geometry_msgs/Point32": {"x": _METRES, "y": _METRES, "z": _METRES},
@@ -33,7 +36,7 @@ _UNITS = {
     "sensor_msgs/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s²"},
     "sensor_msgs/MagneticField": {"magnetic_field": "T"},
     "sensor_msgs/NavSatFix": {
-        **{"latitude": "°", "longitude": "°", "altitude": _METRES},
+        "altitude": _METRES,
         "position_covariance": "m²",
     },
     "sensor_msgs/LaserScan": {
@@ -65,7 +68,7 @@ def unit_of_field(steps: Sequence[Step], definition: Definition) -> str:
         spec = definition.specs.get(msg_type)
         fields = () if spec is None else spec.fields
         msg_type = next((field.type for field in fields if field.name == step.name), "")
-    return unit
+    return _BY_NAME.get(steps[-1].name, unit) if steps else unit
 
 
 def unit_of(what: Union[Term, Aggregate], definition: Definition) -> str:

@@ -99,6 +99,14 @@ class Series:
         """Whether each number is exact."""
         return self.share == 1.0 and not self.edges
 
+    @property
+    def breaks(self) -> AnyArray:
+        """Places of the points behind which lines are broken.
+
+        Empty while not all is read: what was not read yet is no pause.
+        """
+        return self.points.breaks if self.share == 1.0 else np.zeros(0, np.int64)
+
 
 def read_series(
     keyspace: Keyspace,

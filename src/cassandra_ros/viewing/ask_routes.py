@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Callable, Sequence
 
 from cassandra_ros.arrays.array_types import column_types
-from cassandra_ros.arrays.envelope import breaks
 from cassandra_ros.errors import CassandraRosError, InvalidOption, TopicNotFound
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.complete import Known, complete
@@ -244,7 +243,7 @@ def _shown(found: Series) -> Json:
         "times": [str(t) for t in points.times.tolist()],
         "rows": points.rows.tolist(),
         "columns": columns,
-        "breaks": breaks(points.times).tolist(),
+        "breaks": found.breaks.tolist(),
         "left_out": left_out,
         "start": str(found.grid.low),
         "end": str(found.grid.high),

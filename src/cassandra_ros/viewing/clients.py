@@ -10,35 +10,17 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from dataclasses import dataclass
 from typing import Dict, Optional, cast
 
 from aiohttp import web
 from aiohttp.typedefs import Handler
 
+from cassandra_ros.viewing.settings import Limits
+
 _ACCEPTING_SEC = 1.0
 """Longest time from the acceptance of a connection until the server has got it, s."""
 _REFUSED_SEC = 1.0
 """How long a connection above the limit may take to send its request, before it is closed, s."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What all clients of a viewer together, and each of them, may take."""
-
-    clients: int = 128
-    """Maximum number of connections. A further one is answered with 503 and closed."""
-    head_sec: float = 10.0
-    """Time within which a new connection must have sent the head of its first request, s."""
-    idle_sec: float = 60.0
-    """Time within which the head of each further request must have come, s."""
-    stalled_sec: float = 60.0
-    """Time after which a client that takes nothing of its answer is disconnected, s."""
-    piece_bytes: int = 256 * 1024
-    """Maximum number of bytes of an answer that are handed to a connection at once."""
-    answers_bytes: int = 128 * 1024 * 1024
-    """Maximum number of bytes of all answers that are being sent together. A further answer is
-    refused with 503."""
 
 
 class Clients:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from cassandra_ros.installation import shipped_file
-from cassandra_ros.viewing.clients import Limits
 from cassandra_ros.viewing.studio import studio_folder
 
 DEFAULT_HOST = "127.0.0.1"
@@ -19,6 +18,25 @@ DEFAULT_THREADS = 16
 
 def _web_folder() -> Path:
     return shipped_file("web/index.html").parent
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What all clients of a viewer together, and each of them, may take."""
+
+    clients: int = 128
+    """Maximum number of connections. A further one is answered with 503 and closed."""
+    head_sec: float = 10.0
+    """Time within which a new connection must have sent the head of its first request, s."""
+    idle_sec: float = 60.0
+    """Time within which the head of each further request must have come, s."""
+    stalled_sec: float = 60.0
+    """Time after which a client that takes nothing of its answer is disconnected, s."""
+    piece_bytes: int = 256 * 1024
+    """Maximum number of bytes of an answer that are handed to a connection at once."""
+    answers_bytes: int = 128 * 1024 * 1024
+    """Maximum number of bytes of all answers that are being sent together. A further answer is
+    refused with 503."""
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,18 @@
 
   cassandra_bag plot "SELECT linear.x, angular.z FROM /cmd_vel" -o speeds.png
   cassandra_bag plot "SELECT altitude FROM /fix" "SELECT range FROM /sonar" -o both.svg
+  cassandra_bag plot "SELECT latitude, longitude FROM /fix" --xy longitude latitude -o way.png
   cassandra_bag plot "SELECT time(1m), max(range) FROM /sonar GROUP BY time(1m)" -o x.pdf
 
 Each column that is a number becomes a line, over KEY or the first time in a row of groups. Columns
-of the same unit share a panel; units are known of ROS's own messages. Of many messages the least
-and the greatest of each pixel are drawn, so nothing that sticks out is lost. A line is broken at
-NaN, and where messages are more than ten times as far apart as they mostly are.
+of the same unit share a panel; units are known of ROS's own messages; latitude and longitude have
+a panel each. Of many messages the least and the greatest of each pixel are drawn, so nothing that
+sticks out is lost. A line is broken at NaN, and where no message came for more than five times the
+usual interval.
+
+With --xy one column is drawn over another one, in the order of time: a way, or one quantity over
+another. The picture is divided into 20,000 stretches of time; where several messages lie in one of
+them the rectangle that holds them is drawn, and the line goes through its middle.
 """
 
 from __future__ import annotations
@@ -56,6 +62,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="width and height in pixels, in svg and pdf 1/100 inch (default: 1200x600)",
     )
     add("--title", metavar="TEXT", default="", help="what stands above it (default: nothing)")
+    add(
+        "--xy",
+        nargs=2,
+        metavar=("X", "Y"),
+        help="draw column Y over column X, as the statements call them (default: over time)",
+    )
     add_time_options(parser)
     add_origin_options(parser)
     add_store_options(parser)
@@ -73,7 +85,7 @@ def _size(text: str) -> tuple[int, int]:
 def run(options: argparse.Namespace) -> int:
     """Read what the statements give, and draw it."""
     from cassandra_ros.cli.results import open_output
-    from cassandra_ros.drawing.plot import ENDINGS, draw_plot
+    from cassandra_ros.drawing.plot import ENDINGS, curves_of, draw_plot, draw_xy
 
     ending = options.output.rpartition(".")[2].lower()
     if ending not in ENDINGS:
@@ -83,7 +95,11 @@ def run(options: argparse.Namespace) -> int:
         options.output, options.force, binary=True
     ) as stream:
         series = [_read(ros_cas, statement, options) for statement in options.statements]
-        draw_plot(stream, ending, series, options.size, options.title)
+        if options.xy is None:
+            draw_plot(stream, ending, series, options.size, options.title)
+        else:
+            curves = curves_of(series, (options.xy[0], options.xy[1]))
+            draw_xy(stream, ending, curves, options.size, options.title)
     for each in series:
         for name, reason in each.left_out:
             print(
@@ -96,11 +112,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _read(ros_cas: RosCassandra, statement: str, options: argparse.Namespace) -> Series:
-    from cassandra_ros.topics.series import Window
+    from cassandra_ros.topics.series import MOST_PIXELS, Window
 
     start, end = read_times(options)
-    width, _ = options.size
-    window = Window(None if start is None else start.ns, None if end is None else end.ns, width)
+    pixels = options.size[0] if options.xy is None else MOST_PIXELS
+    window = Window(None if start is None else start.ns, None if end is None else end.ns, pixels)
     return ros_cas.statements.series(
         statement, window=window, node=options.node_id, run=options.run
     )
