@@ -373,7 +373,7 @@ def test_what_is_written_is_found_by_its_path_and_replaced_under_it_alone(fresh,
         write(second, "four")
         assert sorted(words(store, second)) == ["four", "of a robot"]
         assert words(store, first) == ["one"]
-        with pytest.raises(BagError, match=f"run out.bag .of {first}. is stored already"):
+        with pytest.raises(BagError, match=r"run out.bag .of .*/d[12]/out.bag. is stored already"):
             cassandra_ros.Bag("out.bag", "w", rosCas=store)
         assert len(store.runs()) == 3
         going_on = cassandra_ros.Bag(tmp_path / "open.bag", "w", rosCas=store)
