@@ -13,7 +13,7 @@
     + LookupException, ConnectivityException, ExtrapolationException
   - TypeMismatch, UnknownFormat, UnknownEncoding, InvalidKey, InvalidName, InvalidOption,
     InvalidQuery, InvalidExpression, DefinitionError, CorruptMessage, BagError (also a ValueError)
-    + BagUnindexed, a BagError
+    + BagUnindexed and BagTooLarge, both a BagError
   - MissingDependency (also an ImportError)
 
 Each text is a finished sentence: what failed, on which topic, why, and what to do.
@@ -196,6 +196,10 @@ class BagError(CassandraRosError, ValueError):
 
 class BagUnindexed(BagError):
     """A bag has no index: it is still being written, or was cut short."""
+
+
+class BagTooLarge(BagError):
+    """A bag or an MCAP would unpack to more than is allowed: it may be made to fill the memory."""
 
 
 class ClockNotSet(CassandraRosError):

@@ -11,6 +11,7 @@ from random import Random
 import pytest
 from bag.truth import read_with_rosbag, string_connection, string_wire
 
+from cassandra_ros.bag import allowance
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError, BagUnindexed
@@ -192,3 +193,22 @@ def test_chosen_topics_in_and_out(call, tmp_path):
     assert {m.topic for m in read_with_rosbag(target)[1]} == {"/tf", "/cam/left"}
     assert call("export", target, "-o", target)[0] == 2
     assert call("export")[0] == 2
+
+
+# ------------------------------------------------------------------ large chunks
+
+
+def test_large_chunks_need_an_option(call, tmp_path, monkeypatch):
+    """What is too large is refused, and the error names the option of import and verify."""
+    path = make_bag(tmp_path / "a.bag", compression="bz2")
+    monkeypatch.setattr(allowance, "MAX_CHUNK_BYTES", 1000)
+    for verb in ("import", "verify"):
+        status, _, err = call(verb, path)
+        assert (status, err.count("\n")) == (1, 1)
+        assert f"{path}: chunk 1 of 1 states " in err
+        assert "--allow-large-chunks" in err
+        status, out, _ = call(verb, path, "--allow-large-chunks")
+        assert status == 0
+    assert f"equal: {path}" in out
+    assert call("verify", path, "--content", "--allow-large-chunks")[0] == 0
+    assert call("verify", path, "--content")[0] == 1

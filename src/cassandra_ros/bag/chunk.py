@@ -6,10 +6,13 @@ from __future__ import annotations
 
 import bz2
 import struct
+from array import array
+from contextlib import suppress
+from io import BytesIO
 from itertools import permutations
 from struct import Struct
 from types import ModuleType
-from typing import Callable, List, NamedTuple, Optional, Sequence, Tuple, cast
+from typing import Iterator, NamedTuple, Optional, Sequence, Tuple, cast
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -20,10 +23,10 @@ from cassandra_ros.errors import BagError, MissingDependency
 from cassandra_ros.keys import MAX_NS, SECOND_NS
 
 COMPRESSIONS = ("none", "bz2", "lz4")
-MAX_CHUNK_BYTES = 2**30
-"""rosbag closes a chunk at 768 KB; only a single larger message makes a larger one."""
 _FEED_BYTES = 1 << 16
-"""Compressed bytes handed over at once, so that a bomb is noticed before it fills the memory."""
+"""Compressed bytes that are handed over at once."""
+_PIECE_BYTES = 1 << 24
+"""Maximum number of bytes that bz2 unpacks at once."""
 
 
 def compress_chunk(name: str, data: bytes) -> bytes:
@@ -34,20 +37,14 @@ def compress_chunk(name: str, data: bytes) -> bytes:
 
 
 def decompress_chunk(name: str, data: bytes, size: int, where: str) -> bytes:
-    """Give back the content of a chunk, which has ``size`` bytes; never more are unpacked."""
-    if size > MAX_CHUNK_BYTES:
-        raise BagError(
-            f"{where} states {size} bytes of content; chunks of over {MAX_CHUNK_BYTES} bytes are "
-            "taken for damaged"
-        )
+    """Give back the content of a chunk, which has ``size`` bytes; never more are unpacked.
+
+    The caller has asked an Allowance whether the size is allowed.
+    """
     if name == "none":
         content = data
-    elif name == "bz2":
-        content = _unpack(bz2.BZ2Decompressor().decompress, data, size, where)
-    elif name == "lz4":
-        step = _roslz4().LZ4Decompressor().decompress
-        # At most one block of 4 MiB and 255 times the input comes out, whatever is declared.
-        content = _unpack(lambda part, most: bytes(step(part)), data, size, where)
+    elif name in COMPRESSIONS:
+        content = _unpack(name, data, size, where)
     else:
         raise BagError(f"{where} is compressed with {name!r}; known are {', '.join(COMPRESSIONS)}")
     if len(content) != size:
@@ -55,42 +52,49 @@ def decompress_chunk(name: str, data: bytes, size: int, where: str) -> bytes:
     return content
 
 
-def _unpack(step: Callable[[bytes, int], bytes], data: bytes, size: int, where: str) -> bytes:
-    parts, have, position = [], 0, 0
+def _unpack(name: str, data: bytes, size: int, where: str) -> bytes:
+    content = BytesIO()  # it grows in place, so that nothing is there twice
     try:
-        while position < len(data) and have <= size:
-            part = step(data[position : position + _FEED_BYTES], size + 1 - have)
-            parts.append(part)
-            have += len(part)
-            position += _FEED_BYTES
+        for piece in _pieces(name, data):
+            content.write(piece)
+            if content.tell() > size:
+                break
     except (OSError, EOFError, ValueError) as exc:
         raise BagError(f"{where} is damaged: its compressed data is not valid ({exc})") from exc
-    if have > size:
+    if content.tell() > size:
         raise BagError(f"{where} is damaged: it unpacks to more than {size} bytes")
-    return b"".join(parts)
+    return content.getvalue()
 
 
-def unpack_part(name: str, data: bytes, size: int) -> bytes:
+def _pieces(name: str, data: bytes) -> Iterator[bytes]:
+    """Unpack a chunk piece by piece, so that a bomb is noticed before it fills the memory."""
+    parts = (data[n : n + _FEED_BYTES] for n in range(0, len(data), _FEED_BYTES))
+    if name == "lz4":
+        # At most one block of 4 MiB and 255 times the input comes out, whatever is declared.
+        yield from map(_roslz4().LZ4Decompressor().decompress, parts)
+        return
+    unpacker = bz2.BZ2Decompressor()
+    for part in parts:
+        yield unpacker.decompress(part, _PIECE_BYTES)
+        while not (unpacker.needs_input or unpacker.eof):
+            yield unpacker.decompress(b"", _PIECE_BYTES)
+
+
+def unpack_part(name: str, data: bytes, most: int) -> bytes:
     """Unpack what still can be of a chunk that is cut or damaged: its content up to there.
 
     Args:
-        size: Bytes of content that it states, more are not unpacked; 0 = it states none yet.
+        most: Bytes of content after which it ends.
     """
     if name not in ("bz2", "lz4"):
         return data if name == "none" else b""
-    lz4 = None if name == "bz2" else _roslz4().LZ4Decompressor().decompress
-    unpack_bz2 = bz2.BZ2Decompressor().decompress
-    parts, have, most = [], 0, min(size or MAX_CHUNK_BYTES, MAX_CHUNK_BYTES)
-    for position in range(0, len(data), _FEED_BYTES):
-        part = data[position : position + _FEED_BYTES]
-        try:
-            parts.append(bytes(lz4(part)) if lz4 else unpack_bz2(part, most - have))
-        except (OSError, EOFError, ValueError):
-            break
-        have += len(parts[-1])
-        if have >= most:
-            break
-    return b"".join(parts)[:most]
+    content = BytesIO()
+    with suppress(OSError, EOFError, ValueError):
+        for piece in _pieces(name, data):
+            content.write(piece[: most - content.tell()])
+            if content.tell() == most:
+                break
+    return content.getvalue()
 
 
 def _roslz4() -> ModuleType:
@@ -124,7 +128,7 @@ class Places(NamedTuple):
         return self.stops - self.starts
 
 
-_Found = List[Tuple[int, int, int, int]]
+_COLUMNS = 4
 
 # Both known writers of bags give the header of a message always the same layout, so one unpack
 # and two comparisons read it; every other order of the fields is read field by field.
@@ -166,7 +170,10 @@ def _layout(order: Sequence[bytes]) -> _Layout:
 _LAYOUTS = [_layout(order) for order in permutations((b"op", b"conn", b"time"))]
 """All there are: Python 2 wrote another one than the two above."""
 MIN_AT_ONCE = 16
-"""Fewer are read one by one."""
+"""Minimum number of messages that are read all at once; fewer are read one by one."""
+MAX_AT_ONCE = 2**20
+"""Maximum number of messages that are read all at once, which takes some hundred bytes for each."""
+_NOTHING = np.zeros((_COLUMNS, 0), np.int64)
 
 
 def find_messages(content: bytes, where: str, offsets: Optional[Longs] = None) -> Places:
@@ -176,11 +183,11 @@ def find_messages(content: bytes, where: str, offsets: Optional[Longs] = None) -
         offsets: Where the index says that records of messages begin, ascending. It is believed
             where the records there fill the content; then they are read all at once.
     """
-    if offsets is not None and len(offsets) >= MIN_AT_ONCE:
+    if offsets is not None and MIN_AT_ONCE <= len(offsets) <= MAX_AT_ONCE:
         places = _messages_at(content, where, offsets)
         if places is not None:
             return places
-    found: _Found = []
+    found = array("q")  # a chunk may hold millions: four numbers of each, one after the other
     position, end = 0, len(content)
     last_fixed = end - _FIXED_BYTES
     (read, head, middle), other = _PYTHON, _CPP
@@ -197,11 +204,11 @@ def find_messages(content: bytes, where: str, offsets: Optional[Longs] = None) -
                 stop = start + size
                 if stop > end or t_ns > MAX_NS:
                     raise BagError(f"{where} is damaged: a message at byte {position} of it")
-                found.append((file_id, t_ns, start, stop))
+                found.extend((file_id, t_ns, start, stop))
                 position = stop
                 continue
         position = _other_record(content, position, where, found)
-    columns = np.array(found, np.int64).reshape(-1, 4).T
+    columns = np.frombuffer(found, np.int64).reshape(-1, _COLUMNS).T if found else _NOTHING
     return Places(*columns)
 
 
@@ -226,7 +233,7 @@ def _messages_at(content: bytes, where: str, offsets: Longs) -> Optional[Places]
 def _fill(content: bytes, where: str, begins: Longs, ends: Longs) -> bool:
     """Say whether records from some bytes to some others, and connections, fill a content."""
     begins, ends = np.append(begins, len(content)), np.insert(ends, 0, 0)
-    more: _Found = []
+    more = array("q")
     for gap in np.flatnonzero(begins != ends).tolist():
         position, end = int(ends[gap]), int(begins[gap])
         while position < end and not more:
@@ -236,11 +243,11 @@ def _fill(content: bytes, where: str, begins: Longs, ends: Longs) -> bool:
     return True
 
 
-def _other_record(content: bytes, position: int, where: str, found: _Found) -> int:
+def _other_record(content: bytes, position: int, where: str, found: array[int]) -> int:
     """Read a connection record, or a message in another layout; return where it ends."""
     op, fields, start, stop = record_at(content, position, where)
     if op == bagformat.OP_MESSAGE:
-        found.append((*message_of(fields, where), start, stop))
+        found.extend((*message_of(fields, where), start, stop))
     elif op != bagformat.OP_CONNECTION:
         # The index at the end holds the connections; their copies in the chunks repeat it.
         place = f"{where} (byte {position} of its content)"
@@ -263,6 +270,8 @@ def record_at(content: bytes, position: int, where: str) -> Tuple[int, bagformat
         stop = len(content) + 1
     if stop > len(content):
         raise BagError(f"{place} is damaged: a record runs over the end")
+    if data_size_at - position > bagformat.MAX_HEADER_BYTES:
+        raise BagError(f"{place} is damaged: a header of {data_size_at - position} bytes")
     fields = bagformat.split_fields(content[position + 4 : data_size_at], place)
     return bagformat.number(fields, b"op", place), fields, start, stop
 

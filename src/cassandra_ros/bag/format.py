@@ -30,6 +30,10 @@ OP_CONNECTION = 7
 MAX_HEADER_BYTES = 1 << 20
 """Longest header of a record that is believed; real ones have tens of bytes."""
 
+MAX_CONNECTION_BYTES = 1 << 24
+"""Maximum size of the data of a record in the index, bytes: the header of a connection, whose
+longest part is the definition (some 100 KB in real bags), or the counts of one chunk."""
+
 U32 = Struct("<I")
 COUNT = Struct("<II")
 """Number of a connection, and its messages in a chunk."""

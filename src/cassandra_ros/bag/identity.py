@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from itertools import chain, takewhile
 from struct import Struct
 from typing import AbstractSet, Iterable, Mapping, NamedTuple, Union
@@ -20,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from cassandra_ros.bag.chunk import Places
 from cassandra_ros.bag.message_file import MessageFile, Progress, SentTimes
-from cassandra_ros.errors import BagError
+from cassandra_ros.errors import BagError, BagTooLarge
 from cassandra_ros.keys import MAX_WRITER
 from cassandra_ros.store.registry import Run
 
@@ -36,6 +35,8 @@ _HEAD = np.dtype([("rank", "<u4"), ("time", "<u8"), ("size", "<u8")])
 """The same, for many messages at once."""
 _LARGE_BYTES = 4096
 """Messages of this size are hashed where they lie."""
+_AT_ONCE = 1 << 16
+"""Maximum number of messages that are made ready for the hash at once."""
 _NOTHING = Places(*(np.zeros(0, np.int64) for _ in Places._fields))
 _Part = Union[bytes, memoryview]
 _DAMAGED: list[_Part] = [_MESSAGE.pack(2**32 - 1, 2**64 - 1, 2**64 - 1)]
@@ -68,6 +69,9 @@ def read_content(reader: MessageFile, reading: Progress | None = None) -> BagCon
 
     A chunk that is damaged counts as such. Nothing of it can be stored: the import that reaches it
     fails, and says where. ``reading`` is told how far it is, after each chunk.
+
+    Raises:
+        BagTooLarge: The bag would unpack to more than is allowed.
     """
     digest, rank = _begin(b"cassandra_ros bag 2", reader)
     sizes, latest = dict.fromkeys(rank, 0), dict.fromkeys(rank, 0)
@@ -76,12 +80,17 @@ def read_content(reader: MessageFile, reading: Progress | None = None) -> BagCon
     with ThreadPoolExecutor(1) as hashing:  # one chunk is hashed while the next one is read
         hashed = hashing.submit(_update, digest, [])
         for chunk in range(reader.chunk_count):
-            places, parts = _NOTHING, _DAMAGED
-            with suppress(BagError):
+            places = _NOTHING
+            parts: Iterable[_Part] = _DAMAGED
+            try:
                 content, places = reader.chunk_content(chunk)
                 parts = _parts(content, places, rank)
                 _add_times(places, reader.chunk_times(chunk), latest, unordered)
                 sent.update(_sent(reader.chunk_sent(chunk)))
+            except BagTooLarge:
+                raise  # before anything of the file is stored
+            except BagError:
+                pass
             hashed.result()
             hashed = hashing.submit(_update, digest, parts)
             for number in np.unique(places.ids).tolist():
@@ -106,21 +115,35 @@ def _update(digest: hashlib._Hash, parts: Iterable[_Part]) -> None:
         digest.update(part)
 
 
-def _parts(content: bytes, places: Places, rank: Mapping[int, int]) -> list[_Part]:
+def _parts(content: bytes, places: Places, rank: Mapping[int, int]) -> Iterable[_Part]:
     """Return what is hashed of a chunk: of each message connection, time and size, its bytes."""
+    count = len(places.ids)
+    if count <= _AT_ONCE:
+        return _parts_at_once(content, places, rank)
+    firsts = range(0, count, _AT_ONCE)
+    pages = (Places(*(column[n : n + _AT_ONCE] for column in places)) for n in firsts)
+    return chain.from_iterable(_parts_at_once(content, page, rank) for page in pages)
+
+
+def _parts_at_once(content: bytes, places: Places, rank: Mapping[int, int]) -> list[_Part]:
+    if not len(places.ids):
+        return []
     heads = np.empty(len(places.ids), _HEAD)
     heads["rank"] = [rank[number] for number in places.ids.tolist()]
     heads["time"], heads["size"] = places.times, places.sizes
-    if len(content) >= _LARGE_BYTES * len(heads):  # or there are none
+    begins = places.starts - _HEAD.itemsize
+    first, last = int(begins[0]), int(places.stops[-1])
+    if last - first >= _LARGE_BYTES * len(heads):
         view, spans = memoryview(content), zip(places.starts.tolist(), places.stops.tolist())
         data = [view[start:stop] for start, stop in spans]
         return [part for each in zip(map(bytes, heads), data) for part in each]
     # Of small ones at once: each update costs as much as some hundred bytes. What a record of the
     # bag has before its message is longer than what is to stand there.
-    changed, begins = np.frombuffer(content, np.uint8).copy(), places.starts - _HEAD.itemsize
+    changed = np.frombuffer(content, np.uint8)[first:last].copy()
     raw = heads.view(np.uint8).reshape(len(heads), -1)
-    sliding_window_view(changed, _HEAD.itemsize, writeable=True)[begins] = raw
-    small, ends = changed.tobytes(), zip(begins.tolist(), places.stops.tolist())
+    sliding_window_view(changed, _HEAD.itemsize, writeable=True)[begins - first] = raw
+    small = changed.tobytes()
+    ends = zip((begins - first).tolist(), (places.stops - first).tolist())
     return [b"".join([small[begin:stop] for begin, stop in ends])]
 
 

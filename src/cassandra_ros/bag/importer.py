@@ -86,6 +86,7 @@ def import_bag(
     reading: Progress | None = None,
     jobs: int = 1,
     salvage: bool = False,
+    large_chunks: bool = False,
 ) -> ImportReport:
     """Store the messages of a bag of format 2.0, or of an MCAP with messages of ROS 1.
 
@@ -104,6 +105,9 @@ def import_bag(
         reading: Told how far the first pass over the bag is.
         salvage: Of a bag that is cut short, damaged or was not closed, store what stands before the
             damage; a warning says what that is. Of a sound bag nothing changes.
+        large_chunks: Read also chunks of more than 256 MiB of content, and files that unpack to
+            more than 1000 times their size. Only for files that you trust: one that was made for
+            it can fill the memory and the disk.
         jobs: So many processes store the messages, 1 to 64; the rows are the same. It pays where
             cores are free beside those that Cassandra keeps busy.
 
@@ -115,13 +119,14 @@ def import_bag(
     Raises:
         BagError: The bag cannot be read to its end. What stands before the damage is stored then;
             the error says how much that is, and where the damage is.
+        BagTooLarge: The bag would unpack to more than is allowed; nothing of it is stored.
         TopicExists: This bag is stored already in another format than the one that is named.
         TopicNotFound: The bag has no such topic.
         WriteFailed, StoreUnavailable: The store did not take all of it.
     """
     jobs = check_integer("jobs", jobs, 1, MAX_JOBS)
     store = {**ros_cas.cassandra.arguments(), "keyspace": ros_cas.keyspace} if jobs > 1 else {}
-    with open_file(path, salvage) as reader:
+    with open_file(path, salvage, large_chunks) as reader:
         numbers = chosen_connections(reader, topics)
         content = identity.read_content(reader, reading)
         writer_id = _writer_id(ros_cas, reader, nodeID, content)
@@ -141,7 +146,8 @@ def import_bag(
             _name_topics(handles, report)
             _remove_other_blocks(ros_cas, handles, run)
             store_sent(ros_cas, reader, run)
-            task = partial(Part, reader.path, salvage, formats, lengths, writer_id, nodeID, store)
+            opening = reader.path, salvage, large_chunks
+            task = partial(Part, opening, formats, lengths, writer_id, nodeID, store)
             parts = list(map(task, spans_of_jobs(reader, handles, content, jobs)))
             if not _write_parts(reader, writer, handles, report, progress, parts):
                 _write_messages(reader, writer, handles, report, progress)

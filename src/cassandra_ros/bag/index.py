@@ -97,7 +97,7 @@ class BagIndex:
         for _ in range(count):
             record = bagformat.read_record(self._index, bagformat.OP_CONNECTION, where)
             number = bagformat.number(record.fields, b"conn", where)
-            header = self._index.read(record.data_bytes)
+            header = self._data(record.data_bytes, where)
             topic = check_connection(record.fields, number, header, self.path)
             if found.setdefault(number, (topic, header)) != (topic, header):
                 raise BagError(f"{self.path} is damaged: it has two different connections {number}")
@@ -128,7 +128,7 @@ class BagIndex:
         start_ns = bagformat.time_ns(fields, b"start_time", where)
         end_ns = bagformat.time_ns(fields, b"end_time", where)
         count = bagformat.number(fields, b"count", where)
-        data = self._index.read(data_bytes)
+        data = self._data(data_bytes, where)
         if len(data) != count * bagformat.COUNT.size:
             raise BagError(f"{where} is damaged: {len(data)} bytes for {count} connections")
         counts: Counter[int] = Counter()
@@ -138,6 +138,15 @@ class BagIndex:
             if messages:
                 counts[self.numbers[file_id]] += messages
         return ChunkInfo(position, start_ns, end_ns, counts, 0)
+
+    def _data(self, data_bytes: int, where: str) -> bytes:
+        """Read the data of a record of the index."""
+        if data_bytes > bagformat.MAX_CONNECTION_BYTES:
+            raise BagError(
+                f"{where} is damaged: it has {data_bytes} bytes, of which at most "
+                f"{bagformat.MAX_CONNECTION_BYTES} are believed"
+            )
+        return self._index.read(data_bytes)
 
     def _sort_chunks(self, data_end: int) -> None:
         positions = self._column(0)

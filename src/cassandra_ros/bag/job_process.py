@@ -40,9 +40,8 @@ Span = Tuple[int, int]
 class Part:
     """What one process stores of a bag: of some connections the messages of a stretch of time."""
 
-    path: str
-    salvage: bool
-    """Of a damaged bag, what stands before the damage."""
+    opening: Tuple[str, bool, bool]
+    """Arguments of open_file."""
     formats: Dict[int, str]
     """By number of the connection, as all of these."""
     lengths: Dict[int, Lengths]
@@ -168,7 +167,7 @@ def _say(line: str) -> None:
 
 def _write(part: Part, teller: _Teller) -> None:
     """Store the messages of a part; those that the teller has counted are acknowledged then."""
-    reader = open_file(part.path, part.salvage)
+    reader = open_file(*part.opening)
     with RosCassandra(**part.store) as ros_cas, reader:  # type: ignore[arg-type]
         teller.hurry = ros_cas.cassandra.outage.hurry
         # The import's run, its heartbeat and its tables are those of the process that started us.

@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from array import array
 from contextlib import suppress
 from io import BytesIO
 from struct import Struct
@@ -21,7 +22,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Schema, Statistics
 from numpy.lib.stride_tricks import sliding_window_view
 
-from cassandra_ros.bag.chunk import MAX_CHUNK_BYTES, MIN_AT_ONCE, Longs
+from cassandra_ros.bag.chunk import MAX_AT_ONCE, MIN_AT_ONCE, Longs
 from cassandra_ros.errors import BagError
 from cassandra_ros.keys import MAX_NS
 
@@ -42,7 +43,11 @@ _HEAD = np.dtype(
 _INDEX = Struct("<HI")
 _ENTRY_BYTES = 16
 _CRC_BYTES = 4
+_FOOTER_BYTES = 20
 _READ_BYTES = 1 << 20
+MAX_TEXT_BYTES = 1 << 24
+"""Maximum size of a record that describes the file (header, schema, channel, statistics), bytes.
+Real ones have at most some 100 KB: the definition of a message."""
 Parsed = TypeVar("Parsed", Channel, Footer, Header, Schema, Statistics)
 
 
@@ -121,12 +126,12 @@ def parse(kind: Type[Parsed], raw: bytes, where: str) -> Parsed:
 def check_summary(file: BinaryIO, footer: Record, path: str) -> None:
     """Compare what a file says of itself at its end with the crc in its footer, if it has one."""
     file.seek(footer.start)
-    found = parse(Footer, file.read(footer.stop - footer.start), path)
+    found = parse(Footer, file.read(_FOOTER_BYTES), path)
     if not found.summary_crc:
         return
     # Behind the footer there is nothing, and seek takes no number of more than 63 bits.
     file.seek(min(found.summary_start or footer.start - RECORD.size, footer.stop))
-    crc, left = 0, footer.stop - _CRC_BYTES - file.tell()
+    crc, left = 0, footer.start + _FOOTER_BYTES - _CRC_BYTES - file.tell()
     while left > 0:
         part = file.read(min(left, _READ_BYTES))
         crc, left = zlib.crc32(part, crc), left - len(part)
@@ -152,11 +157,12 @@ def read_chunk_head(
         rest = file.read(min(name_bytes, 64) + 8)
         name, length = rest[:name_bytes], int.from_bytes(rest[name_bytes:], "little")
         start = record.start + _CHUNK.size + name_bytes + 8
-        fits = start + length >= record.stop if cut else start + length == record.stop
+        # Behind the last field of a record there may be more, of later versions of the format.
+        fits = (start + length >= record.stop) if cut else (start + length <= record.stop)
         if len(rest) == name_bytes + 8 and fits and start_ns <= end_ns <= MAX_NS:
             compression = name.decode("ascii", "replace") or "none"
             head = ChunkHead(start_ns, end_ns, size, crc, compression)
-            return head, record._replace(start=start)
+            return head, Record(record.kind, start, min(start + length, record.stop))
     raise BagError(f"{where} is damaged: the head of the chunk at byte {record.start}")
 
 
@@ -166,18 +172,16 @@ def count_of_index(file: BinaryIO, record: Record, where: str) -> tuple[int, int
     raw = file.read(_INDEX.size)
     if len(raw) == _INDEX.size:
         channel, index_bytes = _INDEX.unpack(raw)
-        if record.start + _INDEX.size + index_bytes == record.stop:
+        if record.start + _INDEX.size + index_bytes <= record.stop:
             return channel, index_bytes // _ENTRY_BYTES
     raise BagError(f"{where} is damaged: the message index at byte {record.start}")
 
 
 def decompress(head: ChunkHead, data: bytes, where: str) -> bytes:
-    """Give back the records of a chunk, checked by their crc; never more than are stated."""
-    if head.size > MAX_CHUNK_BYTES:
-        raise BagError(
-            f"{where} states {head.size} bytes of content; chunks of over {MAX_CHUNK_BYTES} bytes "
-            "are taken for damaged"
-        )
+    """Give back the records of a chunk, checked by their crc; never more than are stated.
+
+    The caller has asked an Allowance whether the stated size is allowed.
+    """
     try:
         content = _unpack(head, data)
     except KeyError:
@@ -194,11 +198,12 @@ def decompress(head: ChunkHead, data: bytes, where: str) -> bytes:
 
 
 def unpack_part(head: ChunkHead, data: bytes) -> bytes:
-    """Give back what can be unpacked of the beginning of a chunk, whole records alone."""
+    """Give back what can be unpacked of the beginning of a chunk, whole records alone.
+
+    The caller has asked an Allowance whether the stated size is allowed.
+    """
     content, end = b"", 0
     with suppress(BagError, zstandard.ZstdError, RuntimeError, EOFError, MemoryError):
-        if head.size > MAX_CHUNK_BYTES:
-            return b""
         if head.compression == "zstd":
             content = zstandard.ZstdDecompressor().stream_reader(data).read(head.size)
         else:
@@ -241,9 +246,11 @@ def offsets_of_indexes(raw: bytes) -> Longs | None:
     None: they are damaged; which messages there are is seen without them.
     """
     found = [np.zeros(0, np.int64)]
-    with suppress(BagError, ValueError):
+    with suppress(BagError, ValueError, struct.error):
         for record in records_of(raw, ""):
-            entries = np.frombuffer(raw[record.start + _INDEX.size : record.stop], "<u8")
+            _, index_bytes = _INDEX.unpack_from(raw, record.start)
+            count = index_bytes // _ENTRY_BYTES * 2
+            entries = np.frombuffer(raw, "<u8", count, record.start + _INDEX.size)
             found.append(entries[1::2].astype(np.int64))
         return np.sort(np.concatenate(found))
     return None
@@ -285,11 +292,11 @@ def find_messages(content: bytes, where: str, offsets: Longs | None = None) -> M
         offsets: Where the index says that records of messages begin, ascending. It is believed
             where the records there fill the content; then they are read all at once.
     """
-    if offsets is not None and len(offsets) >= MIN_AT_ONCE:
+    if offsets is not None and MIN_AT_ONCE <= len(offsets) <= MAX_AT_ONCE:
         told = _messages_at(content, where, offsets)
         if told is not None:
             return told
-    found: list[tuple[int, int, int, int, int, int]] = []
+    found = array("q")  # of each message six numbers, one after the other
     position, end, last = 0, len(content), len(content) - _MESSAGE.size
     read, size = _MESSAGE.unpack_from, _MESSAGE.size
     while position < end:
@@ -306,6 +313,9 @@ def find_messages(content: bytes, where: str, offsets: Longs | None = None) -> M
                 f"{where}: the message at byte {position} of it has log_time {t_ns} and "
                 f"publish_time {sent_ns} ns; a time of ROS 1 ends in the year 2106"
             )
-        found.append((channel, sequence, t_ns, sent_ns - t_ns, position + size, stop))
+        found.extend((channel, sequence, t_ns, sent_ns - t_ns, position + size, stop))
         position = stop
-    return Messages(*np.array(found, np.int64).reshape(-1, len(Messages._fields)).T)
+    columns = len(Messages._fields)
+    if not found:
+        return Messages(*np.zeros((columns, 0), np.int64))
+    return Messages(*np.frombuffer(found, np.int64).reshape(-1, columns).T)

@@ -16,6 +16,7 @@ from mcap.records import Channel, Header, Schema, Statistics
 from mcap.well_known import MessageEncoding, Profile
 
 from cassandra_ros.bag import mcap_format as mcapformat
+from cassandra_ros.bag.allowance import Allowance
 from cassandra_ros.bag.chunk import Places
 from cassandra_ros.bag.index import ChunkInfo
 from cassandra_ros.bag.mcap_channel import to_connection, why_foreign
@@ -23,7 +24,7 @@ from cassandra_ros.bag.mcap_format import ChunkHead, Messages, Record
 from cassandra_ros.bag.message_file import MessageFile, SentTimes
 from cassandra_ros.bag.rosbag2 import refusal
 from cassandra_ros.bag.salvage import Salvaged
-from cassandra_ros.errors import BagError, BagUnindexed
+from cassandra_ros.errors import BagError, BagTooLarge, BagUnindexed
 from cassandra_ros.messages.connection import Connection
 
 _LOOSE_BYTES = 1 << 20
@@ -69,6 +70,8 @@ class McapReader(MessageFile):
     Args:
         salvage: Of a file that is cut short, damaged or was not closed, read the messages up to the
             damage: all chunks are read to find them. Of a sound file nothing changes.
+        large_chunks: Read also chunks and files that an Allowance refuses by default: a file that
+            was made for it can fill the memory then.
 
     Attributes:
         salvaged: Where it was opened with salvage: what was damaged, if anything.
@@ -77,11 +80,14 @@ class McapReader(MessageFile):
 
     Raises:
         BagUnindexed: The file was not closed properly, or is cut short.
+        BagTooLarge: It would unpack to more than is allowed.
         BagError: The file cannot be opened, is damaged, or holds nothing of ROS 1; with salvage:
             no message can be read.
     """
 
-    def __init__(self, path: str | os.PathLike[str], salvage: bool = False) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], salvage: bool = False, large_chunks: bool = False
+    ) -> None:
         self.path, self.salvaged = os.fspath(path), Salvaged()
         self._profile = ""
         self._stated: int | None = None
@@ -93,6 +99,8 @@ class McapReader(MessageFile):
         try:
             with ExitStack() as opened:
                 self._file: BinaryIO = opened.enter_context(open(self.path, "rb"))
+                file_bytes = os.fstat(self._file.fileno()).st_size
+                self._allowance = Allowance(file_bytes, large_chunks)
                 self._read_index(salvage)
                 self._number()
                 if self.salvaged.why and not self.message_count:
@@ -140,8 +148,10 @@ class McapReader(MessageFile):
     def _messages(self, chunk: int) -> tuple[bytes, Messages]:
         """Read the messages of ROS 1 of a chunk."""
         if self._last is None or self._last.chunk != chunk:
+            self._last = None  # two chunks at once would take twice the memory
             content, index, offsets = self._content(chunk), self._chunks[chunk].index, None
-            if index is not None:
+            # An index is shorter than the messages that it lists, but for what may follow its end.
+            if index is not None and index.stop - index.start <= 2 * len(content):
                 offsets = mcapformat.offsets_of_indexes(self._bytes(index))
             found = mcapformat.find_messages(content, self._where(chunk), offsets)
             if Counter(found.channels.tolist()) != self._chunks[chunk].counts:
@@ -179,16 +189,16 @@ class McapReader(MessageFile):
                 if record.kind == Opcode.DATA_END:  # what follows repeats what was there
                     before = dict(self._schemas), dict(self._channels)
                 self._note(record)
-        except BagError:
+        except BagError as exc:
             if not salvage:
                 raise
             self._schemas, self._channels = before
-            self._stop(record)
+            self._stop(record, exc)
         if salvage:
             self._check_chunks()
         self._count_the_rest()
 
-    def _stop(self, damaged: Record) -> None:
+    def _stop(self, damaged: Record, error: BagError) -> None:
         """Note where the damage lies; of a chunk in which the file ends keep what is whole."""
         position, file_bytes = damaged.start, os.fstat(self._file.fileno()).st_size
         self._stated = None
@@ -196,12 +206,15 @@ class McapReader(MessageFile):
             self.salvaged.why = "has a damaged summary"
             return
         self.salvaged.why = f"is cut short or damaged at byte {position} of {file_bytes}"
+        if isinstance(error, BagTooLarge):
+            self.salvaged.why = f"is read up to byte {position} of {file_bytes} only ({error})"
         self.salvaged.lost_bytes = file_bytes - position
         chunk = Record(damaged.kind, position + mcapformat.RECORD.size, file_bytes)
         self._file.seek(position)
         if damaged.kind == mcapformat.CUT and self._file.read(1) == bytes([Opcode.CHUNK]):
             with suppress(BagError):
                 head, place = mcapformat.read_chunk_head(self._file, chunk, self.path, cut=True)
+                self._take(head, place, position)
                 part = mcapformat.unpack_part(head, self._bytes(place))
                 self._chunks.append(_Chunk(place, head, part=part))
                 where = f"in the chunk at byte {position} of {file_bytes}"
@@ -234,6 +247,7 @@ class McapReader(MessageFile):
             )
         if kind == Opcode.CHUNK:
             head, place = mcapformat.read_chunk_head(self._file, record, self.path)
+            self._take(head, place, record.start)
             self._chunks.append(_Chunk(place, head))
         elif kind == Opcode.MESSAGE_INDEX and self._chunks:
             channel, count = mcapformat.count_of_index(self._file, record, self.path)
@@ -246,18 +260,34 @@ class McapReader(MessageFile):
         elif kind == Opcode.MESSAGE:
             self._note_loose(record)
         elif kind == Opcode.STATISTICS:
-            raw = self._bytes(record)
+            raw = self._text(record)
             self._stated = mcapformat.parse(Statistics, raw, self.path).message_count
         elif kind == Opcode.FOOTER:
             mcapformat.check_summary(self._file, record, self.path)
         elif kind in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.HEADER):
-            self._note_text(kind, self._bytes(record), self.path)
+            self._note_text(kind, self._text(record), self.path)
         elif kind in _EXTRAS:
             self.extras[_EXTRAS[kind]] = self.extras.get(_EXTRAS[kind], 0) + 1
+
+    def _take(self, head: ChunkHead, place: Record, position: int) -> None:
+        """Count what a chunk at a byte of the file would unpack to; BagTooLarge: it must not."""
+        where, packed = f"{self.path}: the chunk at byte {position}", place.stop - place.start
+        self._allowance.take(head.compression, head.size, packed, where)
+
+    def _text(self, record: Record) -> bytes:
+        """Read a record that describes the file."""
+        if record.stop - record.start > mcapformat.MAX_TEXT_BYTES:
+            raise BagError(
+                f"{self.path} is damaged: the record of kind {record.kind} at byte {record.start} "
+                f"has {record.stop - record.start} bytes; over {mcapformat.MAX_TEXT_BYTES} bytes "
+                "are not believed"
+            )
+        return self._bytes(record)
 
     def _note_loose(self, record: Record) -> None:
         """Add a message outside of chunks to those just before it."""
         start, size = record.start - mcapformat.RECORD.size, record.stop - record.start
+        self._allowance.take("none", size, size, f"{self.path}: the message at byte {start}")
         last = self._chunks[-1].record if self._chunks else None
         if (
             last is not None
@@ -330,9 +360,9 @@ class McapReader(MessageFile):
                 kept.append((to_connection(channel, schema, self.path), number))
         if self.left_out and not kept:
             self._refuse(totals)
-        self._take(kept, totals)
+        self._number_kept(kept, totals)
 
-    def _take(self, kept: list[tuple[Connection, int]], totals: Counter[int]) -> None:
+    def _number_kept(self, kept: list[tuple[Connection, int]], totals: Counter[int]) -> None:
         """Fill in what MessageFile tells, of connections and the ids of their channels."""
         if len({connection.number for connection, _ in kept}) < len(kept):
             raise BagError(f"{self.path} is damaged: two of its connections have the same number")

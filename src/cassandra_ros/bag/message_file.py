@@ -22,6 +22,8 @@ from cassandra_ros.messages.connection import Connection
 
 LISTED = 10
 """Topics that an error names."""
+_AT_ONCE = 1 << 14
+"""Number of messages of a chunk whose places are held as Python objects."""
 
 Progress = Callable[[int, int], None]
 """Called with the messages and bytes that were handled since the last call."""
@@ -161,10 +163,11 @@ class MessageFile(ABC):
         if numbers is not None and numbers.isdisjoint(info.counts):
             return
         content, places = self.chunk_content(chunk)
-        columns = zip(*(column.tolist() for column in places))
-        for position, (number, t_ns, start, stop) in enumerate(columns, info.first):
-            if numbers is None or number in numbers:
-                yield RawMessage(position, number, t_ns, content[start:stop])
+        for first in range(0, len(places.ids), _AT_ONCE):
+            columns = zip(*(column[first : first + _AT_ONCE].tolist() for column in places))
+            for position, (number, t_ns, start, stop) in enumerate(columns, info.first + first):
+                if numbers is None or number in numbers:
+                    yield RawMessage(position, number, t_ns, content[start:stop])
 
     def stretches(self, chunk: int, spans: Mapping[int, tuple[int, int]]) -> Iterator[Stretch]:
         """Read the messages of a chunk, connection by connection; see messages.

@@ -19,11 +19,16 @@ from cassandra_ros.errors import BagError
 MCAP_ENDING = ".mcap"
 
 
-def open_file(path: str | os.PathLike[str], salvage: bool = False) -> MessageFile:
+def open_file(
+    path: str | os.PathLike[str], salvage: bool = False, large_chunks: bool = False
+) -> MessageFile:
     """Open a bag or an MCAP for reading, whatever its name.
 
     Args:
         salvage: Read a damaged file up to the damage.
+        large_chunks: Read also chunks of more than 256 MiB of content, and files that unpack to
+            more than 1000 times their size. Only for files that you trust: one that was made for
+            it can fill the memory and the disk.
 
     Raises:
         BagError: It is none of both, as what rosbag2 records, or cannot be read; see BagReader
@@ -40,8 +45,8 @@ def open_file(path: str | os.PathLike[str], salvage: bool = False) -> MessageFil
     if magic == SQLITE_MAGIC:
         raise refusal(name)
     if magic.startswith(mcap_format.MAGIC):
-        return McapReader(name, salvage)
-    return BagReader(name, salvage)
+        return McapReader(name, salvage, large_chunks)
+    return BagReader(name, salvage, large_chunks)
 
 
 def make_file(path: str | os.PathLike[str], compression: str | None = None) -> FileWriter:

@@ -12,6 +12,7 @@ from typing import BinaryIO, Mapping
 import numpy as np
 
 from cassandra_ros.bag import format as bagformat
+from cassandra_ros.bag.allowance import Allowance
 from cassandra_ros.bag.chunk import (
     MIN_AT_ONCE,
     Longs,
@@ -44,29 +45,39 @@ class BagReader(BagIndex, MessageFile):
     Args:
         salvage: Of a bag that is cut short, damaged or was not closed, read the messages up to the
             damage: all chunks are read to find them. Of a sound bag nothing changes.
+        large_chunks: Read also chunks and bags that an Allowance refuses by default: a bag that
+            was made for it can fill the memory then.
 
     Raises:
         BagUnindexed: The bag was not closed properly, or is cut short.
+        BagTooLarge: When a chunk is read: it would unpack to more than is allowed.
         BagError: The file cannot be opened, is no bag of format 2.0, is encrypted, or its index
             is damaged; with salvage: no message can be read.
     """
 
-    def __init__(self, path: str | os.PathLike[str], salvage: bool = False) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], salvage: bool = False, large_chunks: bool = False
+    ) -> None:
         name, self.salvaged = os.fspath(path), Salvaged()
         try:
             with ExitStack() as opened:
                 file = opened.enter_context(open(name, "rb"))
-                place = self._salvage(file, name) if salvage else None
+                file_bytes = os.fstat(file.fileno()).st_size
+                allowance = Allowance(file_bytes, large_chunks)
+                place = self._salvage(file, name, allowance) if salvage else None
                 if place is not None:
                     opened.enter_context(place.file)
                 super().__init__(file, name, place)
+                self._allowance = Allowance(file_bytes, large_chunks)
+                self._counted = bytearray(self.chunk_count)
+                """Of each chunk 1 where the allowance has counted it: it may be read again."""
                 opened.pop_all()
         except OSError as exc:
             raise BagError(f"{name} cannot be read: {exc.strerror}") from exc
 
-    def _salvage(self, file: BinaryIO, name: str) -> IndexPlace | None:
+    def _salvage(self, file: BinaryIO, name: str, allowance: Allowance) -> IndexPlace | None:
         """Find the damage; return an index made anew, or None where the bag's own is sound."""
-        found, place = read_salvage(file, name)
+        found, place = read_salvage(file, name, allowance)
         if not found.why:
             try:
                 BagIndex(file, name)
@@ -95,6 +106,9 @@ class BagReader(BagIndex, MessageFile):
         compression, size, data_bytes = self._chunk_header(chunk)
         if compression == "none" and size != data_bytes:
             raise BagError(f"{where} is damaged: it states both {size} and {data_bytes} bytes")
+        if not self._counted[chunk]:
+            self._allowance.take(compression, size, data_bytes, where)
+            self._counted[chunk] = 1
         try:
             data = self._file.read(data_bytes)
         except OSError as exc:

@@ -16,15 +16,10 @@ from dataclasses import dataclass, field
 from typing import BinaryIO, NamedTuple
 
 from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.chunk import (
-    MAX_CHUNK_BYTES,
-    decompress_chunk,
-    message_of,
-    record_at,
-    unpack_part,
-)
+from cassandra_ros.bag.allowance import Allowance
+from cassandra_ros.bag.chunk import decompress_chunk, message_of, record_at, unpack_part
 from cassandra_ros.bag.index import IndexPlace, check_connection, read_start
-from cassandra_ros.errors import BagError
+from cassandra_ros.errors import BagError, BagTooLarge
 
 
 class CutChunk(NamedTuple):
@@ -70,6 +65,7 @@ class _Scan:
 
     file: BinaryIO
     path: str
+    allowance: Allowance
     salvaged: Salvaged = field(default_factory=Salvaged)
     connections: dict[int, bytes] = field(default_factory=dict)
     """Their records, by id in the file."""
@@ -96,6 +92,8 @@ class _Scan:
                         self.salvaged.why = f"is cut short after {size} bytes"
                 else:
                     raise BagError(f"a record of kind {kind}")
+            except BagTooLarge as exc:
+                self._end(f"is read up to byte {position} of {size} only ({exc})", size - position)
             except BagError:
                 self._end(f"is cut short or damaged at byte {position} of {size}", size - position)
         if not self.salvaged.why:
@@ -115,13 +113,17 @@ class _Scan:
         data_bytes, data_pos = self._length(), self.file.tell()
         # A recorder states the size when it closes a chunk: until then it is 0.
         whole = 0 < data_bytes <= size - data_pos
-        data = self.file.read(data_bytes if whole else min(size - data_pos, MAX_CHUNK_BYTES))
+        most = self.allowance.most(compression)
+        data_bytes = data_bytes if whole else min(size - data_pos, most)
+        self.allowance.take(compression, min(declared, most), data_bytes, where)
+        data = self.file.read(data_bytes)
+        large, whole = declared > most, whole and declared <= most
         try:
             content = decompress_chunk(compression, data, declared, where) if whole else b""
         except BagError:
             whole = False
         if not whole:
-            content = unpack_part(compression, data, declared)
+            content = unpack_part(compression, data, min(declared or most, most))
         end, times, counts = self._records(content, where)
         if counts:
             self.infos.append(_chunk_info(position, times, counts))
@@ -131,6 +133,8 @@ class _Scan:
                 number = len(self.infos) - 1
                 self.salvaged.cut = CutChunk(number, compression, data_pos, len(data), end)
             why = f"is cut short or damaged in the chunk that begins at byte {position} of {size}"
+            if large:
+                why += f" (it states {declared} bytes of content, --allow-large-chunks reads it)"
             self._end(why, size - data_pos - end * (compression == "none"))
 
     def _records(self, content: bytes, where: str) -> tuple[int, list[int], Counter[int]]:
@@ -173,13 +177,15 @@ def _chunk_info(position: int, times: list[int], counts: Counter[int]) -> bytes:
     )
 
 
-def read_salvage(file: BinaryIO, path: str) -> tuple[Salvaged, IndexPlace]:
+def read_salvage(file: BinaryIO, path: str, allowance: Allowance) -> tuple[Salvaged, IndexPlace]:
     """Read the chunks of a bag up to the first damage, and make their index; close its file.
+
+    A chunk that the allowance refuses counts as the first damage.
 
     Raises:
         BagError: The file is no bag of format 2.0, or holds no message that can be read.
     """
-    scan = _Scan(file, path)
+    scan = _Scan(file, path, allowance)
     scan.run()
     if not scan.infos and scan.salvaged.why:
         raise BagError(f"{path} {scan.salvaged.why}: there is no message that can be salvaged")

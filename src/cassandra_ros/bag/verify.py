@@ -78,6 +78,7 @@ def verify_bag(
     reading: Progress | None = None,
     run: RunName = None,
     salvage: bool = False,
+    large_chunks: bool = False,
 ) -> VerifyReport:
     """Compare a bag with the store, message by message, in the order in which rosbag reads.
 
@@ -95,6 +96,7 @@ def verify_bag(
         reading: Told how far the pass over the bag is that finds its import.
         run: Compare what this recording or import stored, by its name or writer id.
         salvage: Compare what can be read of a damaged bag, as import_bag stores it.
+        large_chunks: As import_bag takes it.
 
     Raises:
         BagError: The bag cannot be read to its end.
@@ -102,7 +104,7 @@ def verify_bag(
         RunNotFound: The store has no such run.
         InvalidKey: The bag was imported for several nodes, and nodeID does not choose.
     """
-    with open_file(path, salvage) as reader:
+    with open_file(path, salvage, large_chunks) as reader:
         numbers = chosen_connections(reader, topics)
         chosen = {n: reader.connections[n].topic for n in numbers}
         stored = _stored_topics(ros_cas, chosen.values())
@@ -141,6 +143,7 @@ def verify_content(
     progress: Progress | None = None,
     run: RunName = None,
     salvage: bool = False,
+    large_chunks: bool = False,
 ) -> VerifyReport:
     """Compare each topic's messages in their order by type, md5sum and bytes alone.
 
@@ -158,14 +161,14 @@ def verify_content(
         end: Last time, included; None = open.
         progress: Told which messages of the bag were compared.
         run: Only what this recording or import stored, by its name or writer id.
-        salvage: As verify_bag takes it.
+        salvage, large_chunks: As verify_bag takes them.
 
     Raises:
         BagError, TopicNotFound, RunNotFound: As of verify_bag.
     """
     renamed = dict(mapping or {})
     writers = ros_cas.parts.runs.writers(run)
-    with open_file(path, salvage) as reader:
+    with open_file(path, salvage, large_chunks) as reader:
         numbers = chosen_connections(reader, topics)
         report = VerifyReport(reader.path, "all stored messages on its topics, by content")
         if start is not None and to_ns(start) <= reader.start_ns:

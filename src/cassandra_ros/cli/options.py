@@ -50,6 +50,17 @@ def add_format_option(parser: argparse._ActionsContainer) -> None:
     )
 
 
+def add_large_chunks_option(parser: argparse._ActionsContainer) -> None:
+    """Add --allow-large-chunks, of the verbs that read bags."""
+    parser.add_argument(
+        "--allow-large-chunks",
+        action="store_true",
+        help="read also chunks of more than 256 MiB of content, and files that unpack to more than "
+        "1000 times their size (default: refuse them). Only for files that you trust: a small file "
+        "that was made for it fills the memory and the disk",
+    )
+
+
 def add_store_options(parser: argparse.ArgumentParser, prefix: str = "") -> None:
     """Add where the store is and how one logs in there; store_place reads it.
 

@@ -29,7 +29,12 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.answers import add_json_option, print_json
-from cassandra_ros.cli.options import add_format_option, add_store_options, open_store
+from cassandra_ros.cli.options import (
+    add_format_option,
+    add_large_chunks_option,
+    add_store_options,
+    open_store,
+)
 from cassandra_ros.cli.parsers import error_line
 from cassandra_ros.cli.text import MessageBar, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
@@ -98,6 +103,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of a bag or an MCAP that is cut short, damaged or was never closed (.bag.active), "
         "store what stands before the damage, and say what that is (default: refuse it)",
     )
+    add_large_chunks_option(parser)
     add(
         "--jobs",
         metavar="N",
@@ -149,7 +155,7 @@ def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> Im
     from cassandra_ros.bag.message_file import chosen_connections
     from cassandra_ros.bag.opening import open_file
 
-    with open_file(path, options.salvage) as reader:
+    with open_file(path, options.salvage, options.allow_large_chunks) as reader:
         names = {connection.topic for connection in reader.connections.values()}
         topics = topics_among(options, names, path)
         chosen = chosen_connections(reader, topics)
@@ -176,6 +182,7 @@ def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> Im
             reading=shown_by(first),
             jobs=options.jobs,
             salvage=options.salvage,
+            large_chunks=options.allow_large_chunks,
         )
     if not (options.quiet or options.json):
         _print_report(report, options.keyspace, time.monotonic() - begun)

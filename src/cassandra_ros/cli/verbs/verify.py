@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import (
+    add_large_chunks_option,
     add_origin_options,
     add_store_options,
     add_time_options,
@@ -45,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="compare what import --salvage stores of a damaged bag (default: refuse it)",
     )
+    add_large_chunks_option(parser)
     add(
         "--map",
         metavar="FROM:=TO",
@@ -88,7 +90,7 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
     from cassandra_ros.bag.verify import verify_bag, verify_content
 
     start, end = read_times(options)
-    with open_file(options.bag, options.salvage) as reader:
+    with open_file(options.bag, options.salvage, options.allow_large_chunks) as reader:
         count = reader.message_count
         names = {connection.topic for connection in reader.connections.values()}
         topics = topics_among(options, names, reader.path)
@@ -105,6 +107,7 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
                 first.add,
                 options.run,
                 options.salvage,
+                options.allow_large_chunks,
             )
         return verify_content(
             ros_cas,
@@ -117,6 +120,7 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
             progress=bar.add,
             run=options.run,
             salvage=options.salvage,
+            large_chunks=options.allow_large_chunks,
         )
 
 
