@@ -14,7 +14,7 @@ from topics.test_run_states import T0, add, begin
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.store.registry import Loss, LossKind
+from cassandra_ros.store.registry import Loss, LossKind, Run
 
 
 @pytest.fixture
@@ -92,3 +92,25 @@ def test_delete(store, call, type_in, monkeypatch):
     assert counts(store) == {"/p": 2}
     status, _, err = call("delete", "/n", "-y")
     assert (status, err.count("\n")) == (1, 1)
+
+
+def test_a_dry_run_of_a_run_leaves_it_listed(store, call):
+    out = call("delete", "--run", "corridor", "--dry-run")[1]
+    assert out.endswith("10 messages of 2 topics would be deleted\n")
+    assert counts(store) == {"/maps": 1, "/n": 10, "/p": 10}
+    assert [run.name for run in store.runs()] == ["corridor", "yard"]
+    assert [loss.count for loss in store.losses()] == [4]
+
+
+def test_the_run_of_one_robot_goes_and_that_of_the_other_stays(store, call):
+    """Two robots recorded runs of one name."""
+    run = Run("jackal", 9, "recording", name="corridor")
+    with store.messageWriter(writer_id=9, run=run, nodeID="jackal") as writer:
+        add(writer, 3)
+    store.parts.registry.put_loss(Loss("/n", "jackal", 9, LossKind.BUFFER_FULL, T0, T0, 2))
+    command = ("delete", "--run", "corridor", "--node-id", "husky", "-y")
+    assert call(*command)[1].endswith("10 messages of 2 topics are deleted\n")
+    assert counts(store) == {"/maps": 1, "/n": 8, "/p": 5}
+    listed = [(run.name, run.node) for run in store.runs()]
+    assert sorted(listed) == [("corridor", "jackal"), ("yard", "husky")]
+    assert [(loss.node, loss.count) for loss in store.losses()] == [("jackal", 2)]
