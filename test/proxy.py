@@ -113,6 +113,8 @@ class Proxy:
     def __init__(self, host, port):
         self._server = host, port
         self._caught = []
+        self.late_pushes = False
+        """What the server pushes of itself comes as late as it may: before the next answer."""
         self._pairs = []
         self._listener = socket.create_server((host, 0))
         self.host, self.port = self._listener.getsockname()
@@ -159,15 +161,17 @@ class Proxy:
                 client, _ = listener.accept()
             except OSError:
                 return
-            self._pairs.append(_Pair(client, socket.create_connection(self._server), self._caught))
+            self._pairs.append(_Pair(client, socket.create_connection(self._server), self))
 
 
 class _Pair:
     """One connection of the client, and ours to the server."""
 
-    def __init__(self, client, server, caught):
+    def __init__(self, client, server, proxy):
         self._sockets = {"client": client, "server": server}
-        self._caught = caught
+        self._proxy = proxy
+        self._caught = proxy._caught
+        self._pushed = []
         self._writing = {"client": threading.Lock(), "server": threading.Lock()}
         self._failing = {}
         self.frozen = False
@@ -223,6 +227,11 @@ class _Pair:
     def _answer(self, frame):
         if self.frozen and frame.opcode != SupportedMessage.opcode:
             return
+        if frame.stream < 0 and self._proxy.late_pushes:
+            self._pushed.append(frame)
+            return
+        while self._pushed:
+            self._send("client", self._pushed.pop(0))
         request, caught = self._failing.pop(frame.stream, (None, None))
         if caught is not None:
             threading.Thread(target=self._late, args=(request, caught), daemon=True).start()

@@ -62,6 +62,7 @@ from cassandra_ros.store.protocol import (
     RawProtocolHandler,
     connection_class,
 )
+from cassandra_ros.store.schema_changes import SchemaChanges
 
 CONNECT_TIMEOUT_SEC = 10.0
 NEW_TABLE_SEC = 1.0
@@ -112,6 +113,7 @@ class Cassandra:
         self.hosts, self.port = login.hosts, login.port
         self._where = f"{','.join(self.hosts)} port {self.port}"
         self.outage = Outage(self._where)
+        self.schema_changes = SchemaChanges()
         self.consistency = _consistency_level(consistency)
         self._given = {
             "consistency": consistency,
@@ -176,7 +178,9 @@ class Cassandra:
             contact_points=self.hosts,
             port=self.port,
             protocol_version=PROTOCOL_VERSION,
-            connection_class=connection_class(tls if self._ssl_context is None else None),
+            connection_class=connection_class(
+                tls if self._ssl_context is None else None, self.schema_changes
+            ),
             compression=False,
             auth_provider=auth,
             ssl_context=context,

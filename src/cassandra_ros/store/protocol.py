@@ -22,11 +22,18 @@ from cassandra import ProtocolVersion
 from cassandra.cluster import DefaultConnection
 from cassandra.connection import ProtocolError, Timer, _Frame
 from cassandra.cqltypes import BytesType
-from cassandra.protocol import BatchMessage, ExecuteMessage, ProtocolHandler, ResultMessage
+from cassandra.protocol import (
+    BatchMessage,
+    ExecuteMessage,
+    ProtocolHandler,
+    RegisterMessage,
+    ResultMessage,
+)
 
 from cassandra_ros.store.login import Tls
 from cassandra_ros.store.paging import RawRow
 from cassandra_ros.store.raw_page import RawPage
+from cassandra_ros.store.schema_changes import SchemaChanges
 
 PROTOCOL_VERSION = 4
 """In version 5 all bytes are cut into segments of 128 KiB with checksums, which Python joins: 0.8
@@ -159,6 +166,8 @@ class LargeBuffers(DefaultConnection):
 
     in_buffer_size = BUFFER_BYTES
     out_buffer_size = BUFFER_BYTES
+    schema_changes: SchemaChanges
+    """What is told of the schema's changes that the server pushes."""
     _frame: tuple[_Frame, int] | None = None
     """The answer that is being received, and the size of its body."""
 
@@ -168,6 +177,25 @@ class LargeBuffers(DefaultConnection):
         alarm = _Alarm(callback)
         alarm.timer = super().create_timer(timeout, alarm)
         return alarm
+
+    @classmethod
+    def factory(cls, endpoint: object, timeout: float, *args: object, **kwargs: object) -> Any:
+        """Connect as the driver does, and ask the server to push changes of the schema."""
+        connection = super().factory(endpoint, timeout, *args, **kwargs)
+        try:
+            asked = RegisterMessage(event_list=["SCHEMA_CHANGE"])
+            connection.wait_for_response(asked, timeout=timeout)
+        except BaseException:
+            connection.close()
+            raise
+        cls.schema_changes.connected()
+        return connection
+
+    def handle_pushed(self, response: Any) -> None:
+        """Note a change of the schema, before any answer that comes behind it is handed on."""
+        if response.event_type == "SCHEMA_CHANGE":
+            self.schema_changes.pushed(response.event_args)
+        super().handle_pushed(response)
 
     @cached_property
     def _iobuf(self) -> _Received:
@@ -226,15 +254,23 @@ class LargeBuffers(DefaultConnection):
         return b""  # wakes the driver's thread
 
 
-def connection_class(tls: Tls | None) -> type[LargeBuffers]:
-    """Return the class of connections, which with TLS trust what is trusted of their host."""
+def connection_class(tls: Tls | None, changes: SchemaChanges) -> type[LargeBuffers]:
+    """Return the class of connections, which with TLS trust what is trusted of their host.
+
+    Args:
+        changes: Is told what they hear of the schema.
+    """
+
+    class Listening(LargeBuffers):
+        schema_changes = changes
+
     if tls is None or not tls.certfiles:
-        return LargeBuffers
+        return Listening
     files, make = tls.certfiles, functools.lru_cache(maxsize=None)(tls.context)
     # The driver knows nodes by their addresses; the file may name them.
     names = {address: name for name in files for address in _addresses_of(name)}
 
-    class Encrypted(LargeBuffers):
+    class Encrypted(Listening):
         def _wrap_socket_from_context(self) -> ssl.SSLSocket:
             address = self.endpoint.address
             self.ssl_context = make(address if address in files else names.get(address, address))

@@ -21,6 +21,7 @@ from cassandra_ros.store.names import (
     table_name,
 )
 from cassandra_ros.store.row_table import RowTable
+from cassandra_ros.store.schema_changes import Mark
 from cassandra_ros.store.side_tables import SchemaLock, SideTables
 from cassandra_ros.store.succession import Listing
 
@@ -67,6 +68,7 @@ class Schema:
         self._side_tables = side_tables
         self._listing: Listing | None = None
         self._read_at = 0.0
+        self._mark: Mark | None = None
         self.seen: set[tuple[str, str]] = set()
         """(topic, format) of every table that was ever listed here."""
         self._mutex = threading.Lock()
@@ -88,10 +90,11 @@ class Schema:
         """List all topic tables, and which take the place of others, as ``tables`` does."""
         self._cassandra.require_open()
         with self._mutex:
-            now = time.monotonic()
-            if self._listing is None or fresh or now - self._read_at > CACHE_SEC:
+            now, mark = time.monotonic(), self._cassandra.schema_changes.mark(self.keyspace)
+            old = mark != self._mark or now - self._read_at > CACHE_SEC
+            if self._listing is None or fresh or old:
                 self._listing = Listing(self._read())
-                self._read_at = now
+                self._read_at, self._mark = now, mark
             return self._listing
 
     def latest(self, table: str, known: TopicMetadata) -> TopicMetadata:

@@ -24,6 +24,7 @@ class Listing:
         visible: Those that are read.
         heirs: Table that was replaced → the one that has its messages now.
         leaving: Table that is read → the one that is being filled to replace it.
+        by_topic: Topic → names of its tables that are read, sorted.
     """
 
     def __init__(self, every: Mapping[str, TopicMetadata]) -> None:
@@ -39,6 +40,9 @@ class Listing:
             for old in m.replaces
             if old in self.visible
         }
+        self.by_topic: dict[str, list[str]] = {}
+        for name, m in sorted(self.visible.items()):
+            self.by_topic.setdefault(m.topic, []).append(name)
 
     def takes_rows(self, table: str) -> bool:
         """Say whether new messages may go into a table: not into one that others replace."""

@@ -36,7 +36,7 @@ from cassandra_ros.topics.reading import Columns
 from cassandra_ros.topics.runs import RunName
 from cassandra_ros.topics.selection import AnyKey, Stretch, Whose
 from cassandra_ros.topics.stored_row import Key, StoredRow
-from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.topic_table import TopicTable, WholeTopic
 from cassandra_ros.topics.totals import count_buckets
 
 Fields = Union[None, str, Sequence[str]]
@@ -76,7 +76,7 @@ class CassandraTopic:
         self._wish = wish
 
     @property
-    def tables(self) -> list[TopicTable]:
+    def tables(self) -> WholeTopic:
         """The tables of the topic, one for each md5 and format; none before the first message."""
         return self._keyspace.tables.of_topic(self.name)
 
@@ -265,7 +265,10 @@ class CassandraTopic:
     ) -> Finder:
         whose, tables = self._whose(nodeID, run), self._stored()
         key_format = (tables[0] if tables else self._wish).metadata.key_format or "time"
-        passing = None if where is None else Filter(self, where, nodeID, whose.writers)
+        passing = None
+        if where is not None:
+            filtered = partial(Filter, self, where, nodeID, whose.writers)
+            passing = self._keyspace.naming(filtered)
         return Finder(self._keyspace, self.name, key_format, tables, whose, passing)
 
     def _whose(self, nodeID: Optional[str], run: RunName) -> Whose:
@@ -312,8 +315,9 @@ class CassandraTopic:
         rows = read(after=after, reverse=reverse, columns=columns, chooser=chooser, wanted=few)
         return islice(rows, limit)
 
-    def _stored(self) -> list[TopicTable]:
-        tables, wish = self.tables, self._wish
+    def _stored(self) -> WholeTopic:
+        wish = self._wish
+        tables = self.tables or self._keyspace.tables.of_topic(self.name, fresh=True)
         known = (self.name, wish.metadata.format) in self._keyspace.schema.seen
         if not tables and (known or not wish.pending):
             raise TopicNotFound(
@@ -378,6 +382,7 @@ class CassandraTopic:
             MessageNotFound: There is no message at key (without to_key).
             InvalidKey, InvalidQuery: Neither key, to_key, where nor run is given; where is none.
         """
+        self._keyspace.schema.tables(fresh=True)  # what another client just stored goes, too
         return self._finder(nodeID, where, run).remove(key, to_key)
 
     def getArrays(
@@ -413,7 +418,9 @@ class CassandraTopic:
         """
         finder = self._finder(nodeID, where, run)
         reads, writers = finder.reads(key, to_key), finder.whose.writers
-        return read_arrays(self, fields, where, *reads, node=nodeID, writers=writers)
+        return self._keyspace.naming(
+            lambda: read_arrays(self, fields, where, *reads, node=nodeID, writers=writers)
+        )
 
     def toDataFrame(
         self,
@@ -439,7 +446,9 @@ class CassandraTopic:
         """
         finder = self._finder(nodeID, where, run)
         reads, writers = finder.reads(key, to_key), finder.whose.writers
-        return read_frame(self, fields, where, *reads, node=nodeID, writers=writers)
+        return self._keyspace.naming(
+            lambda: read_frame(self, fields, where, *reads, node=nodeID, writers=writers)
+        )
 
     def createIndex(self, field: str, progress: Optional[Progress] = None) -> int:
         """Make an index on a field, so that conditions on it read only the rows that they find.

@@ -219,6 +219,7 @@ class Catalog:
     def tables(self, topics: Optional[Iterable[str]]) -> List[TopicTable]:
         """List the tables of some topics, None = of all topics that can be read."""
         if topics is not None:
+            self.keyspace.schema.tables(fresh=True)
             # A topic may be named twice: with and without its leading slash.
             named = {topic.name: topic for topic in map(self.get, topics)}
             return [table for topic in named.values() for table in topic.tables]
@@ -254,6 +255,7 @@ class Catalog:
             return {}
         if not isinstance(where, Mapping):
             raise InvalidOption(f"where= is a mapping of topics to conditions, not {where!r:.80}")
+        self.keyspace.schema.tables(fresh=True)
         writers = self.keyspace.runs.writers(run)
         read = None if topics is None else {self.get(name).name for name in topics}
         found: Dict[str, Filter] = {}

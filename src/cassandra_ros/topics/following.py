@@ -9,7 +9,7 @@ have the same places there.
 
 from __future__ import annotations
 
-from typing import Callable, Iterator, List, Optional, Sequence, TypeVar, Union
+from typing import Callable, Iterator, Optional, Sequence, TypeVar, Union
 
 from cassandra_ros.arrays.stacked_values import MessageBlock
 from cassandra_ros.errors import TopicNotFound
@@ -19,14 +19,19 @@ from cassandra_ros.query.pushdown import Pushdown
 from cassandra_ros.topics.reading import Columns, RowReader
 from cassandra_ros.topics.selection import EVERYBODY, Selection, Stretch, Whose
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.topic_table import TopicTable, WholeTopic
 
 _T = TypeVar("_T")
 Tables = Sequence[TopicTable]
 
 
-def current(tables: Tables, *, fresh: bool = False) -> List[TopicTable]:
-    """Return tables with those in place of them that have replaced some; each once."""
+def current(tables: Tables, *, fresh: bool = False) -> Tables:
+    """Return tables with those in place of them that have replaced some; each once.
+
+    Of a whole topic those that were made since are among them.
+    """
+    if isinstance(tables, WholeTopic):
+        return tables.now(fresh=fresh)
     found = {}
     for table in tables:
         now = table.heir(fresh) or table
@@ -35,7 +40,10 @@ def current(tables: Tables, *, fresh: bool = False) -> List[TopicTable]:
 
 
 def followed(tables: Tables, work: Callable[[Tables], _T]) -> _T:
-    """Do something with tables, anew where one of them was replaced and dropped meanwhile."""
+    """Do something with tables, anew where one of them was replaced and dropped meanwhile.
+
+    It is done anew, too, where a whole topic has a table that was made before.
+    """
     tables = current(tables)
     while True:
         try:
@@ -50,15 +58,21 @@ def followed(tables: Tables, work: Callable[[Tables], _T]) -> _T:
 def _left(tables: Tables) -> bool:
     """Say whether one of the tables was replaced, long enough ago for it to be dropped.
 
-    Then the directory may know nothing of it any more, and what was read be less than all.
+    Then the directory may know nothing of it any more, and what was read be less than all. So it is
+    where a whole topic has a table that was not read. Asked after an answer of the server, it
+    knows all that was acknowledged before the read began (``store/schema_changes.py``).
     """
-    return any(table.heir(False) is not None for table in tables)
+    return not _same(tables, current(tables))
+
+
+def _same(tables: Tables, now: Tables) -> bool:
+    return now is tables or {table.name for table in now} == {table.name for table in tables}
 
 
 def _replaced(tables: Tables, gone: TopicNotFound) -> Tables:
     """Return the tables of now; raise the error where none of them is new."""
     now = current(tables, fresh=True)
-    if {table.name for table in now} == {table.name for table in tables}:
+    if _same(tables, now):
         raise gone
     return now
 
@@ -173,10 +187,17 @@ def _followed_rows(
         tables = current(tables)
         if last is not None:
             after = last.position
-        if after is not None:
-            after = after.among((table.name for table in tables), reverse)
+        behind = None if after is None else after.among((t.name for t in tables), reverse)
         try:
-            for row in rows(tables, after):
+            found = rows(tables, behind)
+            first = next(found, None)
+            if last is None and _left(tables):
+                continue  # nothing was given yet
+            if first is not None:
+                tables = list(tables)  # what is made from now on need not be read
+                last = first
+                yield first
+            for row in found:
                 last = row
                 yield row
             if not _left(tables):

@@ -8,7 +8,7 @@ import logging
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from typing import Any, Mapping, Optional, Sequence
+from typing import Any, Callable, Mapping, Optional, Sequence, TypeVar
 
 from cassandra_ros.arguments import (
     check_fields,
@@ -23,6 +23,7 @@ from cassandra_ros.errors import (
     InvalidKey,
     InvalidName,
     InvalidOption,
+    InvalidQuery,
     TopicExists,
     TopicNotFound,
     TypeMismatch,
@@ -57,6 +58,8 @@ from cassandra_ros.topics.totals import holds_any
 
 _log = logging.getLogger(__name__)
 
+_T = TypeVar("_T")
+
 
 class Keyspace:
     """One keyspace of a cluster; it and its side tables are made by what first writes.
@@ -85,6 +88,20 @@ class Keyspace:
         whose, every = Whose(None, frozenset([writer])), self.schema.tables(fresh=True)
         tables = [self.tables.get(name, metadata) for name, metadata in every.items()]
         return holds_any(self.directory, tables, whose)
+
+    def naming(self, make: Callable[[], _T]) -> _T:
+        """Make what names fields of topics; anew where one is unknown and tables have changed.
+
+        Raises:
+            InvalidQuery: No table has the field now.
+        """
+        known = self.schema.listing()
+        try:
+            return make()
+        except InvalidQuery:
+            if self.schema.listing(fresh=True).visible == known.visible:
+                raise
+            return make()
 
     def format_for(self, topic: str, md5sum: str = "", asked: Optional[str] = None) -> str:
         """Decide in which format new messages of a topic are kept.

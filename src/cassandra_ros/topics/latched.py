@@ -96,6 +96,7 @@ def latched_before(
 def tables_of(ros_cas: RosCassandra, topics: Optional[Iterable[str]]) -> List[TopicTable]:
     """List the tables of some topics, None = of all that can be read here."""
     if topics is not None:
+        ros_cas.parts.schema.tables(fresh=True)
         named = {topic.name: topic for topic in map(ros_cas.getTopic, topics)}
         return [table for topic in named.values() for table in topic.tables]
     found: List[TopicTable] = []

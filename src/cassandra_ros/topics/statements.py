@@ -105,15 +105,17 @@ class Statements:
         check_nodes(node)
         select = statement if isinstance(statement, Select) else parse_select(statement, params)
         topic, writers = self.topic_of(select), self._keyspace.runs.writers(run)
-        return QueryResult(
-            select,
-            topic,
-            node=node,
-            run=writers,
-            limit=limit,
-            after=after,
-            plan=plan,
-            watch=watch,
+        return self._keyspace.naming(
+            lambda: QueryResult(
+                select,
+                topic,
+                node=node,
+                run=writers,
+                limit=limit,
+                after=after,
+                plan=plan,
+                watch=watch,
+            )
         )
 
     def explain(
@@ -163,6 +165,7 @@ class Statements:
             return self._catalog.get(topic)
 
     def _delete(self, statement: Delete, node: Optional[str], run: RunName) -> int:
+        self._keyspace.schema.tables(fresh=True)  # what another client just stored goes, too
         topic = self.topic_of(statement)
         named = any(table.named for table in topic.tables)
         condition = Condition(statement, node=node, run=self._keyspace.runs.writers(run))

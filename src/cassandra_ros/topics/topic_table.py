@@ -9,7 +9,7 @@ import logging
 import threading
 from functools import lru_cache, partial
 from itertools import repeat
-from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Iterable, List, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError, InvalidName, InvalidOption
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
@@ -27,6 +27,7 @@ from cassandra_ros.store.connection import Cassandra
 from cassandra_ros.store.raw_page import Places
 from cassandra_ros.store.row_table import Indexed, NewRow, RowTable, Shadows, Zones, encode_long
 from cassandra_ros.store.schema import Schema
+from cassandra_ros.store.succession import Listing
 from cassandra_ros.topics.connections import ConnectionCache
 from cassandra_ros.topics.runs import Runs
 
@@ -228,6 +229,27 @@ class TopicTable(RowTable):
         return self.format.decode_together(data, starts, ends, sizes)
 
 
+class WholeTopic(List[TopicTable]):
+    """All tables of a topic, as some listing has them: one for each md5 and format.
+
+    A read that is given one, and not a plain list, takes in tables that were made before it began.
+    """
+
+    def __init__(
+        self,
+        tables: Iterable[TopicTable],
+        listing: Listing,
+        renew: Callable[[WholeTopic, bool], WholeTopic],
+    ) -> None:
+        super().__init__(tables)
+        self.listing = listing
+        self._renew = renew
+
+    def now(self, *, fresh: bool) -> WholeTopic:
+        """Return the tables of now, with those in place of them that have replaced some."""
+        return self._renew(self, fresh)
+
+
 class TopicTables:
     """The topic tables of a keyspace as objects, made once each. Thread-safe."""
 
@@ -273,10 +295,24 @@ class TopicTables:
             self._schema.tables(fresh=True)  # another client, which gave the name, knows more
         return self.by_name(name) or self._heir(name, False)
 
-    def of_topic(self, topic: str) -> list[TopicTable]:
+    def of_topic(self, topic: str, *, fresh: bool = False) -> WholeTopic:
         """List the tables of a topic: one for each md5 and format."""
-        tables = sorted(self._schema.tables().items())
-        return [self.get(name, m) for name, m in tables if m.topic == topic]
+        return self._whole(topic, self._schema.listing(fresh=fresh))
+
+    def _whole(self, topic: str, listing: Listing, others: Iterable[str] = ()) -> WholeTopic:
+        names = dict.fromkeys([*listing.by_topic.get(topic, ()), *others])
+        tables = [self.get(name, listing.visible[name]) for name in names]
+        return WholeTopic(tables, listing, partial(self._renewed, topic))
+
+    def _renewed(self, topic: str, was: WholeTopic, fresh: bool) -> WholeTopic:
+        # What is asked of no table has no answer before which a new one would have been pushed.
+        listing = self._schema.listing(fresh=fresh or not was)
+        if listing is was.listing:
+            return was
+        # Of a topic that was renamed the tables stay the same.
+        heirs = (listing.heirs.get(table.name, table.name) for table in was)
+        found = self._whole(topic, listing, [name for name in heirs if name in listing.visible])
+        return found or was
 
 
 def _unknown_robots() -> RobotPlaces:

@@ -15,7 +15,7 @@ from cassandra_ros.store.counting import count_part, settle
 from cassandra_ros.store.directory import BucketRow, BucketTotals, Directory
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.store.registry import Loss
-from cassandra_ros.topics.following import current, followed
+from cassandra_ros.topics.following import followed
 from cassandra_ros.topics.selection import EVERYBODY, Whose
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -99,8 +99,12 @@ def holds_any(directory: Directory, tables: Sequence[TopicTable], whose: Whose) 
 
 def count_buckets(directory: Directory, tables: Sequence[TopicTable]) -> int:
     """Count the partitions of tables: stretches of time of a node; 0 for named messages."""
-    every = ((t.name, row) for t in current(tables) for row in buckets_of(directory, t))
-    return len({(name, row.node, row.bucket) for name, row in every})
+
+    def count(now: Sequence[TopicTable]) -> int:
+        every = ((t.name, row) for t in now for row in buckets_of(directory, t))
+        return len({(name, row.node, row.bucket) for name, row in every})
+
+    return followed(tables, count)
 
 
 def describe(
