@@ -3,13 +3,13 @@
 """Describe what is stored, as rosbag info does: duration, times, sizes, types, and each topic.
 
   cassandra_bag info
-  cassandra_bag info /tf -e '/camera/.*' --freq
+  cassandra_bag info /tf -e '/camera/.*'
   cassandra_bag info -y -k duration
 
 A topic has a line for each type, format and node. All of it comes from the directory: it takes as
 long for a hundred million messages as for a thousand. Times are those of reception, in UTC, and
-what is in brackets seconds since 1970; --start and --end of other verbs take both. --freq prints
-the mean rate while messages came (rosbag: the median); pauses within a bucket lower it.
+what is in brackets seconds since 1970; --start and --end of other verbs take both. The rate is the
+mean while messages came (rosbag: the median); pauses within a bucket lower it.
 
 Where messages are found by something else than their receive time the last column says by what.
 Below, a line for each topic and node draws how many messages came when; its tallest bar is where
@@ -56,7 +56,18 @@ if TYPE_CHECKING:
     from cassandra_ros.topics.timeline.lanes import Picture
     from cassandra_ros.topics.totals import TopicInfo
 
-_HEADER = ("topic", "type", "format", "node", "messages", "size", "first", "last", "bucket")
+_HEADER = (
+    "topic",
+    "type",
+    "format",
+    "node",
+    "messages",
+    "rate",
+    "size",
+    "first",
+    "last",
+    "bucket",
+)
 _RIGHT = ("messages", "rate", "size", "bucket")
 _RUNS_SHOWN = 20
 _CELLS = 60
@@ -106,7 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_json_option(form)
     text = "print only the information on this key, with -y or --json (default: all)"
     parser.add_argument("-k", "--key", metavar="KEY", help=text)
-    text = "print the mean rate of each topic in Hz, while messages came"
+    text = "as rosbag info has it; the rate of each topic is printed without it, too"
     parser.add_argument("--freq", action="store_true", help=text)
     add_store_options(parser)
 
@@ -117,7 +128,7 @@ def run(options: argparse.Namespace) -> int:
         options.parser.error("-k goes with -y or --json")
     found = _find(options)
     if options.yaml or options.json:
-        answers = _answer(found, options.freq)
+        answers = _answer(found)
         if options.json:
             answers["activity"] = _activity_answer(found.activity)
         answer = _chosen(answers, options.key)
@@ -126,7 +137,7 @@ def run(options: argparse.Namespace) -> int:
     _print_summary(found)
     if found.infos:
         print()
-        _print_topics(found.infos, options.freq)
+        _print_topics(found.infos)
         _print_activity(found.activity)
     if found.losses:
         print()
@@ -177,10 +188,8 @@ def _print_summary(found: _Found) -> None:
         print(f"{'' if number else 'types:':<10} {name:<{width}} [{md5sum}]")
 
 
-def _print_topics(infos: list[TopicInfo], with_rates: bool) -> None:
+def _print_topics(infos: list[TopicInfo]) -> None:
     header = list(_HEADER)
-    if with_rates:
-        header.insert(header.index("size"), "rate")
     if any(info.key != "time" for info in infos):
         header.append("key")
     rows = [_topic_row(info) for info in infos]
@@ -266,7 +275,7 @@ def _loss_rows(losses: list[Loss], runs: list[Run]) -> Iterator[tuple[str, ...]]
         )
 
 
-def _answer(found: _Found, with_rates: bool) -> dict[str, object]:
+def _answer(found: _Found) -> dict[str, object]:
     start_ns, end_ns = found.ends or (None, None)
     times: dict[str, object] = {}
     if start_ns is not None and end_ns is not None:
@@ -283,7 +292,7 @@ def _answer(found: _Found, with_rates: bool) -> dict[str, object]:
         "size": found.bytes,
         "messages": found.messages,
         "types": [{"type": name, "md5": md5sum} for name, md5sum in found.types],
-        "topics": [_topic_answer(info, with_rates) for info in found.infos],
+        "topics": [_topic_answer(info) for info in found.infos],
         "losses": [{**asdict(loss), "kind": loss.kind.value} for loss in found.losses],
         "runs": [
             {**vars(run), **{k: dict(getattr(run, k)) for k in ("labels", "stored", "lost")}}
@@ -292,17 +301,16 @@ def _answer(found: _Found, with_rates: bool) -> dict[str, object]:
     }
 
 
-def _topic_answer(info: TopicInfo, with_rates: bool) -> dict[str, object]:
+def _topic_answer(info: TopicInfo) -> dict[str, object]:
     values = asdict(info)
     known = {
         "topic": values.pop("topic"),
         "type": values.pop("type"),
         "messages": values.pop("count"),
         "size": values.pop("bytes"),
+        "frequency": values.pop("rate_hz"),
     }
-    frequency = values.pop("rate_hz")
-    rate = {"frequency": frequency} if with_rates else {}
-    return {**known, **rate, **values}
+    return {**known, **values}
 
 
 def _chosen(answer: dict[str, object], key: str | None) -> object:
