@@ -55,6 +55,20 @@ def test_the_memory_follows_the_heap():
     assert not [key for key in small if "in_flight" in key]
 
 
+@pytest.mark.parametrize("before", [None, 0o755, 0o777])
+def test_other_users_read_neither_data_nor_logs(tmp_path, before):
+    """Also not those that an earlier release has made. test_secure.py has clusters with a login."""
+    made = node(directory=tmp_path / "cluster" / "node1")
+    if before is not None:
+        for folder in (made.directory, made.directory / "logs"):
+            folder.mkdir(parents=True)
+            folder.chmod(before)
+    made.write_config()
+    for folder in (made.directory, made.log.parent):
+        assert folder.stat().st_mode & 0o777 == 0o700
+    assert made.config.stat().st_mode & 0o777 == 0o600
+
+
 def test_a_folder_with_odd_letters_becomes_a_url():
     command = node(directory="/my data/nöde").command("java", Path("/jars"))
     assert "-Dcassandra.config=file:///my%20data/n%C3%B6de/cassandra.yaml" in command

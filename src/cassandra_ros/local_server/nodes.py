@@ -109,10 +109,13 @@ class Node:
         return self.directory / "pid"
 
     def write_config(self) -> None:
-        """Make the node's directory and write its configuration."""
-        (self.directory / "logs").mkdir(parents=True, exist_ok=True)
-        if self.settings.secure:  # who reads the data needs no login
-            self.directory.chmod(0o700)
+        """Make the node's directory, for its user alone, and write its configuration."""
+        self.directory.parent.mkdir(parents=True, exist_ok=True)
+        # Other users of the machine must not read data or logs, whose messages tell of both; also
+        # those of an earlier release, which everybody could read.
+        for folder in (self.directory, self.directory / "logs"):
+            folder.mkdir(mode=0o700, exist_ok=True)
+            folder.chmod(0o700)
         # Libraries unpack themselves there at every start and stay when the server is killed.
         shutil.rmtree(self.directory / "tmp", ignore_errors=True)
         (self.directory / "tmp").mkdir()
