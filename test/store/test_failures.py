@@ -10,6 +10,7 @@ import threading
 import time
 import zlib
 
+import numpy as np
 import pytest
 from campaign import sparing
 from nodes.children import await_true
@@ -238,6 +239,31 @@ def test_what_is_on_its_way_goes_on_in_the_topics_next_table(far, proxy, rosCas,
     assert found == [*wires, serialize(String(data="behind it"))]
     assert told(rosCas) == (4, 4, 4)
     assert (writer.stats()["/a"].stored, writer.stats()["/a"].lost) == (9, 0)
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("way", ["one by one", "together", "large"])
+def test_what_is_written_anew_keeps_its_seq(far, proxy, rosCas, way):
+    """Of equal times the seq is the order, and a repeated import must meet the same rows."""
+    writer = far.messageWriter(writer_id=9, format="binary")
+    handle = connect(writer, "/a", String)
+    writer.write(handle, T0, 0, serialize(String(data="before")))
+    writer.flush()
+    held = proxy.catch(lambda f: f.opcode == BATCH, failed=False).hold()
+    counters = np.array([7, 3, 2**32 - 1, 5], np.int64)
+    big = "x" * (70_000 if way == "large" else 10)
+    wires = [serialize(String(data=f"{counter} {big}")) for counter in counters.tolist()]
+    if way == "together":
+        writer.write_run(handle, np.full(4, T0, np.int64), counters, wires)
+    else:
+        for counter, wire in zip(counters.tolist(), wires):
+            writer.write(handle, T0, counter, wire)
+    held.wait()
+    rosCas.removeTopic("/a")
+    held.release()
+    writer.close()
+    found = [(row.key.seq, row.wire) for row in rosCas.getTopic("/a").rows()]
+    assert found == sorted((9 << 32 | c, wire) for c, wire in zip(counters.tolist(), wires))
 
 
 @pytest.mark.fault

@@ -677,6 +677,18 @@ def test_a_nearer_transform_that_came_late(store):
     assert store.same("map", "base", T0) is None
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_how_late_the_nearest_transforms_came_says_where_nearer_ones_may_lie(store, side):
+    """The two in the first window (2 s) bracket the time, and one of them came 3 s late: so may one
+    between them, the last of which came just before 4 s. Or their stamps lie as far ahead."""
+    store.add(transform("map", "base", T0 - side * SEC, 1.0), key=T0 + side * 2 * SEC)
+    store.add(transform("map", "base", T0 + side * SEC, 9.0))
+    nearest = T0 + side * (SEC - 1)
+    store.add(transform("map", "base", nearest, 5.0), key=nearest + side * 3 * SEC)
+    assert store.x("map", "base", T0) == pytest.approx(3.0)
+    assert store.same("map", "base", T0) is None
+
+
 def test_out_of_order(store):
     stamps = [(n * 7) % 40 for n in range(40)]
     for n, stamp in enumerate(stamps):

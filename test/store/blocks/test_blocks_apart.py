@@ -135,6 +135,73 @@ def test_what_was_cut_out_is_found_by_no_key(three):
     assert topic.countTopicData() == 27
 
 
+def test_a_block_as_long_as_its_span_is_found_by_its_last_message(rosCas):
+    """It begins exactly as long before what is asked for as a block may last, and so does the one
+    before it, which ends a nanosecond too early."""
+    span = 20 * MS
+    table, conn = make_table(rosCas, span_ns=span)
+    wire = serialize(String(data="x"))
+    longest = [(T0, 5 << 32 | 1, wire), (T0 + 7, 5 << 32 | 2, wire), (T0 + span, 5 << 32 | 3, wire)]
+    shorter = [(T0, 6 << 32 | 1, wire), (T0 + span - 1, 6 << 32 | 2, wire)]
+    for block in (longest, shorter):
+        put_block(rosCas, table, NODE, conn, block)
+    list_blocks(rosCas, table, NODE, [longest, shorter])
+    topic, last = rosCas.getTopic("/p"), T0 + span
+    for high in (last, last + 1, last + 10 * SEC):
+        assert topic.countTopicData(last, high) == 1
+        assert [row.t for row in topic.rows(last, high)] == [last]
+        assert [row.t for row in topic.rows(last, high, reverse=True)] == [last]
+    assert topic.countTopicData(last - 1, last) == 2
+    assert topic.countTopicData(last + 1, last + 10 * SEC) == 0
+    assert topic.getRow(last).key.seq == 5 << 32 | 3
+    assert topic.getRow(last, nearest="after").t == last
+    assert topic.getRow(last + 5, nearest="before").t == last
+    assert topic.removeData(last, last + SEC) == 1
+    assert topic.countTopicData() == 4
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [(3, 3), (3, 6), (0, 0), (9, 9), (0, 8), (1, 9), (0, 9), (9, 10), (8, 12), (10, 18), (5, 24)],
+)
+def test_a_deletion_takes_what_lies_on_its_ends_and_nothing_beside(three, low, high):
+    """Messages lie exactly on both ends, and a nanosecond before and after them, in the same
+    block and in the next one."""
+    topic, _, blocks, _ = three
+    times = [t for block in blocks for t, _, _ in block]
+    first, last = T0 + low * MS, T0 + high * MS
+    assert {first, last} <= set(times)
+    assert topic.removeData(first + 1, first + MS - 1) == 0  # between two messages
+    deleted = [t for t in times if first <= t <= last]
+    assert topic.removeData(first, last) == len(deleted) == high - low + 1
+    left = [t for t in times if t not in deleted]
+    assert [row.t for row in topic.rows()] == left
+    assert topic.countTopicData() == len(left)
+    for t in (first, last):
+        assert topic.getRow(t) is None
+    for t in (first - MS, last + MS):
+        assert (topic.getRow(t) is None) == (t not in times)
+
+
+def test_a_deletion_of_messages_of_equal_times_takes_those_that_are_meant(rosCas):
+    """One by its key, among others of the same time in the same block and in another one."""
+    table, conn = make_table(rosCas)
+    wires = [serialize(String(data=str(n))) for n in range(6)]
+    t = T0 + 50 * MS  # amid a bucket
+    one = [(t - (n == 0), 5 << 32 | n, wires[n]) for n in range(3)]
+    other = [(t + (n == 5), 6 << 32 | n, wires[n]) for n in range(3, 6)]
+    for block in (one, other):
+        put_block(rosCas, table, NODE, conn, block)
+    list_blocks(rosCas, table, NODE, [one, other])
+    topic = rosCas.getTopic("/p")
+    keys = {row.wire: row.key for row in topic.rows()}
+    for n in (2, 3):
+        topic.removeData(keys[wires[n]])
+    assert [row.wire for row in topic.rows()] == [wires[n] for n in (0, 1, 4, 5)]
+    assert topic.removeData(t, t) == 2
+    assert [row.wire for row in topic.rows()] == [wires[0], wires[5]]
+
+
 def test_large_messages_lie_in_chunks(rosCas):
     definition = definition_of(UInt8MultiArray)
     sizes = [10, CHUNK_BYTES + 5, 20, 2 * CHUNK_BYTES]

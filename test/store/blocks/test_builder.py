@@ -185,6 +185,34 @@ def test_a_message_that_would_pass_the_bytes_begins_the_next():
     assert [len(block.wires) for _, block in cutter.blocks] == [4]
 
 
+@pytest.mark.parametrize("together", [False, True])
+@pytest.mark.parametrize("first", [3 * BUCKET - SPAN, 3 * BUCKET - SPAN // 2, 3 * BUCKET - 1])
+def test_a_block_ends_with_its_bucket(together, first):
+    """The last nanosecond of a bucket belongs to it, the next one begins another bucket."""
+    end = 3 * BUCKET
+    times = sorted({first, end - 1, end})
+    assert [t // BUCKET for t in times] == [2] * (len(times) - 1) + [3]
+    cutter = Cutter()
+    builder = cutter.take([(t, n, b"") for n, t in enumerate(times)] if not together else [])
+    if together:
+        every = np.array(times, np.int64)
+        assert builder.take_run(every, np.arange(len(times)), [b""] * len(times)) == len(times)
+    cutter.builders.seal()
+    assert [list(block.times) for _, block in cutter.blocks] == [times[:-1], [end]]
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_a_block_is_as_long_as_its_span(together):
+    """Both of its ends belong to it, the nanosecond after it does not."""
+    times = [2 * BUCKET, 2 * BUCKET + SPAN, 2 * BUCKET + SPAN + 1]
+    cutter = Cutter()
+    builder = cutter.take([(t, n, b"") for n, t in enumerate(times)] if not together else [])
+    if together:
+        assert builder.take_run(np.array(times, np.int64), np.arange(3), [b""] * 3) == 3
+    cutter.builders.seal()
+    assert [list(block.times) for _, block in cutter.blocks] == [times[:2], times[2:]]
+
+
 def test_times_of_reception_are_kept():
     block = make_block(Table(), 1, [7, 5], [1, 2], [b"a", b"bc"], [100, 200])
     assert (block.times, block.seqs, block.received) == ([5, 7], [2, 1], [200, 100])
