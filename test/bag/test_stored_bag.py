@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import partial
 from io import BytesIO
 
 import genpy
@@ -18,6 +19,7 @@ from geometry_msgs.msg import Twist
 from std_msgs.msg import Header, String
 
 import cassandra_ros
+from cassandra_ros.bag import bag_order
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.summary import Summary, TopicSummary
 from cassandra_ros.bag.writer import BagWriter
@@ -390,6 +392,77 @@ def test_by_the_environment(store, path, cassandra, monkeypatch):
     assert times == [Stamp.from_ns(t) for t, _ in TWISTS]
     with pytest.raises(BagError, match="is closed"):
         iter(bag)
+
+
+EQUAL = [(n // 12, n * 7 % 5) for n in range(60)]
+"""Second and connection of messages, of which twelve each have equal times."""
+
+
+def bag_of_equal_times(path):
+    """Write connections in another order than that of their messages, two on each topic."""
+    with BagWriter(path, chunk_bytes=500) as writer:
+        for number in (3, 0, 4, 1, 2):
+            connection = string_connection(f"/t{number % 2}", callerid=f"/n{number}")
+            writer.connection(connection, number)
+        for n, (t, number) in enumerate(EQUAL):
+            writer.write(number, t * SEC, string_wire(f"{number} {n}"))
+
+
+def texts(bag, **wanted):
+    return [(topic, msg.data, t.to_nsec()) for topic, msg, t in bag.read_messages(**wanted)]
+
+
+@pytest.mark.parametrize("held", [None, 0, 5000])
+def test_equal_times_come_in_the_order_of_rosbag(fresh, tmp_path, monkeypatch, held):
+    if held is not None:  # more messages of one time than are held at once
+        monkeypatch.setattr(bag_order, "HELD_BYTES", held)
+    path = tmp_path / "equal.bag"
+    bag_of_equal_times(path)
+    with fresh() as store:
+        import_bag(store, path)
+        ours, theirs = cassandra_ros.Bag(path, rosCas=store), rosbag.Bag(str(path))
+        with ours, theirs:
+            assert texts(ours) == texts(theirs)
+            ends = {"start_time": rospy.Time(1), "end_time": rospy.Time(3)}
+            assert texts(ours, topics="/t1", **ends) == texts(theirs, topics="/t1", **ends)
+
+
+def test_equal_times_of_what_is_written_come_in_the_order_of_rosbag(fresh, tmp_path):
+    path = tmp_path / "written.bag"
+    told = []
+    with fresh() as store:
+        for opened in (rosbag.Bag, partial(cassandra_ros.Bag, rosCas=store)):
+            with opened(str(path), "w") as bag:
+                for n, (t, number) in enumerate(EQUAL):
+                    bag.write(f"/t{4 - number}", String(data=f"{n}"), rospy.Time(t))
+            with opened(str(path), "a") as bag:
+                for n, (t, number) in enumerate(EQUAL):
+                    bag.write(f"/t{number + 2}", String(data=f"more {n}"), rospy.Time(t))
+            with opened(str(path)) as bag:
+                told.append(texts(bag))
+    assert told[0] == told[1]
+
+
+def test_types_of_all_topics_whatever_is_asked_for(fresh, tmp_path):
+    """Also one that only a second connection of a topic names, under the same md5sum."""
+    path = tmp_path / "kinds.bag"
+    with BagWriter(path) as writer:
+        for number, (topic, kind) in enumerate(
+            [("/a", "std_msgs/String"), ("/a", "my_msgs/Text"), ("/b", "her_msgs/Words")]
+        ):
+            connection = string_connection(topic)
+            fields = {**connection.fields, "type": kind.encode()}
+            writer.connection(live_connection(topic, fields), number)
+            writer.write(number, (number + 1) * SEC, string_wire("x"))
+    with fresh() as store:
+        import_bag(store, path)
+        ours, theirs = cassandra_ros.Bag(path, rosCas=store), rosbag.Bag(str(path))
+        with ours, theirs:
+            for asked in (None, "/a", "/b", ["/a", "/b"], "/none", []):
+                types, topics = ours.get_type_and_topic_info(asked)
+                assert (types, {name: tuple(t) for name, t in topics.items()}) == tuple(
+                    theirs.get_type_and_topic_info(asked)
+                ), asked
 
 
 def test_what_cannot_be_written(store):

@@ -8,7 +8,9 @@ import atexit
 import io
 import os
 import statistics
+from dataclasses import replace
 from enum import Enum
+from functools import partial
 from itertools import count
 from typing import (
     IO,
@@ -24,6 +26,7 @@ from typing import (
 )
 
 from cassandra_ros.arguments import check_list, check_new_topic
+from cassandra_ros.bag.bag_order import in_bag_order
 from cassandra_ros.bag.chunk import COMPRESSIONS
 from cassandra_ros.bag.file_runs import runs_meant, runs_of_file, source_of, told_alike
 from cassandra_ros.bag.rosbag_errors import bag_error
@@ -167,6 +170,10 @@ class Bag:
         self._writer: MessageWriter | None = None
         self._handles: dict[object, Handle] = {}
         self._counter = count()
+        self._before: frozenset[int] = frozenset()
+        """Writer ids of what was in the bag when it was opened to be written."""
+        self._numbers: Iterator[int] | None = None
+        """Numbers of further connections; None = those of the bag are not looked up yet."""
         try:
             self.filename = name or str(self._store.keyspace)
             self._run = None if f is EVERYTHING else self._open(format)
@@ -211,6 +218,7 @@ class Bag:
             found = self._make_room(name, runs)
         elif not found and os.path.isfile(name) and os.path.getsize(name):
             self._absent(name, runs)
+        self._before = found
         writer = new_writer_id()
         base, source = os.path.basename(name), source_of(name)
         run = Run(self._node or "", writer, "api", base, source, format or "")
@@ -258,7 +266,10 @@ class Bag:
         raw: bool = False,
         return_connection_header: bool = False,
     ) -> Iterator[BagMessage | BagMessageWithConnectionHeader]:
-        """Walk lazily through messages in the order of their reception.
+        """Walk lazily through messages in the order of their reception, as rosbag.
+
+        Those of equal times come by their connections, in the order that these have in the bag
+        that was imported, or in which a Bag wrote to them first; else as they arrived.
 
         Args:
             topics: Their names, or one; None or none = all.
@@ -280,9 +291,14 @@ class Bag:
             names, passing = self._filtered(names, connection_filter)
         if not names:
             return iter(())
-        rows = self._store.readMessages(
-            [topic.name for topic in names], *ends, nodeID=self._node, run=self._run, received=True
+        read = partial(
+            self._store.readMessages,
+            [topic.name for topic in names],
+            nodeID=self._node,
+            run=self._run,
+            received=True,
         )
+        rows = in_bag_order(read, *ends)
         return self._given(rows, passing, raw, return_connection_header)
 
     def _given(
@@ -376,8 +392,17 @@ class Bag:
         handle = self._handles.get(key)
         if handle is None:
             made = key if isinstance(key, Connection) else _connection(topic, kind, md5sum, cls)
+            made = replace(made, number=self._next_number())
             handle = self._handles[key] = self._writer.connect(made)
         self._writer.write(handle, ns, next(self._counter), wire)
+
+    def _next_number(self) -> int:
+        """Return the number of a new connection, behind those that were in the bag before."""
+        if self._numbers is None:
+            held = [info.table for info in self._store.info(run=self._before)]
+            stored = self._store.parts.connections.of_tables(held) if self._before else ()
+            self._numbers = count(max((each.number for _, _, each in stored), default=-1) + 1)
+        return next(self._numbers)
 
     def get_message_count(self, topic_filters: TopicNames = None) -> int:
         """Count the messages of some topics, None = of all; by the directory."""
@@ -397,16 +422,27 @@ class Bag:
         """
         self.flush()
         counts: dict[str, int] = {}
-        types: dict[str, str] = {}
         for info in self._infos():
             counts[info.topic] = counts.get(info.topic, 0) + info.count
-            types[info.type] = info.md5sum
-        wanted = {topic.name for topic in self._topics(topic_filters)}
+        every = {topic.name: topic for topic in self._topics(None) if topic.name in counts}
+        asked = {topic.name for topic in self._topics(topic_filters)}
+        named = {table.name: name for name, topic in every.items() for table in topic.tables}
+        stored: dict[str, list[Connection]] = {}
+        for table, _, connection in self._connections(list(every.values())):
+            stored.setdefault(named[table], []).append(connection)
+        used: list[Connection] = []
         topics: dict[str, TopicTuple] = {}
-        for name in sorted(wanted.intersection(counts)):
-            found, times = self._first_messages(name)
-            types.update((connection.type, connection.md5sum) for connection in found)
-            topics[name] = TopicTuple(found[0].type, counts[name], len(found), _frequency(times))
+        for name in sorted(every):
+            found = stored.get(name, [])
+            if name in asked or len({(each.type, each.md5sum) for each in found}) != 1:
+                found, times = self._first_messages(name)
+                if name in asked:
+                    frequency = _frequency(times)
+                    topics[name] = TopicTuple(found[0].type, counts[name], len(found), frequency)
+            used += found
+        types: dict[str, str] = {}
+        for connection in sorted(used, key=lambda each: each.number):
+            types.setdefault(connection.type, connection.md5sum)
         return TypesAndTopicsTuple(dict(sorted(types.items())), topics)
 
     def _first_messages(self, name: str) -> tuple[list[Connection], list[int]]:
