@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from bag.truth import string_connection, string_wire
+from std_msgs.msg import Int64
 
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.cli.answers import plain
@@ -174,3 +175,18 @@ def test_the_index_of_places(call):
     assert call("query", query, "--output", "csv")[1].split() == ["count(*)", "10"]
     assert call("index", "--places", "/fix")[0] == 2
     assert call("index", "/fix", "altitude", "--run", "x")[0] == 2
+
+
+def test_nothing_is_drawn_of_what_was_deleted(rosCas, call):
+    topic = rosCas.addTopic("/t", msg_type="std_msgs/Int64")
+    for n in range(20):
+        topic.addData(Int64(n), key=10**18 + n * 10**9)
+    topic.removeData(10**18 + 10 * 10**9, 10**18 + 100 * 10**9)
+    found = json.loads(call("info", "--json")[1])
+    (lane,) = found["activity"]["topics"]
+    assert sum(lane["messages"]) == pytest.approx(found["messages"]) == 10
+    assert found["activity"]["start_ns"] == found["start_ns"]
+    topic.removeData(0, 2 * 10**18)
+    status, out, err = call("info")
+    assert (status, err) == (0, "")
+    assert "messages:  0 of 1 topics" in out and "activity" not in out

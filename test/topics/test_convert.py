@@ -344,3 +344,24 @@ def test_what_comes_into_the_old_table_after_all_is_taken_along(rosCas, connect,
     assert formats(rosCas) == ["json"]
     assert topic.countTopicData() == 41
     assert topic.getData(T0 + 5).header.seq == 99
+
+
+@pytest.mark.parametrize("between", ["convert", "rename", "delete", "index"])
+def test_equal_stamps_of_a_client_keep_their_order(rosCas, between):
+    topic = rosCas.addTopic("/t", "ros", msg_type="std_msgs/String")
+    for round_ in range(4):
+        rosCas.getTopic("/t").addData(String(str(round_)), key=T0)
+        if between == "convert":
+            rosCas.convertTopic("/t", ["packed", "binary", "yaml", "ros"][round_])
+        elif between == "rename":
+            rosCas.renameTopic("/t", "/u")
+            rosCas.renameTopic("/u", "/t")
+        elif between == "delete":
+            rosCas.upkeep.delete(["/t"], T0 + SEC)
+        else:
+            (topic.removeIndex if topic.hasIndex("data") else topic.createIndex)("data")
+    topic = rosCas.getTopic("/t")
+    assert [msg.data for _, msg in topic.items()] == ["0", "1", "2", "3"]
+    assert topic.getData(T0).data == "0"
+    assert len({key.seq >> 32 for key, _ in topic.items()}) == 1
+    assert topic.countTopicData() == sum(info.count for info in rosCas.info(["/t"])) == 4

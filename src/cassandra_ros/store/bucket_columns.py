@@ -38,6 +38,8 @@ class BucketColumns(NamedTuple):
     """The counts hold. Of others they are estimates."""
     writing: Bools
     """The writer has not closed it."""
+    cut: Bools
+    """Messages were deleted since it was counted."""
     age_ms: Longs
     """Since the heartbeat, by the server's clock; large where there was none."""
     rows: Longs
@@ -97,7 +99,7 @@ def columns_of(rows: Sequence[RawRow]) -> BucketColumns:
     beats = _longs(beat, _NEVER)
     age = np.where(beats < 0, 2**62, _longs(now) - np.maximum(beats, 0))
     counts = [_longs(column) for column in (count, size, t_min, t_max)]
-    return BucketColumns(_longs(bucket), _longs(writer), closed, writing, age, *counts)
+    return BucketColumns(_longs(bucket), _longs(writer), closed, writing, cut, age, *counts)
 
 
 def _longs(values: Sequence[Optional[bytes]], null: bytes = _NO_LONG) -> Longs:

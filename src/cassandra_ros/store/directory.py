@@ -144,6 +144,8 @@ class BucketRow(NamedTuple):
     """Shadow columns that are filled in all rows of this writer in the bucket."""
     writing: bool = False
     """The writer has not closed it. Without that it is not closed where rows were deleted."""
+    cut: bool = False
+    """Rows were deleted since it was counted."""
 
     def expired(self, ttl: int) -> bool:
         """Say whether all rows of this writer in the bucket have outlived their ttl, seconds."""
@@ -380,4 +382,4 @@ def _bucket_row(node: str, row: CqlRow) -> BucketRow:
     counts = (n or 0, size or 0, largest or 0, t_min or 0, latest, odd or 0)
     age_sec = STALE_SEC + 1 if beat is None else (now - beat).total_seconds()
     said = node, bucket, writer, closed, beat, *counts, age_sec, frozenset(filled or ())
-    return BucketRow(*said, writing=state == "open")
+    return BucketRow(*said, writing=state == "open", cut=bool(deleted))

@@ -30,6 +30,8 @@ class Adder:
     def __init__(self, keyspace: Keyspace, clock: Optional[Clock]) -> None:
         self._keyspace = keyspace
         self._clock = clock
+        # Both stay when the writer is closed: equal stamps keep their order.
+        self._writer_id = new_writer_id()
         self._counter = itertools.count()
         self._writer: Optional[MessageWriter] = None
         self._mutex = threading.Lock()
@@ -45,8 +47,8 @@ class Adder:
         with self._mutex:
             writer = self._writer
             if writer is None:
-                writer = MessageWriter(self._keyspace, new_writer_id(), linger_sec=0.0, ttl=None)
-                self._writer, self._counter = writer, itertools.count()
+                writer = MessageWriter(self._keyspace, self._writer_id, linger_sec=0.0, ttl=None)
+                self._writer = writer
             # A table that another is about to replace takes no new messages.
             kept = self._keyspace.schema.format_after(table.name, table.metadata.format)
             handle = writer.connect(connection, format=kept, node=node)
@@ -65,7 +67,7 @@ class Adder:
         return Stamp.from_ns(row.t, node=node, seq=row.seq, table=stored.name)
 
     def close(self) -> None:
-        """Close the writer; the next add opens another."""
+        """Close the writer; the next add opens another of the same id."""
         with self._mutex:
             writer, self._writer = self._writer, None
             if writer is not None:

@@ -167,10 +167,20 @@ def _find(options: argparse.Namespace) -> _Found:
         losses = ros_cas.losses(topics, **asked)
         runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
         whose = Whose(check_nodes(options.node_id), ros_cas.parts.runs.writers(options.run))
-        activity = Timeline(ros_cas).picture(View(cells=_CELLS, topics=topics, whose=whose))
+        view = View(*_ends_of(infos), cells=_CELLS, topics=topics, whose=whose)
+        activity = Timeline(ros_cas).picture(view)
     if options.run:
         runs = [run for run in runs if options.run in (run.name, str(run.writer))]
     return _Found(f"{','.join(hosts)}:{port}", options.keyspace, infos, losses, runs, activity)
+
+
+def _ends_of(infos: list[TopicInfo]) -> tuple[int | None, int | None]:
+    """Return between which times is drawn what came when, ns: of what lies by its time."""
+    timed = [info for info in infos if info.key not in NAMED_FORMATS and info.count]
+    chosen = timed or infos
+    firsts = [info.first_ns for info in chosen if info.first_ns is not None]
+    lasts = [info.last_ns for info in chosen if info.last_ns is not None]
+    return min(firsts, default=None), max(lasts, default=None)
 
 
 def _print_summary(found: _Found) -> None:
@@ -207,6 +217,8 @@ def _print_activity(activity: Picture) -> None:
         for text in [sparkline(lane.cells(scale).counts.tolist(), sys.stdout.encoding)]
         if text.strip()
     ]
+    if not rows:
+        return
     when = f"{format_time(scale.start)} to {format_time(scale.end)}"
     print()
     print(format_table(("activity of", "node", when), rows))

@@ -13,11 +13,14 @@ import time
 from collections import Counter, OrderedDict
 from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
+import numpy as np
+
 from cassandra_ros.store.bucket_columns import BucketColumns, Place, Wanted
 from cassandra_ros.store.connection import AT_ONCE
-from cassandra_ros.store.directory import ALL_ROWS, SLOT_BUCKETS, Directory
+from cassandra_ros.store.counting import settle
+from cassandra_ros.store.directory import ALL_ROWS, SLOT_BUCKETS, Directory, slot_of
 from cassandra_ros.store.paging import sent_ahead
-from cassandra_ros.topics.selection import Whose
+from cassandra_ros.topics.selection import LAST_NS, Whose
 from cassandra_ros.topics.timeline.pieces import Piece, piece_of, slots_between, unread
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -27,11 +30,14 @@ MAX_BUCKETS = 200_000
 """Rows of the directory that one picture reads, about."""
 LEAST_BUCKETS = 128
 """Of each partition so many at least."""
+MAX_RECOUNTS = 10_000
+"""Buckets whose messages one picture counts itself, for some were deleted."""
 KEEP_SEC = 5.0
 """So long what was read is taken for what it is: a person who zooms asks often."""
 KEPT_BUCKETS = 400_000
 """Rows of the directory that are kept, 80 bytes each."""
 _EVER = (-(2**63), 2**63 - 1)
+_EVER_NS = (0, LAST_NS)
 _SPREAD = 2_654_435_761
 """2**32 by the golden ratio: multiples of it are spread evenly, and follow no other pattern."""
 _WRITERS = 8
@@ -99,11 +105,26 @@ class Reader:
             if not own:
                 return None
             return min(int(s.first.min()) for s in own), max(int(s.last.max()) for s in own)
-        ends = [*self._outmost(tables, whose, False), *self._outmost(tables, whose, True)]
+        ends: List[int] = []
+        emptied: Dict[str, TopicTable] = {}
+        for reverse in (False, True):
+            for table, times in self._outmost(tables, whose, reverse):
+                ends += times
+                if not times:
+                    emptied[table.name] = table
+        # Where all is gone from the outmost buckets, what is left lies anywhere between.
+        for piece in self.pieces(list(emptied.values()), _EVER_NS, whose) if emptied else ():
+            if len(piece.stretches.first):
+                ends += [int(piece.stretches.first.min()), int(piece.stretches.last.max())]
         return (min(ends), max(ends)) if ends else None
 
-    def _outmost(self, tables: Sequence[TopicTable], whose: Whose, reverse: bool) -> Iterator[int]:
-        """Yield the times in the first bucket of each table and node, or in the last."""
+    def _outmost(
+        self, tables: Sequence[TopicTable], whose: Whose, reverse: bool
+    ) -> Iterator[Tuple[TopicTable, List[int]]]:
+        """Yield the times in the first bucket of each table and node, or in the last.
+
+        There are none where the directory does not tell: messages were deleted there.
+        """
         slots = self.slots(tables)
         wanted = [
             (table, (table.name, node, slot, *_EVER))
@@ -115,11 +136,14 @@ class Reader:
         answers = self._directory.begin_buckets(params, _WRITERS, reverse=reverse)
         for (table, _), answer in zip(wanted, sent_ahead(answers, AT_ONCE)):
             length, ttl = table.metadata.bucket_ns, table.metadata.ttl
-            for row in answer():
-                if row.rows and not (ttl and row.expired(ttl)):
-                    yield from (row.t_min, row.t_max)
+            times: List[int] = []
+            rows = [row for row in answer() if not (ttl and row.expired(ttl))]
+            for row in [] if any(row.cut for row in rows) else rows:
+                if row.rows:
+                    times += (row.t_min, row.t_max)
                 elif not row.closed:  # nothing is known of it yet
-                    yield from (row.bucket * length, (row.bucket + 1) * length - 1)
+                    times += (row.bucket * length, (row.bucket + 1) * length - 1)
+            yield table, times
 
     def pieces(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> List[Piece]:
         """Tell what tables hold in the buckets that touch a stretch of time.
@@ -131,7 +155,7 @@ class Reader:
         stride = max(1, -(-len(parts) // MAX_PARTITIONS))
         chosen, left = _thinned(parts, stride)
         limit = max(LEAST_BUCKETS, MAX_BUCKETS // max(1, len(chosen)))
-        answers = self._columns([(place, inside) for _, place, inside in chosen], limit)
+        answers = self._columns(chosen, limit)
         for (table, (_, node, _), _), (columns, each) in zip(chosen, answers):
             found.append(piece_of(table, node, columns, each, whose))
         return [*found, *_rest(left, found)]
@@ -149,13 +173,19 @@ class Reader:
                     inside = max(begin, low), min(begin + SLOT_BUCKETS - 1, high)
                     yield table, (table.name, node, slot), inside
 
-    def _columns(
-        self, parts: Sequence[Tuple[Place, Ends]], limit: int
-    ) -> List[Tuple[BucketColumns, int]]:
+    def _columns(self, parts: Sequence[Part], limit: int) -> List[Tuple[BucketColumns, int]]:
         """Return the buckets of partitions, and for how many each of these stands."""
-        until = self._clock() + KEEP_SEC
-        found = {place: self._get(place, ends, limit) for place, ends in parts}
-        missing = [(place, ends) for place, ends in parts if found[place] is None]
+        until, left = self._clock() + KEEP_SEC, MAX_RECOUNTS
+        tables = {place: table for table, place, _ in parts}
+        found = {place: self._get(place, ends, limit) for _, place, ends in parts}
+        missing = [(place, ends) for _, place, ends in parts if found[place] is None]
+
+        def keep(place: Place, ends: Ends, columns: BucketColumns, stride: int) -> None:
+            nonlocal left
+            columns, done = self._recounted(tables[place], place[1], columns, left)
+            left -= done
+            found[place] = self._keep(place, _Kept(until, ends, columns, stride))
+
         # One more tells that there are too many.
         wanted: List[Wanted] = [(place, ends, limit + 1) for place, ends in missing]
         many: List[Tuple[Place, Ends, int]] = []
@@ -163,14 +193,37 @@ class Reader:
             if len(columns.bucket) > limit:
                 many.append((place, ends, -(-(ends[1] - ends[0] + 1) // limit)))
             else:
-                found[place] = self._keep(place, _Kept(until, ends, columns, 1))
+                keep(place, ends, columns, 1)
         samples: List[Wanted] = [
             (place, _sample(ends, stride), ALL_ROWS) for place, ends, stride in many
         ]
         answers = self._directory.columns(samples, single=True)
         for (place, ends, stride), columns in zip(many, answers):
-            found[place] = self._keep(place, _Kept(until, ends, columns, stride))
-        return [each for each in (found[place] for place, _ in parts) if each is not None]
+            keep(place, ends, columns, stride)
+        return [each for each in (found[place] for _, place, _ in parts) if each is not None]
+
+    def _recounted(
+        self, table: TopicTable, node: str, columns: BucketColumns, most: int
+    ) -> Tuple[BucketColumns, int]:
+        """Count the messages of buckets in which some were deleted; return of how many.
+
+        Args:
+            most: Of so many at the most; of the others the directory is believed.
+        """
+        buckets = np.unique(columns.bucket[columns.cut])[:most].tolist()
+        if not buckets:
+            return columns, 0
+        asked = ((table.name, node, slot_of(bucket), bucket, bucket) for bucket in buckets)
+        answers = sent_ahead(self._directory.begin_buckets(asked), AT_ONCE)
+        rows = settle(self._directory, table, [row for answer in answers for row in answer()])
+        counts = {(row.bucket, row.writer): row for row in rows}
+        columns = BucketColumns._make(column.copy() for column in columns)
+        for n in np.flatnonzero(np.isin(columns.bucket, buckets)).tolist():
+            row = counts.get((int(columns.bucket[n]), int(columns.writer[n])))
+            totals = (0, 0, 0, 0) if row is None else (row.rows, row.bytes, row.t_min, row.t_max)
+            columns.rows[n], columns.bytes[n], columns.t_min[n], columns.t_max[n] = totals
+            columns.closed[n] = not columns.writing[n]
+        return columns, len(buckets)
 
     def _get(self, place: Place, ends: Ends, limit: int) -> Optional[Tuple[BucketColumns, int]]:
         """Return what is kept of a partition; None where that is too little, too coarse, or old."""
