@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
 from functools import partial
@@ -195,16 +196,19 @@ def test_times_names_and_text(bag, path):
 def test_the_facts_as_yaml(bag, path):
     """As the wiki of rosbag shows it."""
     facts = yaml.safe_load(bag._get_yaml_info())
+    order = "path version duration start end size messages indexed compression types topics"
+    assert list(facts) == order.split()
     with rosbag.Bag(str(path)) as truth:
         expected = yaml.safe_load(truth._get_yaml_info())
-    for other in ("size", "compression"):  # of a file
-        facts.pop(other, None)
-        expected.pop(other)
+    facts.pop("size"), expected.pop("size")  # of a file
     assert facts.pop("duration") == pytest.approx(expected.pop("duration"), abs=1e-5)
     for one in (*facts["topics"], *expected["topics"]):
         one["frequency"] = round(one["frequency"], 3)
     assert facts == expected
     assert bag._get_yaml_info(key="messages").strip() == "24"
+    assert bag._get_yaml_info("colour") is None
+    (first, *_) = yaml.safe_load(bag._get_yaml_info("types"))
+    assert list(first.items())[:1] == [("type", "geometry_msgs/Twist")]
 
 
 def test_closed(bag):
@@ -463,6 +467,92 @@ def test_types_of_all_topics_whatever_is_asked_for(fresh, tmp_path):
                 assert (types, {name: tuple(t) for name, t in topics.items()}) == tuple(
                     theirs.get_type_and_topic_info(asked)
                 ), asked
+
+
+@pytest.fixture(params=["rosbag", "store"])
+def opened(request, fresh, tmp_path):
+    """Opens the bag of a name, by rosbag or by us."""
+    if request.param == "rosbag":
+        yield lambda name="a.bag", *args, **options: rosbag.Bag(
+            str(tmp_path / name) if isinstance(name, str) and name else name, *args, **options
+        )
+        return
+    with fresh() as store:
+        yield lambda name="a.bag", *args, **options: cassandra_ros.Bag(
+            str(tmp_path / name) if isinstance(name, str) and name else name,
+            *args,
+            **options,
+            rosCas=store,
+        )
+
+
+def test_what_rosbag_refuses_is_refused_by_an_error_of_the_same_kind(opened):
+    for name in ("", b"", None):
+        with pytest.raises(ValueError, match="."):
+            opened(name)
+    for wrong in (
+        {"mode": "z"},
+        {"compression": "foobar"},
+        {"chunk_threshold": -1000},
+        {"options": 5},
+        {"options": {"compression": "zip"}},
+    ):
+        with pytest.raises(ValueError, match="."):
+            opened("none.bag", **wrong)
+    with pytest.raises(FileNotFoundError):
+        opened("none.bag")
+    with opened("a.bag", "w") as bag:
+        for wrong in ({"compression": "zip"}, {"chunk_threshold": -1}):
+            ((name, value),) = wrong.items()
+            with pytest.raises(ValueError, match="."):
+                setattr(bag, name, value)
+        bag.compression, bag.chunk_threshold = "bz2", 5000
+        assert bag.options == {"compression": "bz2", "chunk_threshold": 5000}
+        for asked in (bag.get_start_time, bag.get_end_time):
+            with pytest.raises(rosbag.ROSBagException, match="Bag contains no message") as caught:
+                asked()
+            assert "Bag contains no message" in caught.value.value
+            again = pickle.loads(pickle.dumps(caught.value))  # noqa: S301 - our own bytes
+            assert (type(again), str(again)) == (type(caught.value), str(caught.value))
+        bag.write("/a", String(data="x"), rospy.Time(5))
+
+
+def test_a_file_object_stands_for_its_path(opened, tmp_path):
+    with opened(open(tmp_path / "a.bag", "w+b"), "w") as bag:  # noqa: SIM115 - the bag closes it
+        bag.write("/a", String(data="in a file object"), rospy.Time(5))
+    file = open(tmp_path / "a.bag", "rb")  # noqa: SIM115
+    with opened(file) as bag:
+        assert [m.data for _, m, _ in bag] == ["in a file object"]
+    assert file.closed
+    with opened("a.bag") as bag:
+        assert bag.get_message_count() == 1
+    with pytest.raises((rosbag.ROSBagException, ValueError)):
+        opened(open(tmp_path / "a.bag"))  # noqa: SIM115 - as a text
+
+
+def test_an_error_is_rosbags_only_where_rosbag_is_imported():
+    script = """
+import sys
+from cassandra_ros.bag.rosbag_errors import bag_error
+print(type(bag_error("x")).__mro__[1].__name__, "rosbag" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.split() == ["CassandraRosError", "False"], done.stderr
+
+
+def test_what_is_about_files_is_answered(store, path):
+    with cassandra_ros.Bag(path, rosCas=store) as bag:
+        info = bag.get_compression_info()
+        assert info == ("none", bag.size, bag.size)
+        assert info._fields == ("compression", "uncompressed", "compressed")
+        assert list(bag.reindex()) == []
+        bag.set_encryptor()
+        with pytest.raises(rosbag.ROSBagException, match="no chunks to encrypt"):
+            bag.set_encryptor("rosbag/AesCbcEncryptor", "user")
+    with pytest.raises(ValueError, match="is closed"):
+        bag.reindex()
+    with pytest.raises(InvalidOption, match="stands for the path of its file"):
+        cassandra_ros.Bag(BytesIO(), rosCas=store)
 
 
 def test_what_cannot_be_written(store):

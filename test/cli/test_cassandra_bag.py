@@ -162,9 +162,12 @@ def test_info_says_what_rosbag_info_says(call, ros_env, bags):
     assert [t["topic"] for t in ours["topics"]] == [t["topic"] for t in theirs["topics"]]
     for mine, wanted in zip(ours["topics"], theirs["topics"]):
         assert (mine["type"], mine["messages"]) == (wanted["type"], wanted["messages"])
+        assert mine["connections"] == wanted.get("connections", 1)
+        assert mine["frequency"] == pytest.approx(wanted.get("frequency"), rel=1e-4)
     fix = next(t for t in ours["topics"] if t["topic"] == "/fix")
     span = (fix["last_ns"] - fix["first_ns"]) / 1e9
-    assert fix["frequency"] == pytest.approx(94 / span)
+    assert fix["rate_hz"] == pytest.approx(94 / span)
+    assert yaml.safe_load(call("info", "-y", "-k", "topics")[1]) == ours["topics"]
     same = json.loads(call("info", "--json", "--freq")[1])
     assert same["topics"] == ours["topics"]
     assert json.loads(call("info", "--json")[1]) == same
@@ -201,7 +204,7 @@ def test_info_of_a_hundred_million_messages_reads_none_of_them(call, rosCas):
         rosCas.parts.directory.mark((table.name, "", 0, writer_id), 0, (), totals, closed=True)
     status, out, _ = call("info", "/twice", "--json", "--freq")
     # Four times the next one came, in three seconds; the pause before the second run is none.
-    assert json.loads(out)["topics"][0]["frequency"] == pytest.approx(4 / 3)
+    assert json.loads(out)["topics"][0]["rate_hz"] == pytest.approx(4 / 3)
     status, out, _ = call("info", "/many")
     assert status == 0
     assert "messages:  100000001 of 1 topics" in out

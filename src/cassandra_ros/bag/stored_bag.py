@@ -7,7 +7,6 @@ from __future__ import annotations
 import atexit
 import io
 import os
-import statistics
 from dataclasses import replace
 from enum import Enum
 from functools import partial
@@ -29,10 +28,11 @@ from cassandra_ros.arguments import check_list, check_new_topic
 from cassandra_ros.bag.bag_order import in_bag_order
 from cassandra_ros.bag.chunk import COMPRESSIONS
 from cassandra_ros.bag.file_runs import runs_meant, runs_of_file, source_of, told_alike
+from cassandra_ros.bag.message_sample import joined, read_samples
 from cassandra_ros.bag.rosbag_errors import bag_error
 from cassandra_ros.bag.summary import Summary, TopicSummary
 from cassandra_ros.errors import BagNotFound, InvalidOption, RunNotFound, TypeMismatch
-from cassandra_ros.keys import SECOND_NS, new_writer_id
+from cassandra_ros.keys import new_writer_id
 from cassandra_ros.messages.classes import installed_definition, serialize
 from cassandra_ros.messages.connection import Connection, live_connection
 from cassandra_ros.messages.stamps import Stamp, Time, to_ns
@@ -82,6 +82,16 @@ class TopicTuple(NamedTuple):
     connections: int
     frequency: float | None
     """Hz, by the median of the periods; None of a single message."""
+
+
+class CompressionTuple(NamedTuple):
+    """What get_compression_info returns."""
+
+    compression: str
+    uncompressed: int
+    """Bytes."""
+    compressed: int
+    """Bytes."""
 
 
 class TypesAndTopicsTuple(NamedTuple):
@@ -432,31 +442,48 @@ class Bag:
             stored.setdefault(named[table], []).append(connection)
         used: list[Connection] = []
         topics: dict[str, TopicTuple] = {}
-        for name in sorted(every):
+        for name, topic in sorted(every.items()):
             found = stored.get(name, [])
             if name in asked or len({(each.type, each.md5sum) for each in found}) != 1:
-                found, times = self._first_messages(name)
+                sample = joined(read_samples(topic, MOST_STAMPS, self._node, self._run).values())
+                found = sample.connections
                 if name in asked:
-                    frequency = _frequency(times)
-                    topics[name] = TopicTuple(found[0].type, counts[name], len(found), frequency)
+                    topics[name] = TopicTuple(
+                        found[0].type, counts[name], len(found), sample.frequency
+                    )
             used += found
         types: dict[str, str] = {}
         for connection in sorted(used, key=lambda each: each.number):
             types.setdefault(connection.type, connection.md5sum)
         return TypesAndTopicsTuple(dict(sorted(types.items())), topics)
 
-    def _first_messages(self, name: str) -> tuple[list[Connection], list[int]]:
-        """Return the connections and times, ns, of the first messages of a topic."""
-        rows = self._store.getTopic(name).rows(
-            nodeID=self._node, run=self._run, limit=MOST_STAMPS, columns=lambda table: ()
-        )
-        found: dict[tuple[str, int], Connection] = {}
-        times: list[int] = []
-        for row in rows:
-            times.append(row.received)
-            if (row.table.name, row.conn) not in found:
-                found[row.table.name, row.conn] = row.connection
-        return sorted(found.values(), key=lambda each: each.number), sorted(times)
+    def get_compression_info(self) -> CompressionTuple:
+        """Return how the messages are compressed: the store packs them in its own way, so 'none'.
+
+        Both sizes are the serialised bytes of the messages.
+        """
+        size = self.size
+        return CompressionTuple("none", size, size)
+
+    def reindex(self) -> Iterator[int]:
+        """Make the index anew, and yield the chunks that are read for it.
+
+        The store keeps its index with each message that it stores: there is none to read.
+        """
+        self._require_open()
+        return iter(())
+
+    def set_encryptor(self, encryptor: str | None = None, param: str | None = None) -> None:
+        """Choose how the chunks of a file are encrypted: the store has none.
+
+        Raises:
+            BagError: An encryptor is named. TLS and the server's disks keep what is stored secret.
+        """
+        if encryptor is not None:
+            raise bag_error(
+                f"encryptor={encryptor!r:.80} cannot be set: the store has no chunks to encrypt; "
+                "use TLS and encrypted disks, or encrypt the bags that are exported"
+            )
 
     def get_start_time(self) -> float:
         """Return when the first message was received, s since 1970; BagError: there is none."""
@@ -478,7 +505,7 @@ class Bag:
             rows = (self._store.getTopic(n).rows(run=self._run, nodeID=self._node) for n in own)
             times += [row.received for each in rows for row in each]
         if not times:
-            raise bag_error(f"{self.filename} contains no message")
+            raise bag_error(f"Bag contains no message: {self.filename}")
         return min(times), max(times)
 
     @property
@@ -524,8 +551,11 @@ class Bag:
     def __str__(self) -> str:
         return self._summary().text()
 
-    def _get_yaml_info(self, key: str | None = None) -> str:
-        """Return what str() says as YAML, or one of its facts: ROS's wiki shows scripts this."""
+    def _get_yaml_info(self, key: str | None = None) -> str | None:
+        """Return what str() says as YAML, or one of its facts: ROS's wiki shows scripts this.
+
+        None where there is no such fact, as rosbag.
+        """
         return self._summary().yaml(key)
 
     def _summary(self) -> Summary:
@@ -560,12 +590,6 @@ def _connection(topic: str, kind: str, md5sum: str, cls: Any) -> Connection:
     text = getattr(cls, "_full_text", None) or installed_definition(kind).text
     header = {"topic": topic, "type": kind, "md5sum": md5sum, "message_definition": text}
     return live_connection(check_new_topic(topic), header)
-
-
-def _frequency(times: Sequence[int]) -> float | None:
-    periods = [later - former for former, later in zip(times, times[1:])]
-    middle = statistics.median(periods) if periods else 0
-    return SECOND_NS / middle if middle else None
 
 
 def _seconds(ns: int) -> float:

@@ -10,7 +10,6 @@ from typing import Mapping, Sequence
 
 import yaml
 
-from cassandra_ros.errors import InvalidName
 from cassandra_ros.keys import SECOND_NS
 
 
@@ -53,11 +52,10 @@ class Summary:
         width = max(len(head) for head, _ in rows)
         return "\n".join(f"{head:<{width}} {value}" for head, value in rows).rstrip()
 
-    def yaml(self, key: str | None = None) -> str:
+    def yaml(self, key: str | None = None) -> str | None:
         """Return the facts as YAML, as ``rosbag info --yaml``, or the one that key names.
 
-        Raises:
-            InvalidName: There is no such fact.
+        None where there is no such fact.
         """
         facts: dict[str, object] = {"path": self.path, "version": 2.0}
         if self.ends is not None:
@@ -67,14 +65,15 @@ class Summary:
         facts["size"] = self.size
         facts["messages"] = sum(topic.messages for topic in self.topics)
         facts["indexed"] = True
+        facts["compression"] = "none"
         facts["types"] = [{"type": name, "md5": md5sum} for name, md5sum in self.types.items()]
         facts["topics"] = [_facts(topic) for topic in self.topics]
         if key is None:
             return str(yaml.safe_dump(facts, sort_keys=False))
-        if key not in facts:
-            raise InvalidName(f"there is no {key!r:.80} in it, but {', '.join(facts)}")
-        fact = facts[key]
-        return str(yaml.safe_dump(fact)) if isinstance(fact, list) else str(fact)
+        fact = facts.get(key)
+        if isinstance(fact, list):
+            return str(yaml.safe_dump(fact, sort_keys=False))
+        return None if fact is None else str(fact)
 
     def _types(self) -> list[str]:
         width = max(map(len, self.types), default=0)

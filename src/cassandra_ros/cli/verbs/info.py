@@ -19,7 +19,8 @@ are not stored; then the latest recordings and imports.
 
 YAML and JSON have the keys of rosbag info -y (duration, start, end, size, messages, types, topics)
 and beside them keyspace, start_ns, end_ns, losses and runs; JSON also activity, the numbers that
-the lines draw: messages by steps of time.
+the lines draw: messages by steps of time. Of each topic they tell connections and frequency (Hz, by
+the median of the periods, as rosbag), which the first 10,000 messages tell, and the mean, rate_hz.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Iterator
+from typing import TYPE_CHECKING, Iterator, Sequence
 
 from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import (
@@ -52,7 +53,9 @@ from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.shown import shown, shown_lines
 
 if TYPE_CHECKING:
+    from cassandra_ros.bag.message_sample import MessageSample
     from cassandra_ros.store.registry import Loss, LossKind, Run
+    from cassandra_ros.topics.ros_cassandra import RosCassandra
     from cassandra_ros.topics.timeline.lanes import Picture
     from cassandra_ros.topics.totals import TopicInfo
 
@@ -70,6 +73,8 @@ _HEADER = (
 )
 _RIGHT = ("messages", "rate", "size", "bucket")
 _RUNS_SHOWN = 20
+_SAMPLED = 10_000
+"""First messages of each topic and node that tell its connections and its frequency."""
 _CELLS = 60
 """Steps of time of which it is drawn how many messages came in each."""
 
@@ -84,6 +89,8 @@ class _Found:
     losses: list[Loss]
     runs: list[Run]
     activity: Picture
+    samples: list[MessageSample]
+    """Of each of infos, where YAML or JSON tells of them."""
 
     @property
     def ends(self) -> tuple[int, int] | None:
@@ -169,9 +176,26 @@ def _find(options: argparse.Namespace) -> _Found:
         whose = Whose(check_nodes(options.node_id), ros_cas.parts.runs.writers(options.run))
         view = View(*_ends_of(infos), cells=_CELLS, topics=topics, whose=whose)
         activity = Timeline(ros_cas).picture(view)
+        told = (options.yaml or options.json) and options.key in (None, "topics")
+        samples = _samples(ros_cas, infos, options.run) if told else []
     if options.run:
         runs = [run for run in runs if options.run in (run.name, str(run.writer))]
-    return _Found(f"{','.join(hosts)}:{port}", options.keyspace, infos, losses, runs, activity)
+    place = f"{','.join(hosts)}:{port}"
+    return _Found(place, options.keyspace, infos, losses, runs, activity, samples)
+
+
+def _samples(
+    ros_cas: RosCassandra, infos: Sequence[TopicInfo], run: str | None
+) -> list[MessageSample]:
+    """Read the first messages of each topic and node; return what each of infos has of them."""
+    from cassandra_ros.bag.message_sample import MessageSample, read_samples
+
+    found: dict[tuple[str, str], dict[str, MessageSample]] = {}
+    for info in infos:
+        if (info.topic, info.node) not in found:
+            topic = ros_cas.getTopic(info.topic)
+            found[info.topic, info.node] = read_samples(topic, _SAMPLED, info.node, run)
+    return [found[info.topic, info.node].get(info.table, MessageSample()) for info in infos]
 
 
 def _ends_of(infos: list[TopicInfo]) -> tuple[int | None, int | None]:
@@ -304,7 +328,7 @@ def _answer(found: _Found) -> dict[str, object]:
         "size": found.bytes,
         "messages": found.messages,
         "types": [{"type": name, "md5": md5sum} for name, md5sum in found.types],
-        "topics": [_topic_answer(info) for info in found.infos],
+        "topics": list(map(_topic_answer, found.infos, found.samples)),
         "losses": [{**asdict(loss), "kind": loss.kind.value} for loss in found.losses],
         "runs": [
             {**vars(run), **{k: dict(getattr(run, k)) for k in ("labels", "stored", "lost")}}
@@ -313,14 +337,15 @@ def _answer(found: _Found) -> dict[str, object]:
     }
 
 
-def _topic_answer(info: TopicInfo) -> dict[str, object]:
+def _topic_answer(info: TopicInfo, sample: MessageSample) -> dict[str, object]:
     values = asdict(info)
     known = {
         "topic": values.pop("topic"),
         "type": values.pop("type"),
         "messages": values.pop("count"),
         "size": values.pop("bytes"),
-        "frequency": values.pop("rate_hz"),
+        "connections": len(sample.connections),
+        "frequency": sample.frequency,
     }
     return {**known, **values}
 
