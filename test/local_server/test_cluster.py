@@ -27,7 +27,7 @@ from std_msgs.msg import String
 from topics.by_index import await_built
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.errors import ServerError
+from cassandra_ros.errors import ServerError, StoreUnavailable
 from cassandra_ros.local_server import LocalCluster, free_port, preflight, processes
 from cassandra_ros.local_server import cluster as cluster_module
 from cassandra_ros.local_server.cql import answers_cql
@@ -341,6 +341,15 @@ def test_three_nodes(tmp_path, monkeypatch, caplog):
         with connect(cluster) as rosCas:
             assert nodes_asked(rosCas) == 2
             assert rosCas.getTopic("/t").countTopicData(where="data = '3'") == 4
+            # With two dead it is said which one answers, and what is needed.
+            os.kill(cluster.status()[1].pid, signal.SIGKILL)
+            table = rosCas.getTopic("/t").tables[0].qualified
+            with pytest.raises(StoreUnavailable) as failed:
+                rosCas.cassandra.execute(f"SELECT * FROM {table}", what="reading", retry_sec=60)
+        text = str(failed.value)
+        assert "no Cassandra node answers" not in text
+        assert "of 3 nodes 127.0.0.13 answers and 127.0.0.11, 127.0.0.12 does not" in text
+        assert "LOCAL_QUORUM needs more than half of the copies of a row" in text
         assert make(tmp_path).start(die_with_us=True)
         await_answers(make(tmp_path))
         ask(cluster, insert)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import pytest
 from bag.test_import_process import write_bag
+from proxy import EXECUTE
 from std_msgs.msg import String
 
 from cassandra_ros.bag.importer import import_bag
@@ -131,3 +132,15 @@ def test_a_session_that_gets_no_answers_is_made_anew(far, proxy, connect, monkey
         found = [row.wire for row in other.getTopic("/a").rows()]
     assert found == [serialize(String(str(n))) for n in range(1000)]
     assert "has answered nothing for" in caplog.text
+
+
+def test_errors_of_a_server_are_answers(far, proxy, monkeypatch, caplog):
+    """One that lacks replicas answers: another session would not help."""
+    monkeypatch.setattr(link, "SILENT_SEC", 0.0)
+    far.addTopic("/a").addData(String("x"), key=1)
+    first = far.cassandra._links.current
+    failed = proxy.catch(lambda frame: frame.opcode == EXECUTE, most=3)
+    assert far.getTopic("/a").getData(1).data == "x"
+    assert len(failed.frames) == 3
+    assert far.cassandra._links.current is first
+    assert "made anew" not in caplog.text

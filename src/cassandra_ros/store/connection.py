@@ -72,6 +72,14 @@ LAST_WORD_SEC = 0.5
 AT_ONCE = 16
 """Statements of execute_many that are in the air together."""
 
+_NEEDS = {
+    "ONE": "a node that has a copy of the row",
+    "LOCAL_ONE": "a node that has a copy of the row",
+    "QUORUM": "more than half of the copies of a row, two of three",
+    "LOCAL_QUORUM": "more than half of the copies of a row, two of three",
+    "ALL": "all copies of a row",
+}
+
 CqlRow = Tuple[Any, ...]
 """The decoded values of a row."""
 
@@ -131,6 +139,7 @@ class Cassandra:
         places = [(host, self.port) for host in self.hosts]
         self._links = Links(self._make_link, self._adopt, places, self._where)
         self.outage.failing = self._links.failed
+        self.outage.nodes = self._nodes_now
 
     def _make_link(self) -> Link:
         try:
@@ -370,7 +379,7 @@ class Cassandra:
         """Run a statement that is not idempotent (a lightweight transaction), once."""
         bound = self.prepare(cql).bind(tuple(params))
         bound.is_idempotent = False
-        with translated(what):
+        with translated(what, self.outage.nodes):
             return self._all_rows(self._open_session().execute_async(bound, timeout=None))
 
     def _open_session(self) -> Session:
@@ -406,7 +415,7 @@ class Cassandra:
             StoreUnavailable: The nodes do not agree within 30 s.
         """
         self.require_open()
-        with translated(what):
+        with translated(what, self.outage.nodes):
             result = self._open_session().execute(SimpleStatement(cql), timeout=60.0)
             deadline = time.monotonic() + 30.0
             agreed = result.response_future.is_schema_agreed
@@ -418,13 +427,13 @@ class Cassandra:
     def execute_text(self, cql: str, *, what: str) -> None:
         """Run one statement that cannot be prepared, and is no change of the schema, once."""
         self.require_open()
-        with translated(what):
+        with translated(what, self.outage.nodes):
             self._open_session().execute(SimpleStatement(cql))
 
     def use_keyspace(self, keyspace: str) -> None:
         """Learn how a keyspace is replicated: rows then go straight to a node that has them."""
         self.require_open()
-        with translated(f"reading the replication of keyspace {keyspace}"):
+        with translated(f"reading the replication of {keyspace}", self.outage.nodes):
             self._links.await_open(RETRY_SEC).cluster.refresh_keyspace_metadata(keyspace)
         self._keyspaces.add(keyspace)
 
@@ -446,6 +455,22 @@ class Cassandra:
         cql = "SELECT toUnixTimestamp(now()) FROM system.local"
         # The server tells milliseconds: to the end of the present one.
         return int(self.execute(cql, what="asking for the time")[0][0]) * 1000 + 999
+
+    def _nodes_now(self) -> str:
+        """Say which nodes answer and which do not; '' where all do, or none."""
+        link = self._links.current
+        states = link.session.get_pool_state().items()
+        there = {host for host, state in states if state["open_count"]}
+        every = sorted(link.cluster.metadata.all_hosts(), key=lambda host: str(host.endpoint))
+        up = [host.address for host in every if host in there]
+        down = [host.address for host in every if host not in there]
+        if not (up and down):
+            return ""
+        level = ConsistencyLevel.value_to_name[self.consistency]
+        return (
+            f"of {len(every)} nodes {', '.join(up)} answers and {', '.join(down)} does not; "
+            f"{level} needs {_NEEDS.get(level, 'more copies of a row')}: start the others again"
+        )
 
     def live_nodes(self) -> int:
         """Count the nodes that the driver knows in the local data centre."""

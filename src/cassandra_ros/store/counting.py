@@ -46,6 +46,26 @@ def scan_keys(
             yield t, seq, size, row[3] is not None, row[4] is not None
 
 
+def scan_written(
+    table: RowTable, node: str, bucket: int, low: int, high: int
+) -> Iterator[tuple[int, int, bool, int]]:
+    """Read (t, seq, chunked, written) of the rows of a bucket with t in [low, high].
+
+    Written is when the server took the row, microseconds since 1970; no table of blocks.
+    """
+    asked = table.stretch(
+        f'{COUNTED}, WRITETIME("_size")',
+        table.place(node, bucket),
+        ((low, MIN_SEQ), (high, MAX_SEQ)),
+        page_rows=COUNT_PAGE_ROWS,
+        what="counting",
+    )
+    for row in asked.rows():
+        if not table.is_rest(row):
+            t, seq, written = map(decode_long, (row[0], row[1], row[5]))
+            yield t, seq, row[3] is not None, written
+
+
 def count_part(
     table: RowTable,
     node: str,

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from contextlib import contextmanager
-from typing import Iterator, Mapping
+from typing import Callable, Iterator, Mapping
 
 from cassandra import (
     AlreadyExists,
@@ -89,6 +89,13 @@ def is_disk_full(exc: BaseException) -> bool:
     return any(sign in str(error).lower() for error in errors for sign in _DISK_FULL)
 
 
+def is_answer(exc: BaseException) -> bool:
+    """Say whether an error was sent by a server, which does answer then."""
+    if isinstance(exc, NoHostAvailable):
+        return any(map(is_answer, host_errors(exc).values()))
+    return isinstance(exc, (Unavailable, CoordinationFailure, Timeout, ErrorMessage))
+
+
 def is_passing(exc: BaseException) -> bool:
     """Say whether the same idempotent statement may succeed later."""
     if is_disk_full(exc):
@@ -118,8 +125,13 @@ def is_refused(exc: BaseException) -> bool:
     return slow or not (is_passing(exc) or is_busy(exc) or is_table_gone(exc))
 
 
-def translate(exc: BaseException, what: str) -> CassandraRosError:
-    """Make one of our errors out of one of the driver's; what was being done begins its text."""
+def translate(exc: BaseException, what: str, nodes: str = "") -> CassandraRosError:
+    """Make one of our errors out of one of the driver's; what was being done begins its text.
+
+    Args:
+        nodes: Which nodes answer and which do not, where a node of several does.
+    """
+    more = f"; {nodes}" if nodes else ""
     if isinstance(exc, CassandraRosError):
         return exc
     if is_disk_full(exc):
@@ -130,14 +142,15 @@ def translate(exc: BaseException, what: str) -> CassandraRosError:
         return LoginFailed(f"{what}: the server refuses this user: {exc}")
     if isinstance(exc, NoHostAvailable):
         causes = "; ".join(f"{host}: {error}" for host, error in host_errors(exc).items())
-        return StoreUnavailable(f"{what}: no Cassandra node answers ({causes or exc.args[0]})")
+        who = "too few Cassandra nodes answer" if nodes else "no Cassandra node answers"
+        return StoreUnavailable(f"{what}: {who} ({causes or exc.args[0]}){more}")
     if isinstance(exc, Unavailable):
         return StoreUnavailable(
             f"{what}: too few replicas are up ({exc.alive_replicas} of the "
-            f"{exc.required_replicas} that the consistency level asks for)"
+            f"{exc.required_replicas} that the consistency level asks for){more}"
         )
     if isinstance(exc, _PASSING):
-        return StoreUnavailable(f"{what}: the server did not answer in time or failed: {exc}")
+        return StoreUnavailable(f"{what}: the server did not answer in time or failed: {exc}{more}")
     if isinstance(exc, InvalidRequest) and "keyspace" in str(exc).lower() and is_table_gone(exc):
         return KeyspaceNotFound(f"{what}: {exc}")
     if is_table_gone(exc):
@@ -165,15 +178,16 @@ def _denied(exc: Unauthorized, what: str) -> AccessDenied:
     return denied
 
 
-def cause_of(exc: BaseException) -> str:
-    """Say in few words why a request failed that may succeed later."""
-    return str(translate(exc, "")).lstrip(": ")[:MAX_CAUSE]
+def cause_of(exc: BaseException, nodes: str = "") -> str:
+    """Say in few words why a request failed that may succeed later; nodes as translate."""
+    cause = str(translate(exc, "")).lstrip(": ")[:MAX_CAUSE]
+    return f"{cause}; {nodes}" if nodes else cause
 
 
 @contextmanager
-def translated(what: str) -> Iterator[None]:
-    """Run a block in which driver errors become ours."""
+def translated(what: str, nodes: Callable[[], str] = str) -> Iterator[None]:
+    """Run a block in which driver errors become ours; nodes tells what translate says of them."""
     try:
         yield
     except DRIVER_ERRORS as exc:
-        raise translate(exc, what) from exc
+        raise translate(exc, what, nodes()) from exc

@@ -79,6 +79,8 @@ class Links:
         """When the next attempt may begin; monotonic."""
         self._pause = FIRST_PAUSE_SEC
         self.current = make()
+        self._since = time.monotonic()
+        """When it was put in use; monotonic."""
 
     def failed(self, silent_sec: float) -> None:
         """Note that a request failed; where the link is to blame another one is begun.
@@ -88,7 +90,8 @@ class Links:
         Args:
             silent_sec: How long requests have failed without one that was answered, s.
         """
-        link, silent = self.current, silent_sec >= SILENT_SEC
+        link, silent_sec = self.current, min(silent_sec, time.monotonic() - self._since)
+        silent = silent_sec >= SILENT_SEC
         if not (silent or link.is_shut_down()):
             return
         with self._changed:
@@ -116,7 +119,7 @@ class Links:
             self._next = time.monotonic() + self._pause
             unwanted = new if self._closed else None
             if new is not None and not self._closed:
-                self.current = new
+                self.current, self._since = new, time.monotonic()
             self._changed.notify_all()
         if unwanted is not None:
             unwanted.cluster.shutdown()

@@ -10,7 +10,7 @@ import threading
 import time
 from typing import Callable
 
-from cassandra_ros.store.driver_errors import cause_of
+from cassandra_ros.store.driver_errors import cause_of, is_answer
 
 _log = logging.getLogger(__name__)
 
@@ -33,18 +33,22 @@ class Outage:
         waiting: Returns what waits for the store and how long it is kept, for the lines that tell
             of an outage; '' = nothing to be said. Whoever keeps something sets it.
         hint: Returns what else is known of the reason; as above.
-        failing: Called with each failure, and how long requests have failed without one that was
-            answered, s; it must not block.
+        nodes: Returns which nodes of several answer and which do not; '' = all or none do.
+        failing: Called with each failure, and how long requests have failed without one that a
+            server answered, be it with an error, s; it must not block.
     """
 
     def __init__(self, where: str) -> None:
         self._where = where
         self.waiting: Callable[[], str] = str
         self.hint: Callable[[], str] = str
+        self.nodes: Callable[[], str] = str
         self.failing: Callable[[float], object] = float
         self._mutex = threading.Lock()
         self._failing_since: float | None = None
         """When the first request failed since the last one was answered; monotonic."""
+        self._silent_since: float | None = None
+        """When the first one failed since a server sent its last answer or error; monotonic."""
         self._told: float | None = None
         """When the outage was told of last."""
         self._grumbled = -REPEAT_SEC
@@ -81,7 +85,12 @@ class Outage:
             if self._failing_since is None:
                 self._failing_since = now
             away = now - self._failing_since
-        self.failing(away)
+            if is_answer(exc):
+                self._silent_since = None
+            elif self._silent_since is None:
+                self._silent_since = now
+            silent_sec = 0.0 if self._silent_since is None else now - self._silent_since
+        self.failing(silent_sec)
         self._tell(exc, trying_sec, now, away)
 
     def _tell(self, exc: BaseException, trying_sec: float, now: float, away: float) -> None:
@@ -94,11 +103,13 @@ class Outage:
             else:
                 return
         if not away:
-            _log.warning("a request fails and is tried again: %s", cause_of(exc))
+            _log.warning("a request fails and is tried again: %s", cause_of(exc, self.nodes()))
             return
         clock = time.strftime("%H:%M:%S", time.localtime(time.time() - away))
-        cause = f"({cause_of(exc)})" if first else "still"
-        text = "the store at %s has not answered since %s %s%s"
+        cause = f"({cause_of(exc, self.nodes())})" if first else "still"
+        # An error that a server sent is an answer: it cannot do what is asked.
+        does = "fails all requests" if is_answer(exc) else "has not answered"
+        text = "the store at %s " + does + " since %s %s%s"
         _log.warning(text, self._where, clock, cause, _rest(self.hint(), self.waiting()))
 
     def answered(self) -> None:
@@ -109,7 +120,7 @@ class Outage:
             return
         with self._mutex:
             since, told = self._failing_since, self._told
-            self._failing_since = self._told = None
+            self._failing_since = self._silent_since = self._told = None
         if since is not None and told is not None:
             away = time.monotonic() - since
             text = "the store at %s answers again after %.0f s%s"

@@ -112,7 +112,8 @@ def retried(
             ends = seconds.ends(begun) if isinstance(seconds, Patience) else begun + seconds
             over = outage is not None and outage.left_sec <= 0
             if not is_passing(exc) or now + pause > ends or over:
-                raise translate(exc, what) from exc
+                nodes = outage.nodes() if outage is not None else ""
+                raise translate(exc, what, nodes) from exc
             if not is_busy(exc):
                 if outage is not None:
                     outage.failed(exc, trying_sec)

@@ -363,9 +363,8 @@ class RowWriter:
         self, table: RowTable, rows: int, exc: BaseException, times: Sequence[int] = ()
     ) -> None:
         topic = table.metadata.topic
-        error = WriteFailed(
-            f"{rows} messages of topic {topic} could not be stored: {translate(exc, 'writing')}"
-        )
+        why = translate(exc, "writing", self._cassandra.outage.nodes())
+        error = WriteFailed(f"{rows} messages of topic {topic} could not be stored: {why}")
         error.__cause__ = exc
         if times and not table.metadata.own_time:
             error.first_ns, error.last_ns = min(times), max(times)

@@ -9,6 +9,7 @@ import heapq
 import logging
 import re
 import threading
+from contextlib import suppress
 from dataclasses import replace
 from operator import attrgetter
 from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
@@ -29,6 +30,7 @@ from cassandra_ros.messages.graph import topic_type
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.places.whereabouts import Whereabouts
+from cassandra_ros.store.directory import STALE_SEC
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.convert import Converted, convert_topic
@@ -36,11 +38,13 @@ from cassandra_ros.topics.copying import Progress
 from cassandra_ros.topics.finding import Filter, Where, stretch_between
 from cassandra_ros.topics.indexes import check_unnamed, no_index_in_blocks
 from cassandra_ros.topics.keyspace import Keyspace, Wish, check_packed
+from cassandra_ros.topics.removal import delete_stretch
 from cassandra_ros.topics.runs import RunName
-from cassandra_ros.topics.selection import EVERYBODY, Clock, Stretch, Whose, spellings
+from cassandra_ros.topics.selection import EVERYBODY, LAST_NS, Clock, Stretch, Whose, spellings
 from cassandra_ros.topics.stored_places import StoredPlaces
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.totals import count_rows
 
 _log = logging.getLogger(__name__)
 
@@ -143,10 +147,39 @@ class Catalog:
                     del self._pending[name]  # its first message has come
             return {metadata.topic for metadata in tables.values()} | set(self._pending)
 
-    def remove(self, topic: str, *, renew: bool = False) -> None:
-        """Drop a topic with all its messages; renew: the topic itself stays."""
+    def is_written(self, topic: str) -> bool:
+        """Say whether a client writes messages of a topic now, as a recorder does."""
+        return self._are_written(self.tables([topic]))
+
+    def _are_written(self, tables: Sequence[TopicTable]) -> bool:
+        directory = self.keyspace.directory
+        return any(
+            row.writing and row.age_sec <= STALE_SEC
+            for table in tables
+            for row in directory.buckets(table.name, 0, table.bucket_of(LAST_NS))
+        )
+
+    def remove(self, topic: str, *, renew: bool = False) -> int:
+        """Drop a topic with all its messages; renew: the topic itself stays.
+
+        Returns:
+            How many messages are removed. Under a client that writes the topic those are deleted
+            which are there when it begins, where the topic stays.
+        """
         name, space = self.get(topic).name, self.keyspace
         self.adder.close()
+        tables: List[TopicTable] = []
+        with suppress(DefinitionError):  # what cannot be read here can be removed
+            tables = self.tables([name])
+        if renew and self._are_written(tables):
+            # Its table would be gone with what comes meanwhile, which no count has.
+            space.registry.forget_losses(name)
+            return sum(
+                delete_stretch(space, [table], 0, LAST_NS, EVERYBODY)
+                for table in tables
+                if not table.named
+            )
+        removed = count_rows(space.directory, tables, 0, LAST_NS, EVERYBODY)
         for table in space.schema.drop_topic(name, renew=renew):
             space.directory.forget(table)
             space.registry.forget(table)
@@ -155,6 +188,7 @@ class Catalog:
         if not renew:
             with self._mutex:
                 self._pending.pop(name, None)
+        return removed
 
     def convert(self, topic: str, format_name: str, progress: Progress = None) -> Converted:
         """Keep a topic in another format; see convert_topic."""

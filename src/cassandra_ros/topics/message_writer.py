@@ -271,6 +271,12 @@ class MessageWriter:
                 if found.table.packed and not found.table.metadata.cut:  # another client made it
                     change = self._keyspace.schema.change_topic
                     change(connection.topic, lambda metadata: metadata.with_(cut=True))
+            _log.warning(
+                "the table of topic %s was removed or replaced by another client: what comes goes "
+                "into %s",
+                handle.topic,
+                "its successor" if found.table.name != handle.table.name else "it anew",
+            )
             handle = found
         return handle
 

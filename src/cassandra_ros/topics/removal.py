@@ -5,12 +5,12 @@
 from __future__ import annotations
 
 from itertools import chain, islice
-from typing import Collection, Dict, Iterable, List, Optional, Sequence, Set, Tuple, Union
+from typing import Collection, Dict, Iterable, List, Sequence, Set, Tuple, Union
 
 from cassandra_ros.places.paths import LONGEST_GAP_NS
 from cassandra_ros.store.blocks.counts import headers
 from cassandra_ros.store.blocks.cutting import Cutter
-from cassandra_ros.store.counting import scan_keys
+from cassandra_ros.store.counting import scan_keys, scan_written
 from cassandra_ros.store.directory import Directory
 from cassandra_ros.store.row_table import BlockKey
 from cassandra_ros.topics.following import current
@@ -30,10 +30,13 @@ _Key = Tuple[int, int, bool]
 def delete_stretch(
     space: Keyspace, tables: Sequence[TopicTable], low: int, high: int, whose: Whose
 ) -> int:
-    """Delete rows with t in [low, high], and their chunks; return how many there were."""
+    """Delete rows with t in [low, high], and their chunks; return how many these were.
+
+    What is stored while this goes on stays, or is counted, too.
+    """
     deleted = 0
     # Before it is read who wrote where: who opens a bucket later keeps what he writes.
-    until = None if whose.writers is None else space.cassandra.server_time_us()
+    until = space.cassandra.server_time_us()
     for table in current(tables):
         ends = table.bucket_of(low), table.bucket_of(high)
         rows = list(space.directory.buckets(table.name, *ends, whose.nodes, table.metadata.ttl))
@@ -193,20 +196,19 @@ def _cut_some(space: Keyspace, partition: _Partition, rows: List[StoredRow]) -> 
     _delete_chunks(space, partition, [_key_of(row) for row in rows])
 
 
-def _delete_bucket(
-    space: Keyspace, partition: _Partition, low: int, high: int, until: Optional[int]
-) -> int:
+def _delete_bucket(space: Keyspace, partition: _Partition, low: int, high: int, until: int) -> int:
+    """Delete the rows of a bucket that were written up to a time of the server, us."""
     table, node, where = partition
     bucket = int(where)
     space.schema.listing().check_staying(table.name)
-    found = scan_keys(table, node, bucket, low, high)
-    keys = [(t, seq, large) for t, seq, _, large, _ in found]
+    found = [row for row in scan_written(table, node, bucket, low, high) if row[3] <= until]
+    keys = [(t, seq, large) for t, seq, large, _ in found]
     if keys:
         marked = _mark_deleted(space.directory, table, node, bucket)
-        params: Tuple[object, ...] = (node, bucket, *keys[0][:2], *keys[-1][:2])
-        if until is not None:
-            params = (until, *params)
-        statement = table.delete_range(older=until is not None)
+        # What is on its way into the stretch, and was not counted, is younger than all of these.
+        newest = max(written for *_, written in found)
+        params = (newest, node, bucket, *keys[0][:2], *keys[-1][:2])
+        statement = table.delete_range(older=True)
         space.cassandra.execute(statement, params, what=_deleting(table))
         # Rows of who opened the bucket in between may be gone, too.
         _mark_deleted(space.directory, table, node, bucket, marked)

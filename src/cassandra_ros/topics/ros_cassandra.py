@@ -214,13 +214,21 @@ class RosCassandra:
             check_text("pattern", pattern, error=InvalidName, wanted="a regular expression")
         return self._open.all(pattern)
 
-    def removeTopic(self, topic: str) -> None:
-        """Drop a topic with all its messages; raises as getTopic does."""
-        self._open.remove(topic)
+    def removeTopic(self, topic: str) -> int:
+        """Drop a topic; return how many messages it had. Raises as getTopic does.
 
-    def truncateTopic(self, topic: str) -> None:
-        """Remove all messages of a topic; it and its metadata stay. Raises as getTopic does."""
-        self._open.remove(topic, renew=True)
+        A client that writes the topic makes it anew with its next message; what it has written
+        since the messages were counted is gone, too.
+        """
+        return self._open.remove(topic)
+
+    def truncateTopic(self, topic: str) -> int:
+        """Remove all messages of a topic; return how many. It and its metadata stay.
+
+        Under a client that writes the topic those messages are deleted that are there when this
+        begins; what comes later stays. Raises as getTopic does.
+        """
+        return self._open.remove(topic, renew=True)
 
     def renameTopic(self, topic: str, new_name: str) -> None:
         """Give a topic another name. Its messages stay where they are: this takes no time.

@@ -60,6 +60,14 @@ class Upkeep:
         stretch = self._catalog.stretch(names, key, to_key)
         return delete_messages(self._catalog, names, stretch, nodeID, run, where, dry_run)
 
+    def isWritten(self, topic: str) -> bool:
+        """Say whether a client writes messages of a topic now, as a recorder does.
+
+        Raises:
+            TopicNotFound, InvalidName: There is no such topic.
+        """
+        return self._catalog.is_written(topic)
+
     def check(
         self,
         topics: Optional[Iterable[str]] = None,

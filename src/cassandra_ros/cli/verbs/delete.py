@@ -16,6 +16,7 @@ A run of which all is deleted is not listed any more. It is said first how much 
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.answers import add_json_option, print_json
@@ -29,6 +30,7 @@ from cassandra_ros.cli.options import (
     read_times,
     read_where,
 )
+from cassandra_ros.cli.parsers import error_line
 from cassandra_ros.cli.text import format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.shown import shown
@@ -86,12 +88,20 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _remove(ros_cas: RosCassandra, topics: list[str], dry_run: bool) -> dict[str, int]:
-    """Remove topics with all their messages; return how many each had."""
+    """Remove topics with all their messages; return how many each had.
+
+    One that is being recorded would come back at once: it is emptied, and stays.
+    """
     counts = dict.fromkeys(topics, 0)
     for info in ros_cas.info(topics):
         counts[info.topic] += info.count
     for name in [] if dry_run else topics:
-        ros_cas.removeTopic(name)
+        if ros_cas.upkeep.isWritten(name):
+            counts[name] = ros_cas.truncateTopic(name)
+            text = f"topic {shown(name)} is being recorded: it stays, with what comes from now on"
+            print(error_line("cassandra_bag", text), file=sys.stderr)
+        else:
+            counts[name] = ros_cas.removeTopic(name) or counts[name]
     return counts
 
 

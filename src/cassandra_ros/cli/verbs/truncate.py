@@ -46,7 +46,11 @@ def run(options: argparse.Namespace) -> int:
         if not (options.dry_run or options.yes):
             confirm(f"Remove all {what}?", table)
         for name in [] if options.dry_run else topics:
-            ros_cas.truncateTopic(name)
+            counts[name][0] = ros_cas.truncateTopic(name) or counts[name][0]
+        rows = [(shown(name), str(n), format_bytes(size)) for name, (n, size) in counts.items()]
+        table = format_table(("topic", "messages", "size"), rows, right=("messages", "size"))
+        total = sum(count for count, _ in counts.values())
+        what = f"{total} messages of {len(topics)} topics in keyspace {options.keyspace}"
     if options.json:
         print_json({"removed": dict(zip(counts, (n for n, _ in counts.values())))})
     elif not options.quiet:

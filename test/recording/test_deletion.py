@@ -1,0 +1,125 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Messages are deleted while their topic is recorded: what is told is what is gone."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+from cassandra.protocol import PrepareMessage
+from nodes.children import await_true
+from proxy import Proxy
+from std_msgs.msg import String
+
+from cassandra_ros import RosCassandra
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.recording.recording import Recording
+
+HEADER = {
+    "type": "std_msgs/String",
+    "md5sum": String._md5sum,
+    "message_definition": String._full_text,
+    "callerid": "/talker",
+    "latching": "0",
+}
+PREPARE = PrepareMessage.opcode
+END = 2**32 * 10**9 - 1
+
+
+@pytest.fixture
+def recorded(rosCas, connect):
+    """Records /a while the context is open, in a format; ends and reports."""
+    ended = threading.Event()
+
+    class Recorded:
+        def begin(self, form):
+            self.recording = Recording(rosCas, format=form)
+            self.feeder = threading.Thread(target=self.feed, daemon=True)
+            self.feeder.start()
+
+        def feed(self):
+            while not ended.wait(0.002):
+                for _ in range(4):
+                    self.recording.received("/a", HEADER, serialize(String("some text")))
+
+        def stored(self):
+            return sum(report.stored for report in self.recording.reports())
+
+        def end(self):
+            ended.set()
+            self.feeder.join()
+            (report,) = self.recording.close()
+            assert report.lost == 0
+            return report.stored
+
+    yield Recorded()
+    ended.set()
+
+
+HOW = {
+    "removeData": lambda store: store.getTopic("/a").removeData(0, END),
+    "delete": lambda store: store.upkeep.delete(["/a"], 0, END)["/a"],
+    "truncate": lambda store: store.truncateTopic("/a"),
+}
+
+
+@pytest.mark.parametrize("form", ["packed", "ros"])
+@pytest.mark.parametrize("how", HOW)
+def test_what_is_told_is_what_is_gone(rosCas, connect, recorded, caplog, form, how):
+    recorded.begin(form)
+    told = 0
+    with connect(keyspace=rosCas.keyspace) as other:
+        for _ in range(3):
+            before = recorded.stored()
+            await_true(
+                lambda least=before + 500: other.existTopic("/a") and recorded.stored() > least
+            )
+            told += HOW[how](other)
+        stored = recorded.end()
+        left = sum(1 for _ in other.getTopic("/a").rows())
+    assert told > 1000
+    assert told == stored - left
+    assert "has not answered" not in caplog.text
+
+
+def test_what_arrives_between_counting_and_deleting_stays(rosCas, connect, cassandra, keyspace):
+    """A batch that lies in the middle of the stretch reaches the server after it was counted."""
+    with Proxy(cassandra.host, cassandra.port) as proxy:
+        with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as far:
+            write(rosCas, 7, [0, 1, 2, 10, 11, 12])
+            deleting = proxy.catch(
+                lambda frame: b"DELETE" in frame.body and frame.opcode == PREPARE, failed=False
+            ).hold()
+            told = []
+            thread = threading.Thread(
+                target=lambda: told.append(far.getTopic("/a").removeData(0, END))
+            )
+            thread.start()
+            deleting.wait()
+            write(rosCas, 8, [5, 6])
+            deleting.release()
+            thread.join()
+    assert told == [6]
+    assert [row.t for row in rosCas.getTopic("/a").rows()] == [5, 6]
+    assert rosCas.getTopic("/a").countTopicData() == 2
+
+
+def write(store, writer_id, times):
+    connection = live_connection("/a", HEADER)
+    with store.messageWriter(writer_id=writer_id, format="ros") as writer:
+        handle = writer.connect(connection)
+        for number, t in enumerate(times):
+            writer.write(handle, t, number, serialize(String(str(t))))
+
+
+def test_a_recorder_says_that_its_table_was_replaced(rosCas, connect, recorded, caplog):
+    recorded.begin("ros")
+    with connect(keyspace=rosCas.keyspace) as other:
+        await_true(lambda: other.existTopic("/a") and recorded.stored() > 100)
+        other.removeTopic("/a")
+        await_true(lambda: "removed or replaced by another client" in caplog.text)
+        await_true(lambda: other.existTopic("/a"))
+    recorded.end()
+    assert "has not answered" not in caplog.text
