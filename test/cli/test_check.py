@@ -7,12 +7,14 @@ from __future__ import annotations
 import json
 
 import pytest
-from std_msgs.msg import Int64, UInt8MultiArray
+from std_msgs.msg import Float64, Int64, String, UInt8MultiArray
 from topics.test_run_states import T0, add, age, begin
 
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.store.directory import BucketRow, BucketTotals
 from cassandra_ros.store.orphans import old_us, orphans, remove_orphans
 from cassandra_ros.store.row_table import CHUNK_BYTES
+from cassandra_ros.topics.checking import _agrees
 
 
 @pytest.fixture
@@ -163,3 +165,100 @@ def test_what_is_removed_meanwhile_is_no_damage(rosCas, connect):
 
     rosCas.addTopic("/x").addData(Int64(1), key=T0)
     assert rosCas.upkeep.check(["/x"], progress=remove).damages == []
+
+
+def test_what_a_conversion_leaves_noted_is_no_damage(store, call, monkeypatch):
+    monkeypatch.setattr("cassandra_ros.store.replacement.SETTLE_SEC", 0.05)
+    for target in ("packed", "yaml", "packed"):
+        store.convertTopic("/n", target)
+        assert damages(call) == set()
+    assert call("check", "-q") == (0, "", "")
+
+
+BOUNDS = {
+    "a maximum": ('"_max.data"', 2),
+    "a minimum": ('"_min.data"', 3),
+    "no maximum": ('"_max.data"', None),
+    "a NaN": ('"_nan"', {"data"}),
+}
+
+
+@pytest.mark.parametrize("what", BOUNDS)
+def test_bounds_of_a_block_are_measured_again(store, call, cql, what):
+    column, value = BOUNDS[what]
+    (table,) = store.getTopic("/p").tables
+    row = store.getTopic("/p").getRow(T0)
+    assert damages(call) == set()
+    cql.execute(
+        f'UPDATE {table.qualified} SET {column} = %s WHERE "_node" = %s AND "_bucket" = %s '
+        'AND "_t" = %s AND "_seq" = %s',
+        (value, "husky", table.bucket_of(T0), T0, row.block[0].seq),
+    )
+    assert damages(call) == {("bounds", "/p", False)}
+    status, out, _ = call("check", "/p")
+    assert status == 1 and column.strip('"') in out and "of a block of 5 messages" in out
+
+
+def test_bounds_of_any_values_agree_with_what_was_stored(rosCas, call):
+    numbers = [0.0, -0.0, float("nan"), float("inf"), -1e300, 5e-324]
+    topic = rosCas.addTopic("/f", format="packed", msg_type="std_msgs/Float64")
+    for n, number in enumerate(numbers):
+        topic.addData(Float64(number), key=T0 + n)
+    big = rosCas.addTopic("/big", format="packed", msg_type="std_msgs/UInt8MultiArray")
+    big.addData(UInt8MultiArray(data=bytes(2 * CHUNK_BYTES)), key=T0)
+    texts = rosCas.addTopic("/s", format="packed", msg_type="std_msgs/String")
+    for n, text in enumerate(["", "x" * 200, "\U0010ffff" * 40, "grün"]):
+        texts.addData(String(text), key=T0 + n)
+    topic.removeData(T0 + 1)
+    assert damages(call) == set()
+
+
+def test_messages_without_a_checksum_are_counted(store, call):
+    out = call("check")[1]
+    # 5 of /n and the one under a name; /p has blocks, the large one pieces.
+    assert "6 messages lie in rows without a checksum" in out
+    assert json.loads(call("check", "--json")[1])["unsummed"] == 6
+
+
+LISTED = {"rows": 5, "bytes": 40, "largest": 8, "t_min": 100, "t_max": 200, "odd": 1}
+
+
+@pytest.mark.parametrize(
+    ("changed", "agrees"),
+    [
+        ({}, True),
+        ({"rows": 4}, False),
+        ({"bytes": 41}, False),
+        ({"t_min": 99}, False),
+        ({"t_max": 201}, False),
+        ({"odd": 2}, True),  # readers look at more
+        ({"odd": 0}, False),
+        ({"rows": 0, "bytes": 0, "t_min": 0, "t_max": 0, "odd": 0}, False),
+    ],
+)
+def test_each_number_of_the_directory_is_compared(changed, agrees):
+    row = BucketRow("r", 1, 7, True, None, age_sec=0.0, **{**LISTED, **changed})
+    assert _agrees(row, BucketTotals(**LISTED)) == agrees
+
+
+def test_an_empty_bucket_agrees_whatever_else_is_said_of_it():
+    row = BucketRow("r", 1, 7, True, None, 0, 0, 8, 5, 6, 0, age_sec=0.0)
+    assert _agrees(row, BucketTotals())
+
+
+def test_pieces_beside_a_row_that_has_none_are_orphans(store, cql):
+    """The row has its message inside: whoever wrote it in pieces died."""
+    row = store.getTopic("/n").getRow(T0)
+    large = store.getTopic("/big").getRow(T0)
+    (table,) = store.getTopic("/big").tables
+    store.getTopic("/big").addData(UInt8MultiArray(data=b"x"), key=T0 + 1)
+    small = store.getTopic("/big").getRow(T0 + 1)
+    assert (row.chunked, large.chunked, small.chunked) == (False, True, False)
+    place = ("", table.bucket_of(small.t), small.t, small.seq)
+    cql.execute(
+        f'INSERT INTO {store.keyspace}.{table.name}_c ("_node", "_bucket", "_t", "_seq", "_chunk", '
+        '"_data") VALUES (%s, %s, %s, %s, 0, 0x00) USING TIMESTAMP 1500000000000000',
+        place,
+    )
+    lost = orphans(store.parts.cassandra, store.keyspace, table, 2**62)
+    assert [tuple(each) for each in lost] == [place]

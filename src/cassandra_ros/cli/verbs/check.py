@@ -11,12 +11,16 @@ removed topics is looked for. --start and --end choose whole stretches of time
   message     cannot be read: repair the cluster, or import or record it again
   connection, definition   gone or changed: the messages cannot be decoded or exported
   count       the directory says another number, size or time than there is
+  bounds      what a block's row says of the values in it is wrong, so that conditions miss messages
   not listed  messages that the directory does not know, so that nobody finds them
   orphan      pieces of a large message whose writer died
   leftover    what is known of a topic that was removed
 
---repair mends the last four, and closes what recorders that died left open. No message is deleted.
-To compare with a bag see verify.
+Messages of up to 512 KiB in rows of their own (all formats but packed) carry no checksum: they are
+decoded, and a line tells how many there are.
+
+--repair mends count, not listed, orphan and leftover, and closes what recorders that died left
+open. No message is deleted. To compare with a bag see verify.
 """
 
 from __future__ import annotations
@@ -81,6 +85,11 @@ def _print(report: CheckReport, options: argparse.Namespace, seconds: float) -> 
             f"keyspace {options.keyspace}: {report.messages} messages, "
             f"{format_bytes(report.bytes)} in {report.buckets} buckets read ({seconds:.1f} s); "
             f"{report.found} damages, {report.mended} mended"
+        )
+    if report.unsummed and not options.quiet:
+        print(
+            f"{report.unsummed} messages lie in rows without a checksum (all formats but packed): "
+            "a changed byte of theirs is found only where it cannot be decoded"
         )
     if report.writing and not options.quiet:
         print(
