@@ -7,7 +7,7 @@ from __future__ import annotations
 import signal
 
 import pytest
-from nodes.children import await_true, start_recorder
+from nodes.children import await_true, start_client, start_recorder
 from nodes.raw_publisher import RawPublisher, header_of, message
 from proxy import Proxy
 from std_msgs.msg import String
@@ -59,3 +59,84 @@ def test_a_store_that_goes_away(roscore, proxy, keyspace, rosCas, one):
         assert child.end() == 1, child.output
     assert "recorder: 77 messages were lost" in child.output
     assert [row.wire for row in rosCas.getTopic("/a").rows()] == [text(n) for n in range(1001)]
+
+
+def await_received(client, count):
+    def received():
+        topics = client.call("/recorder/status")["topics"]
+        return sum(topic["received"] for topic in topics if topic["topic"] == "/a") == count
+
+    await_true(received)
+
+
+@pytest.mark.fault
+def test_what_comes_before_the_store_answers_is_recorded(roscore, proxy, keyspace, rosCas, one):
+    proxy.cut()
+    arguments = ("/a", "--wait", "600", "-O", "early")
+    with start_recorder(roscore, proxy, keyspace, *arguments) as child, start_client(
+        roscore
+    ) as client:
+        child.await_line("waiting up to 600 s for the store: no Cassandra answers at")
+        child.await_line("recording 1 topic")
+        one.await_subscribers().publish(*map(text, range(500)))
+        await_received(client, 500)
+        status = client.call("/recorder/status")
+        assert (status["state"], status["run"]) == ("waiting", "early")
+        (topic,) = [each for each in status["topics"] if each["topic"] == "/a"]
+        assert (topic["stored"], topic["lost"], topic["subscribed"]) == (0, 0, True)
+        assert status["held_bytes"] > 500 * 300
+        child.await_line("no store yet: 500 messages (")
+        proxy.mend()
+        child.await_line("the store answers after ")
+        await_true(lambda: client.call("/recorder/status")["state"] == "recording")
+        one.publish(text(500))
+        await_received(client, 501)
+        assert child.end() == 0, child.output
+    assert [row.wire for row in rosCas.getTopic("/a").rows()] == [text(n) for n in range(501)]
+    assert rosCas.losses() == []
+    assert [run.name for run in rosCas.runs()] == ["early"]
+
+
+@pytest.mark.fault
+def test_what_does_not_fit_before_the_store_answers_is_told(roscore, proxy, keyspace, rosCas, one):
+    proxy.cut()
+    wires = [message(String(f"{n:05}" + 1000 * "x")) for n in range(2000)]
+    with start_recorder(roscore, proxy, keyspace, "/a", "--wait", "600", "-b", "1") as child:
+        child.await_line("recording 1 topic")
+        with start_client(roscore) as client:
+            one.await_subscribers().publish(*wires)
+            await_received(client, 2000)
+        proxy.mend()
+        await_true(lambda: rosCas.existTopic("/a"))
+        assert child.end() == 1, child.output
+    stored = [row.wire for row in rosCas.getTopic("/a").rows()]
+    lost = 2000 - len(stored)
+    assert 1000 < lost < 2000
+    assert stored == wires[lost:]
+    assert f"recorder: {lost} messages were lost" in child.output
+    assert f"/a: {lost} lost: buffer full" in child.output
+    assert sum(loss.count for loss in rosCas.losses(["/a"])) == lost
+
+
+@pytest.mark.fault
+def test_an_end_before_the_store_answers(roscore, proxy, keyspace, one):
+    """The first Ctrl-C lets what came wait for the store, the second one drops it."""
+    proxy.cut()
+    with start_recorder(roscore, proxy, keyspace, "/a", "--wait", "600") as child:
+        child.await_line("recording 1 topic")
+        with start_client(roscore) as client:
+            one.await_subscribers().publish(*map(text, range(7)))
+            await_received(client, 7)
+        child.process.send_signal(signal.SIGINT)
+        child.await_line("7 messages (0.0 MB) wait for the store; they are dropped if")
+        assert child.end() == 1, child.output
+    assert "recorder: the store did not answer before the recording ended" in child.output
+    assert "recorder: 7 messages were lost" in child.output
+
+
+def test_a_store_that_does_not_come(roscore, proxy, keyspace):
+    proxy.cut()
+    with start_recorder(roscore, proxy, keyspace, "/nothing", "--wait", "1") as child:
+        assert child.wait() == 1
+    assert "waiting up to 1 s for the store" in child.output
+    assert "recorder: no Cassandra answers at" in child.output

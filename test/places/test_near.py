@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import threading
+from concurrent.futures import Future
 
 import numpy as np
 import pytest
@@ -725,6 +726,16 @@ def begun(store):
     recording._places._note(last=False)
     assert noted_of(store) == [(T0, T0 + 29 * SEC)]
     return recording
+
+
+def test_a_recorder_notes_poses_that_came_before_the_store_answered(rosCas):
+    store = Future()
+    recording = Recording(store, clock=Clock(), name="live")
+    drives_on(recording, 0, 40)
+    recording._places._try_to_note(last=False)
+    store.set_result(rosCas)
+    assert {report.lost for report in recording.close()} == {0}
+    assert noted_of(rosCas) == [(T0, T0 + 39 * SEC)]
 
 
 def test_a_recorder_whose_clock_goes_back_takes_back_what_it_noted(rosCas):

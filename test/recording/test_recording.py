@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
+from concurrent.futures import Future
 
 import pytest
 from campaign import sparing
@@ -18,7 +20,7 @@ from sensor_msgs.msg import Image, Imu
 from std_msgs.msg import Header, String
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.errors import ClockNotSet, StoreUnavailable
+from cassandra_ros.errors import ClockNotSet, ConnectionFailed, StoreUnavailable
 from cassandra_ros.messages.connection import live_connection
 from cassandra_ros.recording import recording as recording_module
 from cassandra_ros.recording.buffer import (
@@ -379,3 +381,113 @@ def test_the_first_second_fixes_the_bucket(rosCas):
     lengths = {info.topic: info.bucket_ns for info in rosCas.info()}
     assert lengths["/slow"] == 600 * 10**9
     assert lengths["/fast"] <= 10 * 10**9
+
+
+# -------------------------------------------------------------------- before the store answers
+
+
+def test_what_comes_before_the_store_answers_is_stored_when_it_does(rosCas):
+    """A buffer that is nearly full of it loses nothing while the tables are made."""
+    store, ticks = Future(), itertools.count(T0, 10**7)
+    recorder = Recording(store, clock=lambda: next(ticks), buffer_bytes=1_000_000)
+    headers = {f"/{name}": header_of(String) for name in "abcd"}
+    for n in range(600):
+        for topic, header in headers.items():
+            recorder.received(topic, header, text(n))
+    assert not recorder.opened
+    assert recorder.held_bytes > 700_000
+    assert [report.stored for report in recorder.reports()] == [0, 0, 0, 0]
+    store.set_result(rosCas)
+    reports = recorder.close()
+    assert [(r.received, r.stored, r.lost) for r in reports] == [(600, 600, 0)] * 4
+    for topic in headers:
+        assert [row.wire for row in rosCas.getTopic(topic).rows()] == [text(n) for n in range(600)]
+    # 25 messages a second: not as many as come out of the buffer in a moment.
+    assert {info.bucket_ns for info in rosCas.info()} == {600 * 10**9}
+    assert rosCas.losses() == []
+
+
+def test_what_does_not_fit_before_the_store_answers_is_a_loss(rosCas):
+    store, ticks = Future(), itertools.count(T0, 10**9)
+    recorder = Recording(store, clock=lambda: next(ticks), buffer_bytes=100_000)
+    header = header_of(String)
+    for n in range(1000):
+        recorder.received("/a", header, text(n))
+    lost = recorder.reports()[0].lost
+    assert 600 < lost < 1000
+    store.set_result(rosCas)
+    (report,) = recorder.close()
+    assert (report.stored, report.reasons) == (1000 - lost, {LossKind.BUFFER_FULL: lost})
+    rows = list(rosCas.getTopic("/a").rows())
+    assert [row.wire for row in rows] == [text(n) for n in range(lost, 1000)]
+    (loss,) = rosCas.losses()
+    assert (loss.topic, loss.count) == ("/a", lost)
+    assert (loss.first_ns, loss.last_ns) == (T0, T0 + (lost - 1) * 10**9)
+
+
+def test_a_store_that_never_answers():
+    """What came is lost, with the reason; so is what still comes until the end."""
+    store = Future()
+    recorder = Recording(store)
+    header = header_of(String)
+    recorder.received("/a", header, text(0))
+    assert recorder.problem == ""
+    store.set_exception(ConnectionFailed("no Cassandra answers at mars"))
+    await_true(lambda: recorder.problem)
+    assert recorder.problem == "no Cassandra answers at mars"
+    recorder.received("/a", header, text(1))
+    (report,) = recorder.close()
+    assert (report.received, report.stored) == (2, 0)
+    assert report.reasons == {LossKind.AT_END: 2}
+    assert "mars" in report.details[LossKind.AT_END]
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_the_end_waits_for_a_store_that_has_not_answered_yet(rosCas, monkeypatch, answers):
+    if not answers:
+        monkeypatch.setattr(recording_module, "GIVE_UP_SEC", 0.3)
+    store = Future()
+    recorder = Recording(store)
+    recorder.received("/a", header_of(String), text(0))
+    assert not recorder.stop(0.0)
+    recorder.received("/a", header_of(String), text(1))  # behind the end
+    if answers:
+        store.set_result(rosCas)
+    (report,) = recorder.close()
+    reasons = {} if answers else {LossKind.AT_END: 1}
+    assert (report.received, report.stored, report.reasons) == (1, int(answers), reasons)
+
+
+def test_a_recording_without_messages_ends_without_a_store():
+    recorder = Recording(Future())
+    recorder.expect("/a")
+    (report,) = recorder.close()
+    assert (report.received, report.lost) == (0, 0)
+
+
+def test_topics_with_a_table_go_on_while_that_of_another_cannot_be_made(cassandra, keyspace):
+    """Only what waits for a table in vain is dropped beyond half of the buffer."""
+    held = threading.Event()
+    with RosCassandra(cassandra.host, cassandra.port, keyspace=keyspace) as store:
+        recorder = Recording(store, buffer_bytes=100_000)
+        make = recorder._connect
+
+        def connect(source):
+            if source.topic == "/none" and not held.is_set():
+                raise StoreUnavailable("no table yet")
+            return make(source)
+
+        recorder._tables._connect = connect
+        none, good = header_of(String), header_of(String)
+        for n in range(50):
+            recorder.received("/none", none, text(n))
+        await_true(lambda: any(source.told for source in recorder._waiting))
+        for n in range(50, 400):
+            recorder.received("/none", none, text(n))
+        recorder.received("/good", good, text(0))
+        await_true(lambda: by_topic(recorder.reports())["/good"].stored)
+        held.set()
+        reports = by_topic(recorder.close())
+    assert (reports["/good"].stored, reports["/good"].lost) == (1, 0)
+    assert reports["/none"].stored + reports["/none"].lost == 400
+    assert reports["/none"].lost > 0

@@ -11,10 +11,11 @@ import signal
 import sys
 import threading
 import time
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Callable, Sequence
+from typing import TYPE_CHECKING, Callable, Iterator, Sequence
 
 from cassandra_ros.errors import ConnectionFailed, InvalidKey, InvalidOption, TlsMismatch
 from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
@@ -29,6 +30,8 @@ from cassandra_ros.store.address import (
 from cassandra_ros.store.login import CQLSHRC, CREDENTIALS, read_login
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
+
     from cassandra_ros.messages.stamps import Stamp
     from cassandra_ros.store.outage import Outage
     from cassandra_ros.topics.ros_cassandra import RosCassandra
@@ -173,6 +176,36 @@ def _hurry_on_interrupt(outage: Outage) -> None:
     main = threading.current_thread() is threading.main_thread()
     if main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupted)
+
+
+@contextmanager
+def awaited_store(options: argparse.Namespace) -> Iterator[Future[RosCassandra]]:
+    """Open the store as ``open_store`` does for a program that goes on while ``--wait`` lasts.
+
+    The keyspace may be missing. Without ``--wait`` the future is done. At the end the store is
+    closed.
+    """
+    from concurrent.futures import Future
+
+    store: Future[RosCassandra] = Future()
+    if options.wait:
+        threading.Thread(
+            target=_open_into, args=(store, options), name="store-wait", daemon=True
+        ).start()
+    else:
+        store.set_result(open_store(options, make=True))
+    try:
+        yield store
+    finally:
+        if store.done() and store.exception() is None:
+            store.result().close()
+
+
+def _open_into(store: Future[RosCassandra], options: argparse.Namespace) -> None:
+    try:
+        store.set_result(open_store(options, make=True))
+    except Exception as exc:  # noqa: BLE001 - raised where the store is used
+        store.set_exception(exc)
 
 
 def _connect(options: argparse.Namespace) -> RosCassandra:

@@ -25,6 +25,7 @@ from cassandra_ros.cli.completion import answer_shell
 from cassandra_ros.cli.options import (
     add_format_option,
     add_store_options,
+    awaited_store,
     open_store,
     store_place,
     strip_remappings,
@@ -48,6 +49,7 @@ from cassandra_ros.recording.settings import (
     read_ttl,
 )
 from cassandra_ros.recording.snapshot import read_bound
+from cassandra_ros.recording.store_future import NO_STORE, is_there
 
 PROGRAM = "recorder"
 _LOOPBACK = ("localhost", "127.", "::1")
@@ -305,6 +307,7 @@ def main() -> int:
     given = parser.parse_args(words)  # wrong usage and --help need no master
     if given.topics or given.all or given.node or not master_answers():
         read_options(parser, given)
+    from cassandra_ros.nodes.diagnostics import StorePlace
     from cassandra_ros.nodes.recorder_node import record, start_node
     from cassandra_ros.nodes.recording_plan import make_plan
 
@@ -312,13 +315,18 @@ def main() -> int:
     chosen = read_options(parser, options)
     line = StatusLine(sys.stdout if not options.quiet and sys.stdout.isatty() else None)
     say = partial(line.say, quiet=options.quiet)
-    with open_store(options, make=True) as ros_cas:
-        if options.dry_run:
+    if options.dry_run:
+        with open_store(options, make=True) as ros_cas:
             print(plan_table(make_plan(ros_cas, chosen), chosen))
-            return 0
-        reports = record(ros_cas, chosen, say, line.show if line.shows else None)
+        return 0
+    place = StorePlace(store_place(options)[0], options.keyspace)
+    with awaited_store(options) as store:
+        show = line.show if line.shows else None
+        reports, problem = record(store, chosen, place, say, show)
+        if not problem and not is_there(store):
+            problem = NO_STORE
     say(closing_table(reports, rates=not chosen.snapshot))
-    problems = failures(reports)
+    problems = [problem] * bool(problem) + failures(reports)
     for text in problems:
         print(error_line(PROGRAM, text), file=sys.stderr)
     return 1 if problems else 0

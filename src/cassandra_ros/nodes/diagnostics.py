@@ -4,24 +4,34 @@
 
 from __future__ import annotations
 
-from typing import Mapping
+from typing import Mapping, NamedTuple, Sequence
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from cassandra_ros.recording.counts import TopicReport
-from cassandra_ros.recording.status import Rates, Status
-from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.recording.status import WAITING, Rates, Status
 
 FULL = 0.5
 """A buffer that is fuller is warned of."""
 
 
-class Diagnostics:
-    """Publishes how a recorder stands. Losses are errors while they go on, then warnings."""
+class StorePlace(NamedTuple):
+    """Where a store is, as the options name it: it may not answer yet."""
 
-    def __init__(self, ros_cas: RosCassandra) -> None:
-        self._rosCas = ros_cas
+    hosts: Sequence[str]
+    keyspace: str
+
+
+class Diagnostics:
+    """Publishes how a recorder stands. Losses are errors while they go on, then warnings.
+
+    Args:
+        place: Where the store is.
+    """
+
+    def __init__(self, place: StorePlace) -> None:
+        self._hosts, self._keyspace = ",".join(place.hosts), place.keyspace
         self._name = rospy.get_name().lstrip("/")
         self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=1)
         self._lost: dict[str, int] = {}
@@ -40,6 +50,9 @@ class Diagnostics:
         level, text = DiagnosticStatus.OK, status.state
         if status.run:
             text += f" run {status.run}"
+        if status.state == WAITING:
+            level = DiagnosticStatus.WARN
+            text = f"the store does not answer yet, run {status.run} waits in memory"
         if fill > FULL and status.run:
             level, text = DiagnosticStatus.WARN, f"the buffer is {fill:.0%} full"
         lost = {report.topic: report.lost for report in status.topics}
@@ -47,8 +60,8 @@ class Diagnostics:
             level, text = DiagnosticStatus.ERROR, "messages are being lost"
         hertz, nbytes = rates.total
         values = {
-            "hosts": ",".join(self._rosCas.cassandra.hosts),
-            "keyspace": str(self._rosCas.keyspace),
+            "hosts": self._hosts,
+            "keyspace": self._keyspace,
             "state": status.state,
             "run": status.run,
             "waiting bytes": str(status.held_bytes),
@@ -90,5 +103,4 @@ class Diagnostics:
         self, level: bytes, what: str, text: str, values: Mapping[str, str]
     ) -> DiagnosticStatus:
         pairs = [KeyValue(key, value) for key, value in values.items()]
-        host = ",".join(self._rosCas.cassandra.hosts)
-        return DiagnosticStatus(level, f"{self._name}: {what}", text, host, pairs)
+        return DiagnosticStatus(level, f"{self._name}: {what}", text, self._hosts, pairs)

@@ -26,9 +26,9 @@ from cassandra_ros.recording.options import RecorderOptions
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.series import Series
 from cassandra_ros.recording.snapshot import Snapshots
-from cassandra_ros.recording.status import RECORDING, SNAPSHOT, STOPPED, Status
+from cassandra_ros.recording.status import RECORDING, SNAPSHOT, STOPPED, WAITING, Status
+from cassandra_ros.recording.store_future import Store
 from cassandra_ros.store.registry import LossKind
-from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
 
@@ -52,14 +52,15 @@ class Recorder:
     /clock itself is recorded whole only by the node ``recorder``.
 
     Args:
-        rosCas: A RosCassandra connected to a keyspace; it stays the caller's.
+        rosCas: A RosCassandra connected to a keyspace; it stays the caller's. Or a
+            ``concurrent.futures.Future`` of one: what comes before it is there waits in memory.
         options: What to record, and how; or the names of topics.
         say: Called with each line for people who watch; default: the log.
     """
 
     def __init__(
         self,
-        rosCas: RosCassandra,
+        rosCas: Store,
         options: Union[RecorderOptions, Sequence[str]],
         *,
         say: Optional[Say] = None,
@@ -203,12 +204,19 @@ class Recorder:
         current = self._series.current
         return "" if current is None else current.name
 
+    @property
+    def problem(self) -> str:
+        """Why nothing can be stored, now or any more; '' = it can, or may."""
+        return self._series.problem
+
     def status(self) -> Status:
         """Tell how it goes."""
         current, snapshots = self._series.current, self._snapshots
         subscribed = self._subscriptions.topics
         held = 0 if current is None else current.held_bytes
-        state = RECORDING if current is not None else STOPPED
+        state = STOPPED
+        if current is not None:
+            state = RECORDING if current.opened else WAITING
         status = Status(
             state,
             self.run,
@@ -279,7 +287,7 @@ class Recorder:
         ]
 
     def wait(self, timeout_sec: Optional[float] = None) -> bool:
-        """Wait until duration, size or limit has ended the recording; say whether that is so."""
+        """Wait until duration, size, limit or a problem has ended it; say whether that is so."""
         return self._done.wait(timeout_sec)
 
     def interrupt(self) -> None:
@@ -390,6 +398,8 @@ class Recorder:
         """Look after new topics, the limit, splits and the end, on a thread of its own."""
         while not self._done.wait(POLL_SEC):
             with self._mutex:
+                if self.problem:
+                    self._done.set()
                 if self._done.is_set() or not self._active:
                     continue
                 try:

@@ -12,7 +12,7 @@ from typing import Callable, Mapping, Optional, Sequence
 
 import rospy
 
-from cassandra_ros.nodes.diagnostics import Diagnostics
+from cassandra_ros.nodes.diagnostics import Diagnostics, StorePlace
 from cassandra_ros.nodes.node import (
     REMAP,
     bound_master_calls,
@@ -25,7 +25,7 @@ from cassandra_ros.nodes.recorder_services import serve
 from cassandra_ros.recording.counts import TopicReport
 from cassandra_ros.recording.options import RecorderOptions
 from cassandra_ros.recording.status import Rates, Status
-from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.recording.store_future import Store, store_future
 
 _log = logging.getLogger(__name__)
 
@@ -49,23 +49,34 @@ def start_node(argv: Sequence[str]) -> Mapping[str, object]:
 
 
 def record(
-    ros_cas: RosCassandra, options: RecorderOptions, say: Say, show: Optional[Show] = None
-) -> list[TopicReport]:
-    """Record until a signal, the master or the options end it; report on each topic.
+    store: Store,
+    options: RecorderOptions,
+    place: StorePlace,
+    say: Say,
+    show: Optional[Show] = None,
+) -> tuple[list[TopicReport], str]:
+    """Record until a signal, the master, the options or a problem end it.
 
     Args:
+        store: A RosCassandra connected to a keyspace, or a future of one.
+        place: Where the store is, for /diagnostics.
         say: Called with each line for people who watch.
         show: Called each second with how it goes.
+
+    Returns:
+        A report on each topic, and why nothing could be stored ('' = it could).
     """
-    recorder = Recorder(ros_cas, options, say=say)
+    opening = store_future(store)
+    recorder = Recorder(opening, options, say=say)
 
     def signalled(number: int, frame: Optional[FrameType]) -> None:
         signals.append(number)
         recorder.interrupt()
         if not began:  # what has come is stored with more patience
-            ros_cas.cassandra.outage.hurry()
+            opening.result().cassandra.outage.hurry()
 
-    began = False
+    # The start waits for a store that is there; for one that is not the recording waits.
+    began = not opening.done()
     signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signalled)
@@ -74,10 +85,10 @@ def record(
         say(f"services under {rospy.get_name()}")
         recorder.start()
         began = True
-        tick = _ticker(recorder, ros_cas, options, show)
+        tick = _ticker(recorder, Diagnostics(place) if options.diagnostics else None, show)
         while not (signals or rospy.is_shutdown() or recorder.wait(POLL_SEC)):
             tick()
-        return recorder.close()
+        return recorder.close(), recorder.problem
     except BaseException:
         recorder.interrupt()
         recorder.close()
@@ -87,10 +98,9 @@ def record(
 
 
 def _ticker(
-    recorder: Recorder, ros_cas: RosCassandra, options: RecorderOptions, show: Optional[Show]
+    recorder: Recorder, diagnostics: Optional[Diagnostics], show: Optional[Show]
 ) -> Callable[[], None]:
     """Return what tells once a second how it goes, however often it is called."""
-    diagnostics = Diagnostics(ros_cas) if options.diagnostics else None
     rates, due = Rates(), time.monotonic()
 
     def tick() -> None:

@@ -23,6 +23,8 @@ FIRST_SEC = 1.0
 """How long a topic is watched before its table is made: its rate fixes the bucket length."""
 FIRST_MESSAGES = 5_000
 FIRST_BYTES = 8_000_000
+LONGEST_STEP_NS = 60 * SECOND_NS
+"""A longer time between two messages counts as this: a clock may have been set."""
 LONGEST_BUCKET_NS = 600 * SECOND_NS
 """Live rates may grow: never longer, whatever the first second says."""
 
@@ -56,18 +58,22 @@ class Source:
         self.error = ""  # why they cannot be stored
         self.waiting: deque[Item] = deque()  # what came before the table stood
         self.submitted = False  # whether the table is being made
-        self.told = False  # whether people know that it waits for its table
+        self.told = False  # whether its table was tried in vain, and people know that it waits
         self.conflicts = 0  # how often another one's schema change came between
         self.has_header = starts_with_header(connection.definition_text)
         self.tells_places = tells_places(connection)  # where the robot is
         self._since = 0.0
         self._seen = 0
         self._seen_bytes = 0
+        self._last_ns = 0  # when the last of them came
+        self._span_ns = 0  # time from the first to the last
 
     def hold(self, item: Item) -> None:
         """Keep a message until the table stands."""
         if not self._seen:
-            self._since = time.monotonic()
+            self._since, self._last_ns = time.monotonic(), item.t
+        self._span_ns += min(max(item.t - self._last_ns, 0), LONGEST_STEP_NS)
+        self._last_ns = item.t
         self._seen += 1
         self._seen_bytes += len(item.wire)
         self.waiting.append(item)
@@ -88,7 +94,10 @@ class Source:
         return Lengths(bucket_ns, span_ns, self._seen_bytes > CHUNK_BYTES * self._seen)
 
     def _watched(self) -> float:
-        return time.monotonic() - self._since if self._seen else 0.0
+        # What waited for the store, or was kept for a snapshot, is handed on in a moment: of that
+        # only the times of arrival tell the rate.
+        here = time.monotonic() - self._since if self._seen else 0.0
+        return max(here, self._span_ns / SECOND_NS)
 
 
 class Feed(NamedTuple):
@@ -145,6 +154,11 @@ class Buffer:
                 taken.append(item)
         return taken
 
+    def pause(self, timeout_sec: float) -> None:
+        """Take nothing until a wake, or the timeout."""
+        with self._changed:
+            self._changed.wait(timeout_sec)
+
     def release(self, item: Item) -> None:
         """Note that an item that was taken is no longer held in memory."""
         with self._changed:
@@ -160,6 +174,11 @@ class Buffer:
         with self._changed:
             self._closed = True
             self._changed.notify_all()
+
+    @property
+    def closed(self) -> bool:
+        """Whether nothing will be put any more."""
+        return self._closed
 
     @property
     def ended(self) -> bool:

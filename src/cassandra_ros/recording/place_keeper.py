@@ -14,6 +14,7 @@ import logging
 import threading
 from bisect import bisect_left, bisect_right
 from collections import deque
+from concurrent.futures import Future
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -41,6 +42,7 @@ from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.pushdown import Pushdown
 from cassandra_ros.query.source import Columns, Writers
 from cassandra_ros.recording.losses import LossLog
+from cassandra_ros.recording.store_future import is_there
 from cassandra_ros.recording.unstored import UnstoredRow, UnstoredTable
 from cassandra_ros.store.place_index import Placed, Visited
 from cassandra_ros.topics.ros_cassandra import RosCassandra
@@ -191,16 +193,20 @@ class PlaceKeeper:
     """Notes where the robot of one run is.
 
     Args:
-        ros_cas: A RosCassandra connected to a keyspace.
+        store: A RosCassandra connected to a keyspace, when it answers.
         whose: nodeID and writer id of the run.
         losses: Of the run: which of the messages that were taken are not stored.
         wanted: Do so; else take nothing.
     """
 
     def __init__(
-        self, ros_cas: RosCassandra, whose: Whose, losses: LossLog, wanted: bool = True
+        self,
+        store: Future[RosCassandra],
+        whose: Whose,
+        losses: LossLog,
+        wanted: bool = True,
     ) -> None:
-        self._rosCas, self._whose, self._losses, self._wanted = ros_cas, whose, losses, wanted
+        self._store, self._whose, self._losses, self._wanted = store, whose, losses, wanted
         self._taken: Deque[_Taken] = deque()
         # Each is counted by one thread alone.
         self._came = self._gone = 0
@@ -267,6 +273,8 @@ class PlaceKeeper:
             self._taken.clear()
 
     def _try_to_note(self, *, last: bool) -> None:
+        if not is_there(self._store):
+            return
         try:
             self._note(last)
         except CassandraRosError as exc:
@@ -289,13 +297,13 @@ class PlaceKeeper:
         for name in moving:
             visits += self._visits(name, low, high)
             placed += self._placed(name, high)
-        self._rosCas.parts.place_index.put(visits, placed, self._ttl(moving))
+        self._store.result().parts.place_index.put(visits, placed, self._ttl(moving))
         self._said.update((each.table, each.robot) for each in placed)
         self._noted, self._read_to = high, self._latest
 
     def _take_back(self, moving: Sequence[str]) -> None:
         """Say no more than holds: other poses may be stored than those that were taken."""
-        index = self._rosCas.parts.place_index
+        index = self._store.result().parts.place_index
         for name in moving:
             table, first = self._table(name), self._first[name]
             lost = self._losses.last_ns(name)
@@ -341,7 +349,7 @@ class PlaceKeeper:
     def _stored_statics(self) -> List[Row]:
         """Return the fixed transforms that others stored: who asks takes the last of them all."""
         try:
-            topic = self._rosCas.getTopic(TF_STATIC)
+            topic = self._store.result().getTopic(TF_STATIC)
         except TopicNotFound:
             return []
         return list(topic.rows(nodeID=self._whose.node))

@@ -15,6 +15,7 @@ import threading
 import time
 import weakref
 from collections import Counter
+from concurrent.futures import wait
 from functools import partial
 from typing import Callable, Mapping, MutableMapping, Optional, Sequence, Tuple
 
@@ -28,12 +29,12 @@ from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.place_keeper import PlaceKeeper
 from cassandra_ros.recording.settings import Settings, TopicSettings
+from cassandra_ros.recording.store_future import NO_STORE, Store, is_there, store_future
 from cassandra_ros.recording.tables import TableMaker, connect
 from cassandra_ros.store.directory import Lengths
 from cassandra_ros.store.registry import LossKind, Run
 from cassandra_ros.store.run_context import RunContext
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
-from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
 
@@ -48,6 +49,12 @@ MAX_FEEDS = 4096
 """Connections remembered by their header object; publishers come and go for days."""
 LAST_WORD_SEC = 2.0
 """How long a recorder that drops what waits tries to tell the store so."""
+STORE_POLL_SEC = 0.2
+"""Interval at which a recording that waits for the store checks whether it is ended, s."""
+NO_STORE_SEC = 2.0
+"""How long the store may be missing before the recording tells what it keeps in memory, s."""
+TELL_SEC = 60.0
+"""Interval at which it tells so again, s."""
 SAVE_SEC = 2.0
 """How often losses are written while messages are being lost."""
 MAX_STEP_BACK_NS = SECOND_NS
@@ -62,7 +69,8 @@ class Recording:
     """Stores messages as they arrive: one run.
 
     Args:
-        ros_cas: A RosCassandra connected to a keyspace.
+        store: A RosCassandra connected to a keyspace, or a future of one: what comes before it
+            answers is kept in the buffer.
         clock: Returns the time of arrival, ns; raises ClockNotSet while it is unknown.
         format: As addTopic takes it, for topics of which the settings say nothing.
         settings: How each topic is recorded; None = as ``format`` says.
@@ -78,11 +86,13 @@ class Recording:
 
     refusal = ""
     """Why nothing may be stored for now: what comes is lost; '' = it may."""
+    problem = ""
+    """Why the store will never take this run: all of it is lost; '' = it does, or may."""
     _context: Optional[RunContext] = None
 
     def __init__(
         self,
-        ros_cas: RosCassandra,
+        store: Store,
         *,
         clock: Callable[[], int] = time.time_ns,
         format: Optional[str] = None,
@@ -97,7 +107,7 @@ class Recording:
         restored: int = 0,
         places: bool = True,
     ) -> None:
-        self._rosCas = ros_cas
+        self._store = store_future(store)
         self._clock = clock
         self._settings = settings or Settings(TopicSettings(format))
         self._filters = filters or Filters(self._settings, node)
@@ -112,20 +122,39 @@ class Recording:
         self._sources: _Sources = weakref.WeakValueDictionary()
         self.writer_id = new_writer_id()
         self._losses = LossLog(node, self.writer_id)
-        self._places = PlaceKeeper(ros_cas, Whose(node, self.writer_id), self._losses, places)
+        self._places = PlaceKeeper(self._store, Whose(node, self.writer_id), self._losses, places)
         self._counts = Counts(self._losses)
-        self._writers = [self._make_writer(self.writer_id)]
+        self._writers: list[MessageWriter] = []
+        """Empty until the store answers."""
+        self._gives_up = math.inf
+        """Until when the store is waited for after the end; monotonic."""
         self._buffer, self._buffer_bytes = Buffer(buffer_bytes), buffer_bytes
         self._most_waiting, self._waiting_bytes = buffer_bytes // 2 or 2**63, 0
         self._waiting: list[Source] = []
+        if self._store.done():
+            self._open()
         self._tables = TableMaker(self._connect, self._buffer.wake)
         self._start()
 
     def _start(self) -> None:
         self._ended, self._saving = threading.Event(), threading.Lock()
-        self._rosCas.cassandra.outage.waiting = self._waiting_for_long
         self._thread = self._thread_of(self._run, "recorder-writer")
         self._thread_of(self._keep, "recorder-losses")
+
+    def _open(self) -> None:
+        """Begin the run in the store; raises what the store raises."""
+        self._writers.append(self._make_writer(self.writer_id))
+        self._store.result().cassandra.outage.waiting = self._waiting_for_long
+
+    @property
+    def opened(self) -> bool:
+        """Whether the run has begun in the store: before, what comes waits in memory."""
+        return bool(self._writers)
+
+    @property
+    def is_held_up(self) -> bool:
+        """Whether the store does not answer now."""
+        return not self.opened or self._store.result().cassandra.outage.seconds > 0
 
     @staticmethod
     def _thread_of(work: Callable[[], None], name: str) -> threading.Thread:
@@ -302,14 +331,70 @@ class Recording:
         return self._counts.of(topic)
 
     def _run(self) -> None:
-        while not self._step():
-            pass
+        why = self._await_store()
+        if why:
+            self._lose_all(why)
+        else:
+            while not self._step():
+                pass
         self._tables.close()
+
+    def _await_store(self) -> str:
+        """Open the run as soon as the store answers; return why that cannot be, '' = it is open."""
+        begun = time.monotonic()
+        told = begun + NO_STORE_SEC - TELL_SEC
+        while not self.opened:
+            if self._is_too_late():
+                return NO_STORE
+            try:
+                if wait([self._store], STORE_POLL_SEC).done:
+                    self._open()
+                    break
+            except StoreUnavailable as exc:
+                _log.debug("the run is opened later: %s", exc)
+                time.sleep(STORE_POLL_SEC)
+            except CassandraRosError as exc:
+                self.problem = str(exc)
+                return self.problem
+            except Exception as exc:  # noqa: BLE001 - our mistake: the messages are counted
+                _log.exception("the run could not be opened in the store")
+                self.problem = _mistake(exc)
+                return self.problem
+            if time.monotonic() >= told + TELL_SEC and self._tell_of_waiting("no store yet"):
+                told = time.monotonic()
+        if told > begun:
+            self._tell_of_waiting(f"the store answers after {time.monotonic() - begun:.0f} s")
+        if self._buffer.closed:  # it ended meanwhile
+            self._hurry()
+        return ""
+
+    def _is_too_late(self) -> bool:
+        """Say whether the recording has ended and need not wait for the store."""
+        if not self._buffer.closed:
+            return False
+        return not self._buffer.held_bytes or time.monotonic() > self._gives_up
+
+    def _tell_of_waiting(self, what: str) -> str:
+        """Tell how many messages wait, where any do; return the text."""
+        text = self._waiting_for_long()
+        if text:
+            _log.warning("%s: %s", what, text)
+        return text
+
+    def _lose_all(self, why: str) -> None:
+        """Count what came, and comes, as lost: the run could not be opened."""
+        while not self._buffer.ended:
+            for item in self._buffer.take(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
+                self._lose(item.source.topic, LossKind.AT_END, why, item.t)
+                self._buffer.release(item)
 
     def _step(self) -> bool:
         """Move some messages on; return whether all are gone."""
-        for item in self._buffer.take(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
-            self._route(item)
+        if self._is_clogged():
+            self._buffer.pause(POLL_SEC)
+        else:
+            for item in self._buffer.take(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
+                self._route(item)
         while self._tables.decided:
             source = self._tables.decided.popleft()
             self._waiting.remove(source)
@@ -324,6 +409,12 @@ class Recording:
             self._tables.hurry()
         return ending and not self._waiting
 
+    def _is_clogged(self) -> bool:
+        """Say whether much waits for tables that are just being made: they soon stand."""
+        if self._waiting_bytes <= self._most_waiting:
+            return False
+        return any(not source.told for source in self._waiting)
+
     def _route(self, item: Item) -> None:
         source = item.source
         if source.handle is None and not source.error:
@@ -331,8 +422,9 @@ class Recording:
                 self._waiting.append(source)
             source.hold(item)
             self._waiting_bytes += item.nbytes
-            # What waits for tables stays within half of the buffer: topics with one go on.
-            while self._waiting_bytes > self._most_waiting and len(source.waiting) > 1:
+            # What waits for tables that cannot be made stays within half of the buffer: topics
+            # with one go on.
+            while self._is_over(source):
                 old = self._released(source)
                 self._buffer.release(old)
                 why = "before its table stood"
@@ -343,6 +435,10 @@ class Recording:
         else:
             self._write(item, source.handle)
         self._buffer.release(item)
+
+    def _is_over(self, source: Source) -> bool:
+        """Say whether the oldest message of a source that waits for its table is to be dropped."""
+        return source.told and self._waiting_bytes > self._most_waiting and len(source.waiting) > 1
 
     def _released(self, source: Source) -> Item:
         item = source.waiting.popleft()
@@ -378,7 +474,7 @@ class Recording:
             format=self._settings.default.format or "",
             labels=self._labels,
         )
-        return self._rosCas.messageWriter(
+        return self._store.result().messageWriter(
             writer_id=number,
             format=self._settings.default.format,
             nodeID=self.node,
@@ -405,7 +501,9 @@ class Recording:
             self._save()
 
     def _save(self) -> None:
-        registry = self._rosCas.parts.registry
+        if not is_there(self._store):
+            return
+        registry = self._store.result().parts.registry
         try:
             # One at a time: what is older must not be written over what is newer.
             with self._saving:
@@ -427,11 +525,15 @@ class Recording:
         """
         with self._lock:
             self._accepting = False
+        self._gives_up = min(self._gives_up, time.monotonic() + GIVE_UP_SEC)
         self._buffer.close()
-        for writer in list(self._writers):
-            writer.hurry(GIVE_UP_SEC)
+        self._hurry()
         self._thread.join(timeout_sec)
         return not self._thread.is_alive()
+
+    def _hurry(self) -> None:
+        for writer in list(self._writers):
+            writer.hurry(GIVE_UP_SEC)
 
     def close(self) -> list[TopicReport]:
         """Stop, close the buckets, note the end of the run; return the final report."""
@@ -458,7 +560,7 @@ class Recording:
         if not messages:
             return ""
         text = f"{messages} messages ({nbytes / 1e6:.1f} MB) wait"
-        if not self._rosCas.cassandra.outage.seconds:
+        if not self.is_held_up:
             return text
         bound = f"{self._buffer_bytes >> 20} MB wait" if self._buffer_bytes else "memory is full"
         return (

@@ -20,7 +20,7 @@ from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.options import RecorderOptions
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.space import SpaceGuard
-from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.recording.store_future import Store, failure_of, store_future
 
 _log = logging.getLogger(__name__)
 
@@ -90,7 +90,7 @@ class Series:
     ``begin``, ``poll`` and ``end`` are called by one thread at a time, the others by any.
 
     Args:
-        ros_cas: A RosCassandra connected to a keyspace.
+        store: A RosCassandra connected to a keyspace, or a future of one; see Recording.
         options: How to record.
         clock: Returns the time of arrival, ns; raises ClockNotSet while it is unknown.
         begun: Called with each run when it has begun.
@@ -98,12 +98,13 @@ class Series:
 
     def __init__(
         self,
-        ros_cas: RosCassandra,
+        store: Store,
         options: RecorderOptions,
         clock: Callable[[], int],
         begun: Callable[[Recording], None],
     ) -> None:
-        self._rosCas, self._options, self._clock, self._begun = ros_cas, options, clock, begun
+        self._store = store_future(store)
+        self._options, self._clock, self._begun = options, clock, begun
         self._settings = options.settings
         self._space = SpaceGuard(options.free_space, options.min_space)
         self._look = 0.0
@@ -115,6 +116,7 @@ class Series:
         self._since = 0.0
         self._retry = 0.0
         self._making: Optional[_Making] = None
+        self._problem = ""
         self._name, self._labels = "", dict(options.labels)
         self._ending: list[threading.Thread] = []
         self._closing: list[Recording] = []
@@ -145,7 +147,7 @@ class Series:
         """Begin a run beside the series, of messages that were kept before."""
         options = self._options
         recording = Recording(
-            self._rosCas,
+            self._store,
             clock=self._clock,
             settings=self._settings,
             filters=self.filters,
@@ -165,7 +167,7 @@ class Series:
         options = self._options
         name = options.run_name(self._number, self._name)
         recording = Recording(
-            self._rosCas,
+            self._store,
             clock=self._clock,
             settings=self._settings,
             filters=self.filters,
@@ -190,6 +192,12 @@ class Series:
         current = self.current
         if current is not None:
             current.expect(topic)
+
+    @property
+    def problem(self) -> str:
+        """Why nothing can be stored, now or any more; '' = it can, or may."""
+        current = self.current
+        return (current and current.problem) or self._problem or failure_of(self._store)
 
     # ---------------------------------------------------------------- messages
 
@@ -233,7 +241,7 @@ class Series:
         # Not under the mutex: a store that is slow must not keep people from asking how it goes.
         self._ending = [thread for thread in self._ending if thread.is_alive()]
         old, now = self.current, time.monotonic()
-        if old is None or len(self._ending) >= MAX_ENDING or now < self._retry:
+        if old is None or not old.opened or len(self._ending) >= MAX_ENDING or now < self._retry:
             return
         making = self._making = self._making or _Making(self._new)
         if not making.done(BEGIN_SEC):
@@ -282,12 +290,13 @@ class Series:
     def _remove(self, run: Recording, reports: Sequence[TopicReport]) -> None:
         """Delete a run: its messages, then what is said of it."""
         try:
+            ros_cas = self._store.result()
             for report in reports:
                 if report.stored:
                     with suppress(TopicNotFound):
-                        self._rosCas.getTopic(report.topic).removeData(run=run.writer_id)
+                        ros_cas.getTopic(report.topic).removeData(run=run.writer_id)
             topics = [report.topic for report in reports]
-            self._rosCas.parts.registry.forget_run(run.writer_id, run.node, topics)
+            ros_cas.parts.registry.forget_run(run.writer_id, run.node, topics)
         except CassandraRosError as exc:
             _log.error("run %s could not be removed (--max-splits): %s", run.name, exc)
 
@@ -315,7 +324,7 @@ class Series:
                 for run in split:
                     run.abandon()
                 return self._ended(recording, recording.abandon())
-            if time.monotonic() > tell_at or self._rosCas.cassandra.outage.seconds:
+            if time.monotonic() > tell_at or recording.is_held_up:
                 messages, nbytes = recording.waiting()
                 if messages and tell_at < math.inf:
                     tell_at = math.inf
@@ -329,6 +338,7 @@ class Series:
         return self._ended(recording, recording.close())
 
     def _ended(self, recording: Recording, reports: list[TopicReport]) -> list[TopicReport]:
+        self._problem = recording.problem
         with self._mutex:
             self._kept.append(_Ended(next(self._order), recording, reports))
             self.current = None

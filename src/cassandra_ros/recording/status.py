@@ -10,8 +10,9 @@ from typing import Collection, Mapping, Sequence, Tuple
 
 from cassandra_ros.recording.counts import TopicReport
 
-RECORDING, STOPPED, SNAPSHOT = "recording", "stopped", "snapshot"
-"""States: a run is being recorded; none is; messages are kept in memory."""
+RECORDING, STOPPED, SNAPSHOT, WAITING = "recording", "stopped", "snapshot", "waiting"
+"""States: a run is being recorded; none is; the newest messages are kept in memory; a run is being
+recorded into memory, for the store did not answer yet."""
 
 
 @dataclass(frozen=True)
