@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -77,6 +78,18 @@ def test_equal_messages_of_long_ago_are_others():
     live = [Mark(n * 10_000 * MS, b"open") for n in range(5, 8)]
     assert first_live(stored, live) is None
     assert first_live(stored, live[:1]) is None
+
+
+@pytest.mark.parametrize(
+    ("period_ms", "apart_ms", "found"),
+    [(100, 40, 2), (100, 60, None), (10_000, 400, 2), (10_000, 600, None)],
+)
+def test_few_equal_messages_agree_within_half_a_period_and_half_a_second(
+    period_ms, apart_ms, found
+):
+    stored = [Mark(n * period_ms * MS, b"open") for n in range(3)]
+    live = [Mark((n * period_ms + apart_ms) * MS, b"open") for n in range(2, 5)]
+    assert first_live(stored, live) == found
 
 
 def test_many_equal_messages_take_no_long_time():

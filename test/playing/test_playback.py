@@ -8,6 +8,7 @@ import threading
 from types import SimpleNamespace
 
 import pytest
+from nodes.children import await_true
 from playing.robots import Robot
 from std_msgs.msg import Int32, String
 
@@ -15,6 +16,7 @@ from cassandra_ros.errors import InvalidOption, MessageNotFound, StoreUnavailabl
 from cassandra_ros.playing import playback as playback_module
 from cassandra_ros.playing import read_ahead
 from cassandra_ros.playing.options import PlayerOptions
+from cassandra_ros.playing.pace import Pace
 from cassandra_ros.playing.playback import Playback
 from cassandra_ros.playing.read_ahead import ReadAhead
 from cassandra_ros.playing.selection import PlaySelection
@@ -149,6 +151,57 @@ def test_time_does_not_run_ahead_of_what_is_late(playing):
     run.playback.set_rate(1000.0)
     run.thread.join(180)
     assert run.into.clocks == [T0, *(p.t for p in run.into.got)]
+
+
+def test_another_rate_holds_from_now_on(playing):
+    """What waits is due at once; what is late is not hurried after."""
+    run = playing(rate=1e-6)
+    run.into.await_count(1)
+    run.playback.set_rate(1e6)
+    run.thread.join(180)
+    assert run.into.numbers == list(range(COUNT))
+
+
+def test_another_rate_does_not_make_up_for_what_is_late(store):
+    stream = Stream(store, PlaySelection(topics=["/n"]))
+    playback = Playback(
+        stream, Into(), PlayerOptions(rate=1e6), lambda t: False, lambda played, exc: None
+    )
+    playback.pace.release(Pace.BEGIN)  # the first message is late from now on
+    await_true(lambda: playback.pace.now() > T0 + 1000 * SEC)
+    playback.set_rate(1e-6)
+    assert T0 <= playback.pace.now() < T0 + SEC
+
+
+def test_time_goes_back_before_what_is_latched_comes_again(rosCas):
+    """A subscriber that sees time go back forgets what it has: tf, and all that is latched."""
+    told = []
+
+    class Told(Into):
+        def clock(self, t):
+            told.append(t)
+            super().clock(t)
+
+        def publish(self, played):
+            told.append(played.topic)
+            super().publish(played)
+
+    with Robot(rosCas, 1) as robot:
+        robot.send("/map", 0, "m", latched=True)
+        for n in range(1, 10):
+            robot.send("/tick", n, str(n))
+    stream, into = Stream(rosCas, PlaySelection()), Told()
+    options = PlayerOptions(paused=True, keep_alive=True)
+    playback = Playback(stream, into, options, lambda t: False, lambda played, exc: None)
+    thread = threading.Thread(target=playback.run)
+    thread.start()
+    playback.step(5)
+    del told[:]
+    back = playback.seek(stream.start_ns + 2 * SEC)
+    into.await_count(6)
+    playback.stop()
+    thread.join(180)
+    assert told[:2] == [back, "/map"]
 
 
 def test_gaps_are_skipped_and_what_controls_is_waited_for(playing, store):
