@@ -221,6 +221,14 @@ def test_dry_run(roscore, recorder, rosCas, tmp_path):
     assert rosCas.runs() == []
 
 
+def test_dry_run_names_a_field_that_a_type_lacks(roscore, recorder, rosCas):
+    with publisher(roscore, "/text"):
+        child = recorder("/text", "--dry-run", "--where", "/text: date = 'x'", ready="")
+        assert child.wait() == 1, child.output
+    assert "did you mean data?" in child.output
+    assert any(line.startswith("/text ") for line in child.lines)
+
+
 def test_parameters_mirror_options(roscore, recorder, rosCas):
     master = xmlrpc.client.ServerProxy(roscore.uri)
     given = {"topics": ["/a"], "name": "by_param", "labels": ["x=1", "y=2"], "limit": 1}

@@ -109,6 +109,16 @@ def test_a_condition_is_that_of_the_query_language():
     assert filters.passes("/n", header_of(Twist), 0, message(Twist()))
 
 
+def test_what_the_condition_leaves_out_does_not_count_for_the_rate():
+    options = RecorderOptions(where=[("/n", "data > 5")], rate_limit=[("/n", 1.0)])
+    filters, header = Filters(options.settings), header_of(Int32)
+    came = [(0, 1), (100, 8), (200, 9), (1150, 2), (1200, 7), (1300, 6)]  # ms, data
+    kept = [
+        n for ms, n in came if filters.passes("/n", header, SEC + ms * 10**6, message(Int32(n)))
+    ]
+    assert kept == [8, 7]
+
+
 def test_left_out_is_counted_and_not_lost(rosCas):
     options = RecorderOptions(where=[("/n", "data >= 3")])
     recorder = Recording(rosCas, settings=options.settings, limit=2)
@@ -170,6 +180,32 @@ def test_a_plan_writes_nothing(rosCas):
     ]
     assert plan[0].settings == ["key header.stamp", "index on orientation.w"]
     assert rosCas.getAllTopics() == []
+
+
+@pytest.mark.parametrize(
+    ("msg_type", "said"),
+    [
+        ("geometry_msgs/Twist", "did you mean linear?"),
+        ("no_such_pkg/Type", ""),  # its messages bring their definition
+        ("*", ""),
+        ("", ""),
+    ],
+)
+def test_a_plan_checks_conditions_against_the_fields_of_known_types(rosCas, msg_type, said):
+    settings = settings_of("topics: [{pattern: /a, where: liner.x > 1}]")
+    (planned,) = plan_topics(rosCas, settings, {"/a": msg_type})
+    assert bool(planned.problem) == bool(said)
+    assert said in planned.problem
+    fitting = settings_of("topics: [{pattern: /a, where: 'linear.x > 1 and KEY > 0'}]")
+    assert plan_topics(rosCas, fitting, {"/a": msg_type})[0].problem == ""
+
+
+def test_a_plan_checks_conditions_on_a_topic_that_is_stored_and_not_published(rosCas):
+    rosCas.addTopic("/n").addData(Int32(1))
+    settings = RecorderOptions(where=[("/n", "date > 3")]).settings
+    (planned,) = plan_topics(rosCas, settings, {"/n": ""})
+    assert "/n" in planned.problem
+    assert "did you mean data?" in planned.problem
 
 
 def test_ttl_of_a_command_line():

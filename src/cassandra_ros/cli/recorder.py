@@ -317,8 +317,9 @@ def main() -> int:
     say = partial(line.say, quiet=options.quiet)
     if options.dry_run:
         with open_store(options, make=True) as ros_cas:
-            print(plan_table(make_plan(ros_cas, chosen), chosen))
-        return 0
+            plan = make_plan(ros_cas, chosen)
+        print(plan_table(plan, chosen))
+        return _tell_problems([each.problem for each in plan if each.problem])
     place = StorePlace(store_place(options)[0], options.keyspace)
     with awaited_store(options) as store:
         show = line.show if line.shows else None
@@ -326,7 +327,11 @@ def main() -> int:
         if not problem and not is_there(store):
             problem = NO_STORE
     say(closing_table(reports, rates=not chosen.snapshot))
-    problems = [problem] * bool(problem) + failures(reports)
+    return _tell_problems([problem] * bool(problem) + failures(reports))
+
+
+def _tell_problems(problems: Sequence[str]) -> int:
+    """Print what went wrong; return the exit status."""
     for text in problems:
         print(error_line(PROGRAM, text), file=sys.stderr)
     return 1 if problems else 0

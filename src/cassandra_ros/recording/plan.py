@@ -7,8 +7,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Mapping, Optional, Sequence
 
+from cassandra_ros.errors import DefinitionError, InvalidOption, InvalidQuery
+from cassandra_ros.messages.classes import installed_definition
+from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.query.protocols import Table
+from cassandra_ros.query.run import Condition
 from cassandra_ros.recording.settings import Settings, TopicSettings
 from cassandra_ros.recording.tables import differences
+from cassandra_ros.recording.unstored import UnstoredTable
 from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 
@@ -28,6 +34,8 @@ class PlannedTopic:
     """What else holds for it."""
     differences: Sequence[str]
     """In which ways what is stored is not as the settings want it."""
+    problem: str = ""
+    """Why its condition does not fit its type; '' = it does, or there is none."""
 
 
 def plan_topics(
@@ -53,9 +61,31 @@ def plan_topics(
                 bool(own),
                 _described(wanted),
                 differences(wanted, own[0]) if own else [],
+                _problem(ros_cas, topic, msg_type, wanted.where) if wanted.where else "",
             )
         )
     return found
+
+
+def _problem(ros_cas: RosCassandra, topic: str, msg_type: str, where: str) -> str:
+    """Say why a condition does not fit the fields of a topic; '' = it does, or they are unknown."""
+    tables = _known_tables(ros_cas, topic, msg_type)
+    try:
+        if tables:
+            Condition(where).test(tables)
+    except (InvalidQuery, InvalidOption) as exc:
+        return f"the condition of topic {topic} cannot be checked: {exc}"
+    return ""
+
+
+def _known_tables(ros_cas: RosCassandra, topic: str, msg_type: str) -> Sequence[Table]:
+    """Return the installed type as a table, else the tables in which the topic is stored."""
+    try:
+        if msg_type:
+            return [UnstoredTable(api_connection(topic, installed_definition(msg_type), ""))]
+    except DefinitionError:  # not installed: its messages bring the definition
+        pass
+    return ros_cas.getTopic(topic).tables if ros_cas.existTopic(topic) else ()
 
 
 def _described(wanted: TopicSettings) -> list[str]:
