@@ -4,7 +4,14 @@
 
 from __future__ import annotations
 
-from cassandra_ros.recording.losses import LossLog
+from collections import Counter
+
+import pytest
+
+from cassandra_ros.cli.recorder_report import closing_table
+from cassandra_ros.cli.text import format_time
+from cassandra_ros.recording.counts import Counts, merge_reports
+from cassandra_ros.recording.losses import LossLog, LossTotal
 from cassandra_ros.store.registry import LossKind
 
 SEC = 10**9
@@ -34,8 +41,10 @@ def test_losses_that_lie_together_are_one_row():
             ("/b", FULL, 120 * SEC, 130 * SEC, 1),
         ]
     )
-    assert log.of("/a") == {FULL: 12, TABLE: 1}
-    assert log.details("/a") == {TABLE: "no such field"}
+    assert log.of("/a") == {
+        FULL: LossTotal(12, 30 * SEC, 230 * SEC),
+        TABLE: LossTotal(1, 120 * SEC, 120 * SEC, "no such field"),
+    }
     assert {(loss.node, loss.writer) for loss in log.unsaved()} == {("husky", 7)}
 
 
@@ -70,3 +79,47 @@ def test_what_has_grown_since_is_saved_again():
     assert log.add("/a", LossKind.UNHEARD, 0, 5, 9, "") == 2
     (loss,) = log.unsaved()
     assert (loss.kind, loss.count, loss.first_ns, loss.last_ns) == (LossKind.UNHEARD, 0, 5, 9)
+
+
+def counted(losses):
+    """Counts of a topic of which five messages came, and what was lost of it."""
+    counts = Counts(LossLog("", 7))
+    for _ in range(5):
+        counts.received("/a", b"")
+    for kind, messages, second, detail in losses:
+        counts.lost("/a", messages, kind, second * SEC, detail)
+    return counts
+
+
+@pytest.mark.parametrize("kind", list(LossKind))
+def test_only_what_came_is_stored_or_lost(kind):
+    """What was not read, or not heard, never came: it is not missing among the five."""
+    counts = counted([(kind, 2, 9, "")])
+    never_came = kind in (LossKind.NOT_READ, LossKind.UNHEARD)
+    (report,) = counts.reports({"/a": 1})
+    assert report.waiting == (4 if never_came else 2)
+    counts.settle({"/a": 1}, 10 * SEC)
+    (report,) = counts.reports({"/a": 1})
+    wanted = Counter({kind: 2})
+    wanted[LossKind.AT_END] += 4 if never_came else 2
+    assert (report.waiting, report.reasons) == (0, wanted)
+
+
+def test_the_closing_table_tells_each_reason_with_its_number_and_times():
+    first = [
+        (FULL, 2, 1_400_000_000, "option -b"),
+        (LossKind.TABLE_LATE, 1, 1_400_000_005, ""),
+        (FULL, 3, 1_400_000_060, "option -b"),
+        (LossKind.REFUSED, 1, 1_400_000_070, "too large"),
+    ]
+    later = [(LossKind.REFUSED, 2, 1_400_000_080, "disk full"), (LossKind.UNHEARD, 0, 0, "")]
+    runs = [counted(losses).reports({}) for losses in (first, later)]
+    (report,) = merge_reports(runs)
+    assert report.lost == 9
+    at = {s: format_time((1_400_000_000 + s) * SEC) for s in (0, 5, 60, 70, 80)}
+    assert closing_table([report]).splitlines()[-4:] == [
+        f"/a: 5 lost: buffer full: option -b; {at[0]} to {at[60]}",
+        f"/a: 1 lost: buffer full before its table stood; {at[5]}",
+        f"/a: 3 lost: refused by the store: too large, and other causes; {at[70]} to {at[80]}",
+        "/a: some lost: publisher not heard",
+    ]

@@ -238,7 +238,7 @@ def test_a_clock_that_is_not_set(rosCas):
     (report,) = recorder.close()
     assert (report.received, report.stored) == (1, 0)
     assert report.reasons == {LossKind.NO_CLOCK: 1}
-    assert report.details == {LossKind.NO_CLOCK: "no /clock"}
+    assert report.losses[LossKind.NO_CLOCK].detail == "no /clock"
 
 
 def test_time_that_goes_back_is_told(rosCas, caplog):
@@ -361,11 +361,14 @@ def test_a_topic_that_is_emptied_while_it_is_recorded(rosCas, connect, keyspace,
 
 
 def test_a_topic_that_cannot_have_a_table(rosCas):
-    recorder = Recording(rosCas)
+    recorder = Recording(rosCas, clock=itertools.count(T0).__next__)
     recorder.received("", header_of(String), text(0))
     recorder.received("/good", header_of(String), text(0))
     reports = by_topic(recorder.close())
-    assert (reports[""].stored, reports[""].lost) == (0, 1)
+    assert (reports[""].stored, reports[""].reasons) == (0, {LossKind.NO_TABLE: 1})
+    why = reports[""].losses[LossKind.NO_TABLE]
+    assert "not a topic name" in why.detail
+    assert (why.first_ns, why.last_ns) == (T0, T0)
     assert reports["/good"].stored == 1
 
 
@@ -439,7 +442,7 @@ def test_a_store_that_never_answers():
     (report,) = recorder.close()
     assert (report.received, report.stored) == (2, 0)
     assert report.reasons == {LossKind.AT_END: 2}
-    assert "mars" in report.details[LossKind.AT_END]
+    assert "mars" in report.losses[LossKind.AT_END].detail
 
 
 @pytest.mark.parametrize("answers", [True, False])
@@ -490,4 +493,5 @@ def test_topics_with_a_table_go_on_while_that_of_another_cannot_be_made(cassandr
         reports = by_topic(recorder.close())
     assert (reports["/good"].stored, reports["/good"].lost) == (1, 0)
     assert reports["/none"].stored + reports["/none"].lost == 400
+    assert reports["/none"].reasons == {LossKind.TABLE_LATE: reports["/none"].lost}
     assert reports["/none"].lost > 0

@@ -202,7 +202,7 @@ def test_no_space_is_a_loss_that_is_told(rosCas):
     series.received("/t", HEADER, text(2))
     (report,) = series.end()
     assert (report.stored, report.reasons) == (1, {LossKind.REFUSED: 1})
-    assert "10 MB are free" in report.details[LossKind.REFUSED]
+    assert "10 MB are free" in report.losses[LossKind.REFUSED].detail
     assert [loss.kind for loss in rosCas.losses()] == [LossKind.REFUSED]
     assert SpaceGuard(None, 5).refusal() == ""
 

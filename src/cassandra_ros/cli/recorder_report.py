@@ -7,14 +7,16 @@ from __future__ import annotations
 import shutil
 from typing import TYPE_CHECKING, Optional, Sequence, TextIO
 
-from cassandra_ros.cli.text import format_bytes, format_table
+from cassandra_ros.cli.text import format_bytes, format_table, format_time
 from cassandra_ros.shown import shown, shown_lines
 
 if TYPE_CHECKING:
     from cassandra_ros.recording.counts import TopicReport
+    from cassandra_ros.recording.losses import LossTotal
     from cassandra_ros.recording.options import RecorderOptions
     from cassandra_ros.recording.plan import PlannedTopic
     from cassandra_ros.recording.status import Rates, Status
+    from cassandra_ros.store.registry import LossKind
 
 _CLEAR = "\r\033[K"
 
@@ -119,10 +121,19 @@ def closing_table(reports: Sequence[TopicReport], *, rates: bool = True) -> str:
     rows.append(("total", "", *totals, format_bytes(sum(r.bytes for r in reports)), ""))
     lines = [format_table(names, rows, right=names[2:])]
     for report in reports:
-        for kind, count in report.reasons.items():
-            why = ": ".join(filter(None, (kind.value, report.details.get(kind, ""))))
-            lines.append(f"{shown(report.topic)}: {count or 'some'} lost: {shown(why, None)}")
+        for kind, total in report.losses.items():
+            lines.append(f"{shown(report.topic)}: {_loss_text(kind, total)}")
     return "\n".join(lines)
+
+
+def _loss_text(kind: LossKind, total: LossTotal) -> str:
+    """Write how many messages were lost for one reason, and when they came."""
+    why = ": ".join(filter(None, (kind.value, total.detail)))
+    if total.varied:
+        why += ", and other causes"
+    times = [format_time(ns) for ns in sorted({total.first_ns, total.last_ns}) if ns]
+    text = f"{total.count or 'some'} lost: {shown(why, None)}"
+    return "; ".join(filter(None, (text, " to ".join(times))))
 
 
 def plan_table(plan: Sequence[PlannedTopic], options: RecorderOptions) -> str:

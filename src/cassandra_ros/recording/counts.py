@@ -8,12 +8,12 @@ import logging
 import struct
 import threading
 import time
-from collections import Counter, defaultdict
+from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from typing import Iterable, Mapping, Optional, Sequence
 
 from cassandra_ros.recording.buffer import Feed
-from cassandra_ros.recording.losses import LossLog
+from cassandra_ros.recording.losses import LossLog, LossTotal
 from cassandra_ros.store.registry import LossKind
 
 _log = logging.getLogger(__name__)
@@ -40,10 +40,8 @@ class TopicReport:
     received: int
     stored: int
     lost: int
-    reasons: Mapping[LossKind, int]
-    """Why messages were lost → how many; 0 = nobody knows how many."""
-    details: Mapping[LossKind, str]
-    """A sentence about the first loss of a kind, where there is one."""
+    losses: Mapping[LossKind, LossTotal]
+    """Why messages were lost → how many, and when."""
     gaps: Optional[int]
     """Numbers of header.seq that never came here: not sent, or lost on the way to us.
 
@@ -64,6 +62,11 @@ class TopicReport:
     """When the last message came, by time.monotonic(); 0 = none came."""
 
     @property
+    def reasons(self) -> Mapping[LossKind, int]:
+        """Why messages were lost → how many; 0 = nobody knows how many."""
+        return {kind: total.count for kind, total in self.losses.items()}
+
+    @property
     def waiting(self) -> int:
         """Messages that are to be stored, and are neither stored nor lost."""
         lost = sum(n for kind, n in self.reasons.items() if kind not in _NEVER_CAME)
@@ -71,8 +74,9 @@ class TopicReport:
 
     def plus(self, later: TopicReport) -> TopicReport:
         """Return one of this and a later run together."""
-        add: Counter[LossKind] = Counter(self.reasons)
-        add.update(later.reasons)
+        losses = dict(self.losses)
+        for kind, total in later.losses.items():
+            losses[kind] = losses[kind].plus(total) if kind in losses else total
         gaps = [report.gaps for report in (self, later) if report.gaps is not None]
         messages = self.received + later.received
         spans = [(r.received, r.rate_hz) for r in (self, later) if r.rate_hz > 0]
@@ -83,8 +87,7 @@ class TopicReport:
             received=messages,
             stored=self.stored + later.stored,
             lost=self.lost + later.lost,
-            reasons=dict(add),
-            details={**later.details, **self.details},
+            losses=losses,
             gaps=sum(gaps) if gaps else None,
             bytes=self.bytes + later.bytes,
             rate_hz=sum(received for received, _ in spans) / seconds if seconds else 0.0,
@@ -278,9 +281,8 @@ class Counts:
             types=tuple(sorted(counted.types)),
             received=counted.received,
             stored=stored,
-            lost=sum(lost.values()),
-            reasons=lost,
-            details=self._losses.details(name),
+            lost=sum(total.count for total in lost.values()),
+            losses=lost,
             gaps=counted.past_gaps + sum(gaps) if gaps else None,
             bytes=counted.nbytes,
             unheard_sec=counted.unheard,

@@ -16,6 +16,32 @@ STRETCH_NS = 60 * SECOND_NS
 """Losses of a kind that lie further apart are two rows."""
 
 
+@dataclass(frozen=True)
+class LossTotal:
+    """What was lost of a topic for one reason."""
+
+    count: int
+    """Number of messages; 0 = nobody knows how many."""
+    first_ns: int
+    """When the first of them came, ns; 0 = not known."""
+    last_ns: int
+    """When the last of them came, ns."""
+    detail: str = ""
+    """A sentence about the first of them; '' = the kind says it all."""
+    varied: bool = False
+    """Others have other details."""
+
+    def plus(self, later: LossTotal) -> LossTotal:
+        """Return this and later losses of the same topic and kind together."""
+        return LossTotal(
+            self.count + later.count,
+            min(self.first_ns, later.first_ns),
+            max(self.last_ns, later.last_ns),
+            self.detail,
+            self.varied or later.varied or later.detail != self.detail,
+        )
+
+
 @dataclass
 class _Stretch:
     loss: Loss
@@ -40,8 +66,7 @@ class LossLog:
     def __init__(self, node: str, writer: int) -> None:
         self._node, self._writer = node, writer
         self._stretches: dict[tuple[str, LossKind], list[_Stretch]] = defaultdict(list)
-        self._totals: dict[str, dict[LossKind, int]] = defaultdict(dict)
-        self._details: dict[str, dict[LossKind, str]] = defaultdict(dict)
+        self._totals: dict[str, dict[LossKind, LossTotal]] = defaultdict(dict)
         self._mutex = threading.Lock()
 
     def add(
@@ -52,12 +77,12 @@ class LossLog:
         Args:
             messages: How many; 0 = nobody knows.
             first_ns, last_ns: When the first and the last of them came, ns.
-            detail: A sentence about the first of its kind; '' = the kind says it all.
+            detail: A sentence about it; '' = the kind says it all.
         """
         with self._mutex:
             totals = self._totals[topic]
-            totals[kind] = totals.get(kind, 0) + messages
-            self._details[topic].setdefault(kind, detail)
+            total = LossTotal(messages, first_ns, last_ns, detail)
+            totals[kind] = totals[kind].plus(total) if kind in totals else total
             stretches = self._stretches[topic, kind]
             # Not only the last one: several threads lose, of what came at different times.
             found = next((s for s in reversed(stretches) if s.takes(first_ns)), None)
@@ -70,10 +95,10 @@ class LossLog:
                 count = old.count + messages
                 found.loss = replace(old, first_ns=begins, last_ns=ends, count=count)
                 found.saved = False
-            return sum(totals.values())
+            return sum(each.count for each in totals.values())
 
-    def of(self, topic: str) -> Mapping[LossKind, int]:
-        """Return how many messages of a topic are lost, by kind."""
+    def of(self, topic: str) -> Mapping[LossKind, LossTotal]:
+        """Return what was lost of a topic, by kind."""
         with self._mutex:
             return dict(self._totals.get(topic, {}))
 
@@ -86,11 +111,6 @@ class LossLog:
         # Those that came while the clock was not set have no time.
         timed = (loss for loss in every if loss.count and loss.kind is not LossKind.NO_CLOCK)
         return max((loss.last_ns for loss in timed), default=-1)
-
-    def details(self, topic: str) -> Mapping[LossKind, str]:
-        """Return a sentence for each kind of loss of a topic, where there is one."""
-        with self._mutex:
-            return {kind: text for kind, text in self._details.get(topic, {}).items() if text}
 
     def unsaved(self) -> list[Loss]:
         """Return what the store does not know yet."""

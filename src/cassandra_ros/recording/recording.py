@@ -427,8 +427,7 @@ class Recording:
             while self._is_over(source):
                 old = self._released(source)
                 self._buffer.release(old)
-                why = "before its table stood"
-                self._lose(source.topic, LossKind.BUFFER_FULL, why, old.t)
+                self._lose(source.topic, LossKind.TABLE_LATE, "", old.t)
             return
         if source.handle is None:
             self._lose(source.topic, LossKind.NO_TABLE, source.error, item.t)

@@ -87,6 +87,7 @@ class LossKind(str, Enum):
     """Why messages are missing."""
 
     BUFFER_FULL = "buffer full"
+    TABLE_LATE = "buffer full before its table stood"
     NO_TABLE = "no table"
     NO_CLOCK = "no clock"
     REFUSED = "refused by the store"
