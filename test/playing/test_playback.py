@@ -8,7 +8,6 @@ import threading
 from types import SimpleNamespace
 
 import pytest
-from nodes.children import await_true
 from playing.robots import Robot
 from std_msgs.msg import Int32, String
 
@@ -164,13 +163,15 @@ def test_another_rate_holds_from_now_on(playing):
 
 def test_another_rate_does_not_make_up_for_what_is_late(store):
     stream = Stream(store, PlaySelection(topics=["/n"]))
-    playback = Playback(
-        stream, Into(), PlayerOptions(rate=1e6), lambda t: False, lambda played, exc: None
-    )
-    playback.pace.release(Pace.BEGIN)  # the first message is late from now on
-    await_true(lambda: playback.pace.now() > T0 + 1000 * SEC)
-    playback.set_rate(1e-6)
-    assert T0 <= playback.pace.now() < T0 + SEC
+    playback = Playback(stream, Into(), PlayerOptions(), lambda t: False, lambda played, exc: None)
+    ticks = [0]
+    playback.pace = Pace(T0, 1.0, lambda: ticks[0])
+    playback.pace.release(Pace.BEGIN)
+    ticks[0] += 1000 * SEC  # and the first message was not published yet
+    playback.set_rate(2.0)
+    assert playback.pace.now() == T0
+    ticks[0] += SEC
+    assert playback.pace.now() == T0 + 2 * SEC
 
 
 def test_time_goes_back_before_what_is_latched_comes_again(rosCas):

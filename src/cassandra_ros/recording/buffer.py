@@ -154,11 +154,6 @@ class Buffer:
                 taken.append(item)
         return taken
 
-    def pause(self, timeout_sec: float) -> None:
-        """Take nothing until a wake, or the timeout."""
-        with self._changed:
-            self._changed.wait(timeout_sec)
-
     def release(self, item: Item) -> None:
         """Note that an item that was taken is no longer held in memory."""
         with self._changed:

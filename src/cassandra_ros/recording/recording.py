@@ -390,11 +390,8 @@ class Recording:
 
     def _step(self) -> bool:
         """Move some messages on; return whether all are gone."""
-        if self._is_clogged():
-            self._buffer.pause(POLL_SEC)
-        else:
-            for item in self._buffer.take(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
-                self._route(item)
+        for item in self._buffer.take(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
+            self._route(item)
         while self._tables.decided:
             source = self._tables.decided.popleft()
             self._waiting.remove(source)
@@ -408,12 +405,6 @@ class Recording:
         if ending:  # a store that is gone is not waited for much longer
             self._tables.hurry()
         return ending and not self._waiting
-
-    def _is_clogged(self) -> bool:
-        """Say whether much waits for tables that are just being made: they soon stand."""
-        if self._waiting_bytes <= self._most_waiting:
-            return False
-        return any(not source.told for source in self._waiting)
 
     def _route(self, item: Item) -> None:
         source = item.source
