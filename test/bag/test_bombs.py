@@ -25,6 +25,7 @@ from cassandra_ros.bag import format as bagformat
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.job_process import Part
 from cassandra_ros.bag.mcap_format import MAGIC, RECORD
+from cassandra_ros.bag.message_file import MAX_STRETCH
 from cassandra_ros.bag.opening import open_file
 from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError, BagTooLarge
@@ -206,6 +207,20 @@ def test_millions_of_tiny_messages_take_little_more_than_their_bytes(tmp_path):
     count, nbytes, peak, error = read_in_process(path)
     assert (count, nbytes, error) == (messages, 0, "")
     assert peak < 220, "MiB"
+
+
+def test_millions_of_tiny_messages_come_in_parts(tmp_path):
+    """What stores them makes some hundred bytes of each that it is given at once."""
+    messages = 2 * MAX_STRETCH + 5
+    size = messages * len(chunk.message_head(0, 10, 0))
+    path = make_bag(tmp_path / "a", [("lz4", size, packed("lz4", size, messages), messages)])
+    with open_file(path) as reader:
+        parts = list(reader.stretches(0, {0: (0, 11)}))
+        assert list(reader.stretches(0, {0: (0, 10)})) == []
+    assert [len(part.wires) for part in parts] == [MAX_STRETCH, MAX_STRETCH, 5]
+    positions = [position for part in parts for position in part.positions.tolist()]
+    assert positions == list(range(messages))
+    assert all(len(part.times) == len(part.wires) for part in parts)
 
 
 @pytest.mark.parametrize("compression", sparing(["none", "bz2", "lz4"], ["lz4"]))

@@ -22,6 +22,8 @@ from cassandra_ros.messages.connection import Connection
 
 LISTED = 10
 """Topics that an error names."""
+MAX_STRETCH = 1 << 16
+"""Maximum number of messages of a Stretch. A chunk may hold millions of empty ones."""
 _AT_ONCE = 1 << 14
 """Number of messages of a chunk whose places are held as Python objects."""
 
@@ -43,7 +45,7 @@ class RawMessage(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """The messages of one connection in one chunk, in its order."""
+    """Messages of one connection that follow each other in one chunk, in its order."""
 
     number: int
     """Key of MessageFile.connections."""
@@ -172,6 +174,8 @@ class MessageFile(ABC):
     def stretches(self, chunk: int, spans: Mapping[int, tuple[int, int]]) -> Iterator[Stretch]:
         """Read the messages of a chunk, connection by connection; see messages.
 
+        At most MAX_STRETCH come at once.
+
         Args:
             spans: Only these connections, and their messages from one time on and before another,
                 ns.
@@ -184,10 +188,12 @@ class MessageFile(ABC):
         for number in wanted:
             since, until = spans[number]
             fits = (places.ids == number) & (places.times >= since) & (places.times < until)
-            chosen = np.flatnonzero(fits)
-            ends = zip(places.starts[chosen].tolist(), places.stops[chosen].tolist())
-            wires = [content[start:stop] for start, stop in ends]
-            yield Stretch(number, info.first + chosen, places.times[chosen], wires)
+            every = np.flatnonzero(fits)
+            for first in range(0, len(every), MAX_STRETCH):
+                chosen = every[first : first + MAX_STRETCH]
+                ends = zip(places.starts[chosen].tolist(), places.stops[chosen].tolist())
+                wires = [content[start:stop] for start, stop in ends]
+                yield Stretch(number, info.first + chosen, places.times[chosen], wires)
 
 
 class Ordered(NamedTuple):
