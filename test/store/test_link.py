@@ -136,7 +136,7 @@ def test_a_session_that_gets_no_answers_is_made_anew(far, proxy, connect, monkey
 
 def test_errors_of_a_server_are_answers(far, proxy, monkeypatch, caplog):
     """One that lacks replicas answers: another session would not help."""
-    monkeypatch.setattr(link, "SILENT_SEC", 0.0)
+    monkeypatch.setattr(link, "SILENT_SEC", 1e-6)
     far.addTopic("/a").addData(String("x"), key=1)
     first = far.cassandra._links.current
     failed = proxy.catch(lambda frame: frame.opcode == EXECUTE, most=3)
