@@ -33,6 +33,7 @@ from cassandra_ros.cli.options import (
 from cassandra_ros.cli.parsers import error_line, program_parser
 from cassandra_ros.cli.readers import byte_size, checked, duration, megabytes, whole_number
 from cassandra_ros.cli.recorder_report import StatusLine, closing_table, failures, plan_table
+from cassandra_ros.cli.script import end_now
 from cassandra_ros.errors import InvalidName, InvalidOption, UnknownFormat
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.local_server.jars import default_directory
@@ -327,7 +328,10 @@ def main() -> int:
         if not problem and not is_there(store):
             problem = NO_STORE
     say(closing_table(reports, rates=not chosen.snapshot))
-    return _tell_problems([problem] * bool(problem) + failures(reports))
+    status = _tell_problems([problem] * bool(problem) + failures(reports))
+    if not store.done():
+        end_now(status)
+    return status
 
 
 def _tell_problems(problems: Sequence[str]) -> int:

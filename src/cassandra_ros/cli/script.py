@@ -36,10 +36,10 @@ def run_script(module: str) -> None:
             raise
         status = f"{module.rsplit('.', 1)[-1]}: {explain_missing(exc)}"
     except KeyboardInterrupt:
-        _end_now(EXIT_INTERRUPTED)
+        end_now(EXIT_INTERRUPTED)
     except SystemExit as exc:
         if exc.code in _SIGNALLED:
-            _end_now(exc.code)
+            end_now(exc.code)
         raise
     except BrokenPipeError:
         # Whoever read our output has had enough (| head); let nothing more be flushed to it.
@@ -48,8 +48,8 @@ def run_script(module: str) -> None:
     sys.exit(status)
 
 
-def _end_now(status: int) -> NoReturn:
-    """End the process after a signal: threads that connect to a silent store are not waited for."""
+def end_now(status: int) -> NoReturn:
+    """End the process at once: threads that connect to a silent store are not waited for."""
     logging.shutdown()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):  # its reader is gone, or it is closed
