@@ -67,6 +67,7 @@ def test_the_rules_give_as_many_as_the_suite_has():
     assert cases.keys() == CASES.keys()
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", sparing(sorted(VARIANTS), FEW))
 def test_a_variant_is_read_as_by_the_library(tmp_path, name):
     variant, path = VARIANTS[name], tmp_path / "a.mcap"
