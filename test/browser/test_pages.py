@@ -12,6 +12,7 @@ import screenshots
 from browser import patrol
 from browser.looking import pixels
 from campaign import sparing
+from std_msgs.msg import Float64
 
 PAGES = {"Home": "/", "Ask": "/ask.html", "Look": "/look.html", "Map": "/map.html"}
 
@@ -26,8 +27,41 @@ def test_a_page_loads_without_an_error(page, viewer, stored, name):
         "a => [a.textContent, new URL(a.href).pathname, a.getAttribute('aria-current')])"
     )
     assert links == [[each, path, "page" if each == name else None] for each, path in PAGES.items()]
-    keyspace = window.wait_for("return document.getElementById('keyspace').textContent")
-    assert keyspace == f"keyspace {stored[0]}"
+    shown = "const k = document.getElementById('keyspace');"
+    shown += "return k.textContent && (k.querySelector('select')?.value ?? k.textContent.slice(9))"
+    assert window.wait_for(shown) == stored[0]
+
+
+@pytest.fixture
+def other(keyspaces, connect):
+    """Another keyspace, with one topic."""
+    with keyspaces.lend() as name:
+        with connect(keyspace=name) as rosCas:
+            rosCas.addTopic("/elsewhere", msg_type="std_msgs/Float64").addData(Float64(7.5), 10**18)
+        yield name
+
+
+def test_another_keyspace_is_chosen_and_stays_chosen(page, viewer, stored, other):
+    window = page("/ask.html", start=patrol.START, topics="/scan")
+    select = "document.querySelector('#keyspace select')"
+    window.wait_for(f"return [...({select}?.options ?? [])].some((o) => o.value === '{other}')")
+    window.run(f"{select}.value = '{other}'; {select}.dispatchEvent(new Event('change'))")
+    chosen = f"location.search === '?keyspace={other}' && {select}?.value === '{other}'"
+    window.wait_for(f"return {chosen}")
+    topics = "[...document.querySelectorAll('#ask-examples button')].map((b) => b.textContent)"
+    assert window.wait_for(f"return {topics}.length && {topics}") == ["/elsewhere"]
+    window.run("document.querySelector('#ask-examples button').click()")
+    window.wait_for("return document.querySelector('#ask-rows tbody td:last-child')")
+    assert "7.5" in window.run("return document.querySelector('#ask-rows tbody').textContent")
+    for name, path in PAGES.items():
+        window.wait_for("return document.querySelector('#head nav a')")
+        window.driver.find_element("link text", name).click()
+        window.wait_for(f"return location.pathname === '{path}' && document.title")
+        assert f"keyspace={other}" in window.driver.current_url
+        window.wait_for(f"return {select}?.value === '{other}'")
+    # Where no poses are stored the map says why it has no tracks; the browser notes that answer.
+    window.wait_for("return document.querySelector('#map-told').textContent.includes('no tracks')")
+    assert all("/api/places" in error for error in window.errors())
 
 
 def test_links_to_the_other_pages_keep_the_window(page):

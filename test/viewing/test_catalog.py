@@ -16,6 +16,7 @@ from cassandra_ros.messages.stamps import to_ns
 from cassandra_ros.store import counting
 from cassandra_ros.store.directory import Directory
 from cassandra_ros.store.registry import Loss, LossKind, Run
+from cassandra_ros.viewing import shared
 
 NS = 1368021980238582676
 SECOND = 10**9
@@ -62,6 +63,36 @@ def test_the_keyspace_says_which_there_are(viewer, stored):
     (mine,) = [each for each in found["keyspaces"] if each["keyspace"] == stored.keyspace]
     assert (mine["topics"], mine["tables"]) == (3, 4)
     assert mine["copies"]
+
+
+def test_another_keyspace_is_read_by_its_name(viewer, stored, fresh):
+    with fresh() as other:
+        other.addTopic("/there", msg_type="std_msgs/String").addData(String("x"), NS)
+        asked = {"keyspace": other.keyspace}
+        for _ in range(2):
+            found = viewer.get("/api/topics", **asked)["topics"]
+            assert [each["topic"] for each in found] == ["/there"]
+            assert viewer.get("/api/keyspace", **asked)["keyspace"] == other.keyspace
+            lanes = viewer.get("/api/timeline", **asked)["lanes"]
+            assert [lane["topic"] for lane in lanes] == ["/there"]
+            rows = viewer.get("/api/query", q="select data from there", **asked)["rows"]
+            assert rows == [["x"]]
+            assert len(viewer.get("/api/timeline")["lanes"]) > 1
+            assert viewer.get("/api/keyspace", keyspace="")["keyspace"] == stored.keyspace
+            # Each keyspace's file is its own, though one folder holds both.
+            ours, theirs = (viewer.ask("/window.bag", each) for each in ({}, asked))
+            assert (ours.status, theirs.status) == (200, 200)
+            assert b"/there" in theirs.data and b"/there" not in ours.data
+    status, told = viewer.fail("/api/topics", keyspace="nowhere_at_all")
+    assert (status, told["error"]) == (404, "KeyspaceNotFound")
+    assert viewer.fail("/api/topics", keyspace="no name")[1]["error"] == "InvalidName"
+
+
+def test_only_some_keyspaces_keep_what_they_have_read(stored, monkeypatch, fresh):
+    monkeypatch.setattr(shared, "_KEPT_KEYSPACES", 1)
+    with fresh() as one, fresh() as other, running_viewer(stored) as viewer:
+        for name in (one.keyspace, other.keyspace, one.keyspace, other.keyspace):
+            assert viewer.get("/api/keyspace", keyspace=name)["keyspace"] == name
 
 
 def test_topics_are_told_as_info_tells_them(viewer, stored):

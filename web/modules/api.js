@@ -42,6 +42,11 @@ export function url(path, parameters = {}) {
   return parts.length ? `${path}?${parts.join("&")}` : path;
 }
 
+/** The keyspace that the page's address names; "" = that of the viewer. */
+export function keyspace() {
+  return new URLSearchParams(location.search).get("keyspace") ?? "";
+}
+
 /**
  * Ask, and return the response once its head is there; its body may be read as it comes.
  * @param {string} path
@@ -53,7 +58,7 @@ export function url(path, parameters = {}) {
 export async function ask(path, parameters = {}, options = {}) {
   let response;
   try {
-    response = await fetch(url(path, parameters), { credentials: "same-origin", ...options });
+    response = await fetch(url(path, { keyspace: keyspace(), ...parameters }), { credentials: "same-origin", ...options });
   } catch (error) {
     if (error instanceof TypeError) {
       throw new ApiError(

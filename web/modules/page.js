@@ -3,7 +3,7 @@
 // @ts-check
 /** What all pages share: the bar at the head, the banner of errors, the choice of topics, robots, runs. */
 
-import { get, isAbort } from "./api.js";
+import { get, isAbort, keyspace as keyspaceAsked, url } from "./api.js";
 import * as state from "./state.js";
 
 const PAGES = [
@@ -44,7 +44,7 @@ export function start(name) {
   });
   const keyspace = make("span", { class: "keyspace", id: "keyspace" });
   document.getElementById("head")?.replaceChildren(
-    make("a", { class: "brand", href: "/" }, "cassandra_ros"),
+    make("a", { class: "brand", href: url("/", { keyspace: keyspaceAsked() }) }, "cassandra_ros"),
     make("nav", { "aria-label": "Pages" }, ...links),
     keyspace,
   );
@@ -57,9 +57,24 @@ export function start(name) {
     if (event.reason instanceof Error && "status" in event.reason) event.preventDefault();
   });
   for (const problem of state.read().problems) showError(new Error(problem));
-  get("/api/keyspace").then((answer) => {
-    keyspace.textContent = `keyspace ${answer.keyspace}`;
-  }, showError);
+  get("/api/keyspace").then((answer) => keyspace.replaceChildren("keyspace ", chooser(answer)), showError);
+}
+
+/**
+ * Make what shows the keyspace, and leads to others: to this page without a window, topics, robots and
+ * runs, which are those of the keyspace.
+ * @param {{keyspace: string, keyspaces: {keyspace: string, topics: number}[]}} answer Of /api/keyspace.
+ */
+function chooser(answer) {
+  const topics = new Map(answer.keyspaces.map((each) => [each.keyspace, each.topics]));
+  if (!topics.has(answer.keyspace)) topics.set(answer.keyspace, 0);
+  if (topics.size === 1) return answer.keyspace;
+  const options = [...topics.keys()].sort().map((name) => (
+    make("option", { value: name, title: `${topics.get(name)} topics` }, name)));
+  const select = /** @type {HTMLSelectElement} */ (make("select", { "aria-label": "Keyspace" }, ...options));
+  select.value = answer.keyspace;
+  select.addEventListener("change", () => location.assign(url(location.pathname, { keyspace: select.value })));
+  return select;
 }
 
 /**

@@ -6,7 +6,7 @@
  * `start`, `end` and `time` are times, `topics`, `nodes` and `runs` lists; the rest are texts.
  */
 
-import { url } from "./api.js";
+import { keyspace, url } from "./api.js";
 import { parse } from "./times.js";
 
 const TIMES = ["start", "end", "time"];
@@ -98,7 +98,7 @@ export function link(page, changes = {}) {
  */
 export function fileLink(ending, changes = {}) {
   const { start, end, topics, nodes, runs } = read();
-  return url(`/window.${ending}`, { start, end, topics, nodes, runs, ...changes });
+  return url(`/window.${ending}`, { start, end, topics, nodes, runs, keyspace: keyspace(), ...changes });
 }
 
 /**

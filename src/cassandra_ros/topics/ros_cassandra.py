@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any, Iterable, Iterator, Mapping, Optional, Sequence
 
 from cassandra_ros.arguments import check_new_topic, check_text, check_topics
@@ -90,6 +91,21 @@ class RosCassandra:
         else:
             parts.side_tables.require_keyspace()
         self._work_in(parts)
+
+    def inKeyspace(self, keyspace: str) -> RosCassandra:
+        """Return an object that works in another keyspace over the same connection.
+
+        It can be used until this one is closed, which also ends what it does; close this one only.
+
+        Raises:
+            InvalidName: It is not a keyspace name.
+            KeyspaceNotFound: It is missing; the text gives the nearest names.
+        """
+        parts = Keyspace(self.cassandra, keyspace)
+        parts.side_tables.require_keyspace()
+        other = copy(self)
+        other._opened = Catalog(parts, self._clock)
+        return other
 
     def _work_in(self, parts: Keyspace) -> None:
         if self._opened is not None:

@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import math
 import threading
+from functools import cached_property
 from typing import Callable, Mapping, Sequence, TypeVar
 
 from cassandra_ros.errors import InvalidKey, InvalidOption
 from cassandra_ros.messages.stamps import written_time_ns
 from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.viewing.route import KINDS, Parameter, Route, Value
+from cassandra_ros.viewing.route import KEYSPACE, KINDS, Parameter, Route, Value
 from cassandra_ros.viewing.settings import ViewerSettings
 from cassandra_ros.viewing.shared import Shared
 
@@ -42,8 +43,8 @@ class Call:
         headers: Mapping[str, str],
         method: str = "GET",
     ) -> None:
-        self._shared = shared
-        self._known = {parameter.name: parameter for parameter in route.parameters}
+        self._viewer = shared
+        self._known = {each.name: each for each in (*route.parameters, KEYSPACE)}
         self._query = query
         self.headers = headers
         self.method = method
@@ -60,19 +61,28 @@ class Call:
             if parameter.required and not any(self._query.get(name, ())):
                 raise InvalidOption(f"{path} needs the parameter {name}: {parameter.summary}")
 
+    @cached_property
+    def _shared(self) -> Shared:
+        """What calls on the same keyspace have in common; found on the handler's thread."""
+        return self._viewer.of(self.text(KEYSPACE.name) or "")
+
     @property
     def store(self) -> RosCassandra:
-        """The store, on the viewer's keyspace; shared, and only read."""
+        """The store, on the keyspace that is asked for; shared, and only read."""
         return self._shared.store
 
     @property
     def settings(self) -> ViewerSettings:
         """What the viewer was started with."""
-        return self._shared.settings
+        return self._viewer.settings
 
     def shared(self, make: Callable[[RosCassandra, ViewerSettings], T]) -> T:
-        """Return what ``make`` made for this viewer at its first call, as a cache or a spool."""
+        """Return what ``make`` made for this keyspace at its first call, as a cache."""
         return self._shared.get(make)
+
+    def shared_by_all(self, make: Callable[[RosCassandra, ViewerSettings], T]) -> T:
+        """Return what ``make`` made for this viewer, whatever the keyspace, as a spool."""
+        return self._viewer.get(make)
 
     def text(self, name: str) -> str | None:
         """Return a parameter of kind text; missing: its default."""

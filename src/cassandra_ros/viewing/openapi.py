@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Iterable
 
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.route import KINDS, Parameter, Route
+from cassandra_ros.viewing.route import KEYSPACE, KINDS, Parameter, Route
 
 _SCHEMAS: dict[str, dict[str, Json]] = {
     "text": {"type": "string"},
@@ -54,7 +54,7 @@ def _operation(route: Route) -> dict[str, Json]:
     error: Json = {"application/json": {"schema": {"$ref": "#/components/schemas/Error"}}}
     return {
         "summary": route.summary,
-        "parameters": [_parameter(each) for each in route.parameters],
+        "parameters": [_parameter(each) for each in (*route.parameters, KEYSPACE)],
         "responses": {
             "200": {"description": route.summary, "content": _content(route)},
             "default": {"description": "It failed.", "content": error},

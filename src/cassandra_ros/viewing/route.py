@@ -39,6 +39,12 @@ class Parameter:
     default: Value = None
 
 
+KEYSPACE = Parameter(
+    "keyspace", "text", "Of this keyspace; missing: of that with which the viewer was started."
+)
+"""A parameter that each route takes."""
+
+
 @dataclass(frozen=True)
 class Route:
     """A path and the function that answers GET and HEAD there, on a thread of the pool."""
@@ -49,5 +55,6 @@ class Route:
     summary: str
     """One sentence."""
     parameters: tuple[Parameter, ...] = ()
+    """Without KEYSPACE."""
     kind: str = "json"
     """What is answered: json, or a content type as image/jpeg."""

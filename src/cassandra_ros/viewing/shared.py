@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What all calls of a viewer have in common: the store, the settings, and what is kept for more."""
+"""What calls of a viewer have in common: the store, the settings, and what is kept for more."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.viewing.settings import ViewerSettings
 
 T = TypeVar("T")
+_KEPT_KEYSPACES = 8
+"""Maximum number of keyspaces beside the viewer's own whose caches are kept."""
 
 
 class Shared:
     """The store and the settings of one viewer, and the caches made for it. Safe between threads.
+
+    Each further keyspace that is asked for has one of these, which the one of the viewer keeps.
 
     Args:
         store: Stays the caller's to close.
@@ -24,8 +28,28 @@ class Shared:
     def __init__(self, store: RosCassandra, settings: ViewerSettings) -> None:
         self.store = store
         self.settings = settings
+        self._others: dict[str, Shared] = {}
+        """By keyspace; the one that was asked for last comes last."""
         self._made: dict[object, object] = {}
         self._lock = threading.RLock()  # what is made may itself want another one
+
+    def of(self, keyspace: str) -> Shared:
+        """Return what calls on a keyspace have in common; '' = that of the viewer.
+
+        Raises:
+            InvalidName, KeyspaceNotFound: It is no name of a keyspace; there is none.
+        """
+        if not keyspace or keyspace == self.store.keyspace:
+            return self
+        with self._lock:
+            found = self._others.pop(keyspace, None)
+        if found is None:
+            found = Shared(self.store.inKeyspace(keyspace), self.settings)
+        with self._lock:
+            self._others[keyspace] = found
+            while len(self._others) > _KEPT_KEYSPACES:
+                self._others.pop(next(iter(self._others)))
+        return found
 
     def get(self, make: Callable[[RosCassandra, ViewerSettings], T]) -> T:
         """Return what ``make`` made at its first call; if it has a ``close``, the end calls it."""

@@ -48,7 +48,7 @@ def make_spool(store: RosCassandra, settings: ViewerSettings) -> Spool:
 def _answer(call: Call, ending: str) -> Answer:
     wanted, compression = selected(call), _compression(call, ending)
     latched, streamed = call.flag("latched"), ending == "mcap" and call.flag("stream")
-    spool, name = call.shared(make_spool), _name(call.store, wanted, ending)
+    spool, name = call.shared_by_all(make_spool), _name(call.store, wanted, ending)
     request = _digest(repr((ending, wanted, compression, latched, call.store.keyspace)))
     headers = call.headers
     if "range" in headers and not {"if-range", "if-match"}.intersection(headers):
