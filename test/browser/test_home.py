@@ -14,11 +14,14 @@ from browser import patrol
 from browser.looking import HUSKY_END, HUSKY_START, near, pixels
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
+from std_msgs.msg import Float64
 
 CANVAS = "#timeline"
 TOP, ROW = 60, 24
 """Where the rows begin, and how high one is, pixels."""
 ROOM_NS = 10**9
+LATER = 1_767_225_600
+"""The first second of 2026."""
 
 
 class Home:
@@ -155,3 +158,35 @@ def test_a_window_is_chosen_by_wheel_drag_and_keys_and_leads_on(page, tmp_path):
         times = [t.to_nsec() for _, _, t in bag.read_messages()]
     assert len(times) > 100
     assert int(chosen["start"][0]) <= min(times) <= max(times) <= int(chosen["end"][0])
+
+
+@pytest.fixture
+def unset_clock(keyspaces, connect):
+    """A keyspace with 20 s of 1970, from before a clock was set, and 20 s of 2026."""
+    with keyspaces.lend() as name:
+        with connect(keyspace=name) as rosCas:
+            topic = rosCas.addTopic("/clock", msg_type="std_msgs/Float64")
+            for begin in (5, LATER):
+                for n in range(20):
+                    topic.addData(Float64(n), (begin + n) * 10**9)
+        yield name
+
+
+def test_decades_in_which_nothing_lies_are_folded(page, unset_clock):
+    home = Home(page("/", keyspace=unset_clock))
+    day = 86_400 * 10**9
+    buttons = "[...document.querySelectorAll('#eras button')]"
+    texts = f"return {buttons}.map((b) => [b.textContent, b.ariaPressed])"
+    assert home.window.wait_for(texts) == [["1970", "false"], ["2026", "true"]]
+    start, end = home.view
+    assert (LATER - 60) * 10**9 < start < end < (LATER + 60) * 10**9 + day
+    home.window.run(f"{buttons}[0].click()")
+    home.window.wait_for(f"return {buttons}[0]?.ariaPressed === 'true'")
+    home.settle()
+    start, end = home.view
+    assert start <= 5 * 10**9 < 24 * 10**9 <= end < day
+    # It stands in the address, and the other way leads there again.
+    address = home.window.driver.current_url
+    assert parse_qs(urlparse(address).query)["start"] == ["5.000000000"]
+    home.window.driver.back()
+    home.window.wait_for(f"return {buttons}[1]?.ariaPressed === 'true'")

@@ -134,7 +134,7 @@ def test_the_control_says_which_topic_told_the_poses(page):
     assert window.run(options)[0] == "tf, by itself"
     Map(page("/map.html", start=patrol.START, end=patrol.END, map=patrol.SCAN, odom=patrol.ODOM))
     (told,) = [text for text in window.run(options) if text.startswith(patrol.ODOM)]
-    assert told.endswith(" % of the messages")
+    assert told.endswith(" %)")
 
 
 def test_why_no_track_is_drawn_is_said(page):

@@ -79,6 +79,28 @@ def test_info_draws_how_many_messages_came_when(call, three_topics):
     assert "activity" not in call("info", "-y")[1]
 
 
+def test_info_folds_decades_in_which_nothing_lies(call, tmp_path):
+    """The robot's clock was not set at first: five messages of 1970, five of 2026."""
+    path, later = tmp_path / "clock.bag", 1_767_225_600
+    with BagWriter(path) as writer:
+        number = writer.connection(string_connection("/cam"))
+        other = writer.connection(string_connection("/late"))
+        for second in (*range(5, 10), *range(later, later + 5)):
+            writer.write(number, second * 10**9, string_wire("x"))
+        writer.write(other, (later + 2) * 10**9, string_wire("x"))
+    assert call("import", path, "-q") == (0, "", "")
+    lines = call("info")[1].splitlines()
+    head = next(n for n, line in enumerate(lines) if line.startswith("activity of"))
+    first = "1970-01-01T00:00:05Z to 1970-01-01T00:00:09Z"
+    assert lines[head].endswith(f"{first} // 2026-01-01T00:00:00Z to 2026-01-01T00:00:04Z")
+    column = lines[head].index(first)
+    early, late = lines[head + 1][column:].split(" // ")
+    assert (early.count("█"), late.count("█")) == (5, 5)
+    assert len(early) == 30
+    early, late = lines[head + 2][column:].split(" // ")
+    assert (early.strip(), late.strip()) == ("", "█")
+
+
 def test_a_line_of_bars():
     assert sparkline([0, 1, 4, 8], "utf-8") == " ▁▄█"
     assert sparkline([0, 1, 4, 8], "ascii") == sparkline([0, 1, 4, 8], None) == " .=@"

@@ -166,6 +166,23 @@ def test_what_is_no_window_is_refused(viewer):
         assert (status, failure["error"]) == (400, "InvalidOption"), given
 
 
+def test_years_in_which_nothing_lies_divide_eras(viewer, fresh):
+    (era,) = viewer.get("/api/timeline", topics="/even")["eras"]
+    assert era == [str(EVEN[0]), str(LATE[-1])]
+    year = 365 * 86_400 * SECOND_NS
+    with fresh() as store, running_viewer(store) as other:
+        assert other.get("/api/timeline")["eras"] == []
+        add(store, "/clock", [n * SECOND_NS for n in range(5, 9)])
+        add(store, "/clock", [9 * year + n * SECOND_NS for n in range(4)], writer=8, name="b")
+        add(store, "/other", [20 * year, 20 * year + SECOND_NS], writer=9, name="c")
+        assert other.get("/api/timeline")["eras"] == [
+            [str(5 * SECOND_NS), str(9 * year + 3 * SECOND_NS)],
+            [str(20 * year), str(20 * year + SECOND_NS)],
+        ]
+        (era,) = other.get("/api/timeline", topics="/other")["eras"]
+        assert era[0] == str(20 * year)
+
+
 def test_an_end_alone_is_enough(viewer):
     late = viewer.get("/api/timeline", start=LATE[-1] + HOUR, topics="/even")
     assert late["start"] == late["end"] == str(LATE[-1] + HOUR)

@@ -8,7 +8,7 @@ import { showRuns, showTopics } from "./home_tables.js";
 import * as page from "./page.js";
 import * as state from "./state.js";
 import { Timeline } from "./timeline.js";
-import { LAST, length, shown } from "./times.js";
+import { LAST, iso, length, shown } from "./times.js";
 
 const SETTLED_MS = 120;
 const DETAIL_MS = 250;
@@ -23,6 +23,7 @@ const { make } = page;
 page.start("Home");
 
 const selection = make("div", { class: "row", id: "selection" });
+const erasPlace = make("span", { class: "row tight", id: "eras", role: "group", "aria-label": "Eras" });
 const summary = make("span", { class: "muted", id: "summary", role: "status" });
 const chosen = make("span", { class: "mono", id: "chosen" });
 const links = make("div", { class: "row", id: "links" });
@@ -31,7 +32,7 @@ const tip = make("div", { class: "tip", hidden: true });
 const box = make("div", { class: "timeline-box" }, canvas, tip);
 const tables = make("section", { class: "panel tables", id: "tables" });
 const panel = make("section", { class: "panel timeline-panel" },
-  make("header", {}, selection, zoomButtons(), summary, make("div", { class: "row push" }, chosen, links)),
+  make("header", {}, selection, zoomButtons(), erasPlace, summary, make("div", { class: "row push" }, chosen, links)),
   box,
   make("p", { class: "keys muted" }, "Wheel: zoom · drag: select · Shift and drag, or drag the axis: move · keys ",
     ...["+", "−", "←", "→", "Home", "Enter", "Esc"].flatMap((key) => [make("kbd", {}, key), " "])),
@@ -47,6 +48,8 @@ Object.assign(canvas, { timeline });
 /** @type {any} The last answer for all time. */
 let whole = null;
 let following = true;
+/** @type {import("./timeline.js").Span[]} Times between which nothing lies for ten years and more. */
+let eras = [];
 let updateTopics = (/** @type {any[]} */ lanes) => {};
 /** @type {number | undefined} */
 let waiting;
@@ -73,7 +76,7 @@ async function load({ again: known = false } = {}) {
   ]);
   const before = keysOf(whole);
   whole = answer;
-  timeline.picture.take(answer, { all: true, whole: true });
+  timeline.picture.take(await ofEra(answer, choice, known, signal), { all: true, whole: true });
   timeline.picture.takeMarks(marks.marks);
   timeline.update();
   box.style.height = `${timeline.wanted}px`;
@@ -88,6 +91,48 @@ async function load({ again: known = false } = {}) {
   tell();
   ask();
   again();
+}
+
+/**
+ * Return the answer for the era that is looked at; where there is one only, that for all time.
+ * @param {any} answer For all time.
+ * @param {import("./api.js").Parameters} choice
+ * @param {boolean} known The era is that of the window that is seen.
+ * @param {AbortSignal} signal
+ */
+async function ofEra(answer, choice, known, signal) {
+  eras = answer.eras.map((/** @type {string[]} */ [start, end]) => ({ start: BigInt(start), end: BigInt(end) }));
+  const { start: asked, time } = state.read();
+  const { start, end } = timeline.view;
+  const era = eraOf(known ? (start + end) / 2n : asked ?? time);
+  showEras(era);
+  if (eras.length < 2 || !era) return answer;
+  const found = await api.get("/api/timeline", { ...choice, ...era, pixels: cellsOf(1) }, { signal });
+  return { ...found, first: String(era.start), last: String(era.end) };
+}
+
+/**
+ * The era in which a moment lies, or that is next to it; null: the last one.
+ * @param {bigint | null} moment
+ */
+function eraOf(moment) {
+  if (moment === null) return eras.at(-1);
+  const away = (/** @type {import("./timeline.js").Span} */ { start, end }) => (moment < start ? start - moment : moment > end ? moment - end : 0n);
+  return eras.reduce((best, era) => (away(era) < away(best) ? era : best), eras[0]);
+}
+
+/** Lead to the eras, where there are several. @param {import("./timeline.js").Span | undefined} current */
+function showEras(current) {
+  const buttons = eras.map((era) => {
+    const text = [...new Set([era.start, era.end].map((ns) => iso(ns).slice(0, 4)))].join("–");
+    const title = `${shown(era.start)} to ${shown(era.end)}: nothing lies between this time and the others for ten years and more`;
+    const onclick = () => {
+      state.write({ start: era.start, end: era.end, time: null, selection: null }, { push: true });
+      load().catch(failed);
+    };
+    return make("button", { type: "button", title, "aria-pressed": String(era === current), onclick }, text);
+  });
+  erasPlace.replaceChildren(...(eras.length < 2 ? [] : buttons.flatMap((button, n) => (n ? ["//", button] : [button]))));
 }
 
 /** Ask for the window, when a person has settled on it. */
@@ -225,6 +270,7 @@ state.onChange(() => {
   load().catch(failed);
 });
 window.addEventListener("popstate", () => {
+  if (eras.length > 1) return void load().catch(failed);
   showWindow();
   ask();
 });

@@ -189,7 +189,8 @@ function labelPoses(meta) {
   for (const option of element("map-odom").options) {
     if (option.value) {
       const share = offers.get(option.value);
-      option.text = share === undefined ? option.value : `${option.value}: ${percent(share)} of the messages`;
+      option.text = share === undefined ? option.value : `${option.value} (${percent(share)})`;
+      option.title = share === undefined ? "" : `Tells poses for ${percent(share)} of the messages`;
     } else if (!question().odom) {
       option.text = `${posesOf(meta) || "tf"}, by itself`;
     }
@@ -304,7 +305,11 @@ function tell(text) {
 }
 
 view.layers.push(drawTracks);
-const places = { tracks: () => tracks, frame: () => view.image?.frame || tracks[0]?.frame || "" };
+const places = {
+  tracks: () => tracks,
+  frame: () => view.image?.frame || tracks[0]?.frame || "",
+  robot: () => question().odom || posesOf(view.image),
+};
 export const lasso = new Lasso(view, places, element("map-more"), element("map-near"));
 view.onClick = pick;
 view.onHover = (at) => {

@@ -29,6 +29,7 @@ const CIRCLE_CORNERS = 36;
  * @typedef {object} Places What the map knows.
  * @property {() => {node: string, frame: string, times: bigint[], x: number[], y: number[]}[]} tracks
  * @property {() => string} frame
+ * @property {() => string} robot The topic that tells its poses; "" = tf, or to be found out.
  */
 
 export class Lasso {
@@ -134,9 +135,10 @@ export class Lasso {
 
   /** Ask for what the address says, where that is not what was asked for last. */
   refresh() {
-    const { others, start, end, nodes } = state.read();
+    const { others, start, end, nodes, runs } = state.read();
     const polygon = others.lasso ?? "";
-    const wanted = { polygon, frame: this.places.frame(), start, end, nodes, limit: String(MOST_STAYS) };
+    const [frame, robot] = [this.places.frame(), this.places.robot()];
+    const wanted = { polygon, frame, robot, start, end, nodes, runs, limit: String(MOST_STAYS) };
     const text = JSON.stringify(wanted, (_, value) => (typeof value === "bigint" ? String(value) : value));
     if (text === this.asked) return;
     this.asked = text;

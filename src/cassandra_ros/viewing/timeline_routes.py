@@ -46,6 +46,7 @@ def _answer(call: Call) -> Json:
     return {
         "first": shown_ns(first),
         "last": shown_ns(last),
+        "eras": [[str(low), str(high)] for low, high in picture.eras],
         "start": None if scale is None else str(scale.start),
         "end": None if scale is None else str(scale.end),
         "cell_ns": None if scale is None else str(scale.step),
@@ -104,8 +105,9 @@ ROUTES: Tuple[Route, ...] = (
         "Over the cells of `even`, three and more, messages are spread of which is only known that "
         "they lie there; "
         "in those of `unknown` nobody has counted. `gaps` are pauses of a run, between two "
-        "messages. Where `exact` is false, messages and bytes are estimates. It is told by the "
-        "directory, at a cost that does not grow with the messages.",
+        "messages. `eras` are the times in which messages lie, with ten years or more without a "
+        "message between two of them. Where `exact` is false, messages and bytes are estimates. It "
+        "is told by the directory, at a cost that does not grow with the messages.",
         (
             Parameter("start", START.kind, f"{START.summary} Missing: the first message's."),
             Parameter("end", END.kind, f"{END.summary} Missing: the last message's."),

@@ -13,9 +13,10 @@ mean while messages came (rosbag: the median); pauses within a bucket lower it.
 
 Where messages are found by something else than their receive time the last column says by what.
 Below, a line for each topic and node draws how many messages came when; its tallest bar is where
-most of them came. The directory counts by buckets, so those of a bucket are drawn as if spread
-evenly. What should have been recorded and was not is listed with the reason, also of topics that
-are not stored; then the latest recordings and imports.
+most of them came. Ten years and more in which nothing lies are folded to //, and the tallest bar
+is that of each part then. The directory counts by buckets, so those of a bucket are drawn as if
+spread evenly. What should have been recorded and was not is listed with the reason, also of topics
+that are not stored; then the latest recordings and imports.
 
 YAML and JSON have the keys of rosbag info -y (duration, start, end, size, messages, types, topics)
 and beside them keyspace, start_ns, end_ns, losses and runs; JSON also activity, the numbers that
@@ -27,7 +28,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Iterator, Sequence
 
 from cassandra_ros.cli.answers import add_json_option, print_json
@@ -77,6 +78,8 @@ _SAMPLED = 10_000
 """First messages of each topic and node that tell its connections and its frequency."""
 _CELLS = 60
 """Steps of time of which it is drawn how many messages came in each."""
+_FOLD = " // "
+"""Stands in a picture for ten years or more in which nothing lies."""
 
 
 @dataclass
@@ -89,6 +92,8 @@ class _Found:
     losses: list[Loss]
     runs: list[Run]
     activity: Picture
+    eras: list[Picture]
+    """The same by eras; of a single one that of all time."""
     samples: list[MessageSample]
     """Of each of infos, where YAML or JSON tells of them."""
 
@@ -145,7 +150,7 @@ def run(options: argparse.Namespace) -> int:
     if found.infos:
         print()
         _print_topics(found.infos)
-        _print_activity(found.activity)
+        _print_activity(found.eras)
     if found.losses:
         print()
         columns = ("lost of topic", "node", "run", "messages", "from", "to", "why")
@@ -175,13 +180,19 @@ def _find(options: argparse.Namespace) -> _Found:
         runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
         whose = Whose(check_nodes(options.node_id), ros_cas.parts.runs.writers(options.run))
         view = View(*_ends_of(infos), cells=_CELLS, topics=topics, whose=whose)
-        activity = Timeline(ros_cas).picture(view)
+        timeline = Timeline(ros_cas)
+        activity = timeline.picture(view)
+        eras = [activity]
+        if len(activity.eras) > 1:
+            cells = _CELLS // len(activity.eras)
+            views = [replace(view, start=s, end=e, cells=cells) for s, e in activity.eras]
+            eras = list(map(timeline.picture, views))
         told = (options.yaml or options.json) and options.key in (None, "topics")
         samples = _samples(ros_cas, infos, options.run) if told else []
     if options.run:
         runs = [run for run in runs if options.run in (run.name, str(run.writer))]
     place = f"{','.join(hosts)}:{port}"
-    return _Found(place, options.keyspace, infos, losses, runs, activity, samples)
+    return _Found(place, options.keyspace, infos, losses, runs, activity, eras, samples)
 
 
 def _samples(
@@ -230,20 +241,24 @@ def _print_topics(infos: list[TopicInfo]) -> None:
     print(format_table(header, [[row[name] for name in header] for row in rows], right=_RIGHT))
 
 
-def _print_activity(activity: Picture) -> None:
-    """Draw how many messages came when; where all came at once there is nothing to draw."""
-    scale = activity.scale
-    if scale is None or scale.start == scale.end:
+def _print_activity(eras: list[Picture]) -> None:
+    """Draw how many messages came when; where all came at once there is nothing to draw.
+
+    The years between two eras are folded to a mark.
+    """
+    scales = [era.scale for era in eras if era.scale is not None]
+    if not scales or scales[0].start == scales[-1].end:
         return
-    rows = [
-        (shown(lane.topic), shown(lane.node) or "-", text)
-        for lane in activity.lanes
-        for text in [sparkline(lane.cells(scale).counts.tolist(), sys.stdout.encoding)]
-        if text.strip()
-    ]
+    lines: dict[tuple[str, str], list[str]] = {}
+    for number, (era, scale) in enumerate(zip(eras, scales)):
+        for lane in era.lanes:
+            blank = [" " * each.cells for each in scales]
+            texts = lines.setdefault((shown(lane.topic), shown(lane.node) or "-"), blank)
+            texts[number] = sparkline(lane.cells(scale).counts.tolist(), sys.stdout.encoding)
+    rows = [(*lane, _FOLD.join(texts)) for lane, texts in lines.items() if "".join(texts).strip()]
     if not rows:
         return
-    when = f"{format_time(scale.start)} to {format_time(scale.end)}"
+    when = _FOLD.join(f"{format_time(each.start)} to {format_time(each.end)}" for each in scales)
     print()
     print(format_table(("activity of", "node", when), rows))
 

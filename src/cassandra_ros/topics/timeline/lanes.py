@@ -33,6 +33,8 @@ from cassandra_ros.topics.timeline.reader import Ends, Reader
 from cassandra_ros.topics.topic_table import TopicTable
 
 MAX_RUNS = 2000
+ERA_GAP_NS = 10 * 365 * 86_400 * SECOND_NS
+"""Shortest time without a message that divides two eras, ns: ten years."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,12 @@ class Lane:
         firsts = [int(each.min()) for each in (self.stretches.first, self.keys.times) if len(each)]
         lasts = [int(each.max()) for each in (self.stretches.last, self.keys.times) if len(each)]
         return min(firsts, default=None), max(lasts, default=None)
+
+    @property
+    def parts(self) -> List[Tuple[Longs, Longs]]:
+        """When stretches and single messages that touch the window begin and end, ns."""
+        every = (self.stretches.first, self.stretches.last), (self.keys.times, self.keys.times)
+        return [part for part in every if len(part[0])]
 
     @property
     def messages(self) -> int:
@@ -151,6 +159,24 @@ class Picture(NamedTuple):
     """None: there is no window."""
     lanes: List[Lane]
     """By node and topic, also of what has nothing in the window."""
+
+    @property
+    def eras(self) -> List[Ends]:
+        """The times in which messages lie, in their order, with ten years or more between two.
+
+        A clock that was not set makes two of them: it begins in 1970.
+        """
+        parts = [part for lane in self.lanes for part in lane.parts]
+        if not parts:
+            return []
+        firsts, lasts = (np.concatenate(ends) for ends in zip(*parts))
+        order = np.argsort(firsts)
+        firsts, reached = firsts[order], np.maximum.accumulate(lasts[order])
+        later = np.flatnonzero(firsts[1:] - reached[:-1] >= ERA_GAP_NS) + 1
+        if self.scale is not None:  # a stretch may begin before the window, or end after it
+            firsts, reached = (np.clip(t, *self.scale[:2]) for t in (firsts, reached))
+        starts, ends = [0, *later.tolist()], [*(later - 1).tolist(), len(firsts) - 1]
+        return [(int(firsts[low]), int(reached[high])) for low, high in zip(starts, ends)]
 
     @property
     def runs(self) -> List[RunSpan]:
