@@ -12,7 +12,8 @@
   - TransformException
     + LookupException, ConnectivityException, ExtrapolationException
   - TypeMismatch, UnknownFormat, UnknownEncoding, InvalidKey, InvalidName, InvalidOption,
-    InvalidQuery, InvalidExpression, DefinitionError, CorruptMessage, BagError (also a ValueError)
+    InvalidQuery, InvalidExpression, AnswerTooLarge, DefinitionError, CorruptMessage,
+    BagError (also a ValueError)
     + BagUnindexed and BagTooLarge, both a BagError
   - MissingDependency (also an ImportError)
 
@@ -180,6 +181,10 @@ class InvalidQuery(CassandraRosError, ValueError):
         line = statement[start : end if end >= 0 else len(statement)]
         caret = " " * (self.position - start) + "^"
         super().__init__(f"{reason}\n  {line}\n  {caret}")
+
+
+class AnswerTooLarge(CassandraRosError, ValueError):
+    """An answer, or one row or message of it, is larger than what is made at once."""
 
 
 class DefinitionError(CassandraRosError, ValueError):

@@ -47,6 +47,7 @@ class Table:
         self.storage = format_class(fmt)(definition.type, definition.md5sum, definition)
         self.by_field = self.storage.BY_FIELD
         self.columns = tuple(self.storage.getColValidationClasses())
+        self.runs = None
 
 
 class Row:

@@ -12,7 +12,9 @@ import genpy
 from cassandra_ros.messages.definition import definition_of
 
 Row = namedtuple("Row", "t node wire table odd columns key topic")
-Table = namedtuple("Table", "name definition topic by_field named", defaults=[False, False])
+Table = namedtuple(
+    "Table", "name definition topic by_field named runs", defaults=[False, False, None]
+)
 
 
 def table_of(definition, topic="/topic"):

@@ -77,7 +77,7 @@ def test_rows_per_element(bags):
             definition.md5sum,
             Projection.compile(parse_select(text), table_of(definition), Findings(text)),
         )
-        found = plan.rows(row_of(wire=wire, t=5, table=table_of(definition)))
+        found = list(plan.rows(row_of(wire=wire, t=5, table=table_of(definition))))
         expected = [(t.child_frame_id, t.transform.rotation.w, 5) for t in msg.transforms]
         assert found == expected
         rows += len(found)

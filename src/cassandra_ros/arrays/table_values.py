@@ -206,7 +206,7 @@ class TableValues:
                 self._hits.append(list(self._tester.hits(row)))
             self._bytes += sum([len(raw) for raw in raws if raw is not None])
         else:
-            found = projection.values(row)
+            found = list(projection.values(row))
             if self._tester is not None:
                 found = [values for values in found if projection.check(values) is True]
             self._decoded += map(projection.complete, found)

@@ -18,6 +18,7 @@ from cassandra_ros.cli.text import align
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import Stamp, iso_time
+from cassandra_ros.query.answer_bound import AnswerBound, least_bytes
 from cassandra_ros.query.json_values import json_value, to_json
 from cassandra_ros.shown import shown
 
@@ -47,9 +48,12 @@ def write_table(columns: Columns, rows: Lines, stream: IO[str]) -> None:
     The widths are those of the first rows: what is longer later moves the rest of its line.
     """
     lines = iter(rows)
-    page = list(islice(lines, PAGE_ROWS))
-    right = [_are_numbers(column) for column in zip(*page)] or [False] * len(columns)
-    texts = [[_cell(value) for value in row] for row in page]
+    texts: list[list[str]] = []
+    kinds: list[list[bool | None]] = []
+    for row in islice(lines, PAGE_ROWS):  # of long values nothing is kept
+        texts.append([_cell(value) for value in row])
+        kinds.append([None if value is None else _is_number(value) for value in row])
+    right = [_are_numbers(column) for column in zip(*kinds)] or [False] * len(columns)
     header = [shown(name) for name in columns]
     widths = [max(map(len, column)) for column in zip(header, *texts)]
     later = ([_cell(value) for value in row] for row in lines)
@@ -57,11 +61,13 @@ def write_table(columns: Columns, rows: Lines, stream: IO[str]) -> None:
         stream.write(align(line, widths, right) + "\n")
 
 
-def _are_numbers(column: Sequence[object]) -> bool:
-    found = [value for value in column if value is not None]
-    return bool(found) and all(
-        isinstance(value, (int, float)) and not isinstance(value, bool) for value in found
-    )
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _are_numbers(kinds: Sequence[bool | None]) -> bool:
+    found = [number for number in kinds if number is not None]
+    return bool(found) and all(found)
 
 
 def _cell(value: object) -> str:
@@ -93,9 +99,12 @@ def write_csv(columns: Columns, rows: Lines, stream: IO[str]) -> None:
     and an empty text one in quotes.
     """
     for row in chain([columns], rows):
-        fields = [_field(value) for value in row]
-        # An empty line would be no row to many programs.
-        stream.write((",".join(fields) or '""') + "\r\n")
+        if not row or (len(row) == 1 and row[0] is None):
+            # An empty line would be no row to many programs.
+            stream.write('""')
+        for number, value in enumerate(row):  # one by one: together they may be of any size
+            stream.write(("," if number else "") + _field(value))
+        stream.write("\r\n")
 
 
 def _field(value: object) -> str:
@@ -116,22 +125,32 @@ def _exact(value: object) -> str:
 def write_json(columns: Columns, rows: Lines, stream: IO[str]) -> None:
     """Write one list of objects."""
     opening = "[\n"
-    for text in _objects(columns, rows):
-        stream.write(opening + text)
+    for row in rows:
+        stream.write(opening)
+        _write_object(columns, row, stream)
         opening = ",\n"
     stream.write("[]\n" if opening == "[\n" else "\n]\n")
 
 
 def write_ndjson(columns: Columns, rows: Lines, stream: IO[str]) -> None:
     """Write an object a line."""
-    for text in _objects(columns, rows):
-        stream.write(text + "\n")
-
-
-def _objects(columns: Columns, rows: Lines) -> Iterator[str]:
     for row in rows:
-        found = {name: json_value(value) for name, value in zip(columns, row)}
-        yield json.dumps(found, ensure_ascii=False, allow_nan=False)
+        _write_object(columns, row, stream)
+        stream.write("\n")
+
+
+def _write_object(columns: Columns, row: Tuple[object, ...], stream: IO[str]) -> None:
+    """Write a row value by value: together they may be of any size."""
+    opening = "{"
+    for name, value in dict(zip(columns, row)).items():
+        stream.write(f"{opening}{_json(name)}: ")
+        stream.write(_json(json_value(value)))
+        opening = ", "
+    stream.write("{}" if opening == "{" else "}")
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
 
 def load_parquet() -> tuple[ModuleType, ModuleType]:
@@ -165,8 +184,10 @@ def _groups(rows: Lines) -> Iterator[list[Tuple[object, ...]]]:
     group: list[Tuple[object, ...]] = []
     size = 0
     for row in rows:
+        bound = AnswerBound("a row", "select fewer columns, or write it by --output csv or ndjson")
+        bound.take(sum(map(least_bytes, row)))
         group.append(row)
-        size += sum(len(value) for value in row if isinstance(value, (str, bytes, list)))
+        size += bound.bytes
         if len(group) >= GROUP_ROWS or size >= GROUP_BYTES:
             yield group
             group, size = [], 0

@@ -13,6 +13,7 @@ from typing import Callable, Iterator, Optional, Sequence, TypeVar
 import rospy
 
 from cassandra_ros.errors import (
+    AnswerTooLarge,
     CassandraRosError,
     CorruptMessage,
     DefinitionError,
@@ -37,7 +38,8 @@ from cassandra_ros.nodes.node import (
     own_name,
 )
 from cassandra_ros.nodes.registration import Registration
-from cassandra_ros.query.json_values import from_json, to_json
+from cassandra_ros.query.answer_bound import AnswerBound
+from cassandra_ros.query.json_values import from_json
 from cassandra_ros.query.parse import parse_statement
 from cassandra_ros.query.run import Condition
 from cassandra_ros.query.syntax import Select
@@ -83,6 +85,11 @@ MAX_REPLY_BYTES = 16 * 1024 * 1024
 """A page ends behind the message that passes this."""
 YAML_BYTES = 1024 * 1024
 """Larger messages are not written as YAML: it takes seconds, and ten times the bytes."""
+_FEWER = (
+    "select fewer columns, one element of an array as data[0], or len(…) of it, or choose another "
+    "row by WHERE; Python's executeCQL has no such bound"
+)
+_ELSEWHERE = "set omit_data, select its fields by executeCQL, or read it by getData in Python"
 READ_ONLY = (
     "this would change what is stored, and the node only reads; start it with the parameter "
     "~allow_writes, as rosrun cassandra_ros query_server _allow_writes:=true, or do it in Python, "
@@ -179,7 +186,7 @@ class Services:
         for row in islice(rows, limit):
             try:
                 message = pack(row, request.omit_data, request.omit_yaml)
-            except CorruptMessage as exc:
+            except (CorruptMessage, AnswerTooLarge) as exc:
                 if response.data:
                     return response  # the next page begins with it
                 # The cursor leads past it.
@@ -222,7 +229,8 @@ class Services:
         if request.cursor:
             raise InvalidKey("a cursor leads to the next page of a SELECT; leave it out here")
         found = self.ros_cas.statements.run(statement, node=node, run=run)
-        rows = [Row([to_json(value) for value in values]) for values in found]
+        bound = AnswerBound("the answer", _FEWER)
+        rows = [Row([bound.json(value) for value in values]) for values in found]
         return ExecuteCQLResponse(success=True, columns=list(found.columns), rows=rows)
 
     def _page(
@@ -232,15 +240,20 @@ class Services:
             select, node=node, limit=limit + 1, after=cursor, run=run
         ) as result:
             response = ExecuteCQLResponse(success=True, columns=[clean(c) for c in result.columns])
-            size = 0
+            bound = AnswerBound("a row of the answer", _FEWER)
             for values in islice(result, limit):
-                row = Row([to_json(value) for value in values])
+                try:
+                    bound.take(64 + 16 * len(values))
+                    row = Row([bound.json(value) for value in values])
+                except AnswerTooLarge:
+                    if response.rows:
+                        return response  # the next page begins with it
+                    raise
                 response.rows.append(row)
                 response.next_cursor = result.cursor
-                size += 64 + sum(len(text) + 16 for text in row.values)
-                if size > MAX_REPLY_BYTES:
+                if bound.bytes > MAX_REPLY_BYTES:
                     break
-            full = len(response.rows) == limit or size > MAX_REPLY_BYTES
+            full = len(response.rows) == limit or bound.bytes > MAX_REPLY_BYTES
             if not full or (result.direct and next(result, None) is None):
                 response.next_cursor = ""
         return response
@@ -358,7 +371,10 @@ def _time(t_ns: int) -> rospy.Time:
 
 
 def pack(row: StoredRow, omit_data: bool, omit_yaml: bool) -> StoredMessage:
-    """Make a StoredMessage of a stored row."""
+    """Make a StoredMessage of a stored row; AnswerTooLarge: it has more bytes than one may have."""
+    if not omit_data:
+        what = f"the message of {row.size} bytes at {row.key} of topic {clean(row.topic)}"
+        AnswerBound(what, _ELSEWHERE).take(row.size)
     return StoredMessage(
         key=_time(row.t),
         key_text=clean(row.name) or (iso_time(row.t) if row.table.value_part else str(row.t)),

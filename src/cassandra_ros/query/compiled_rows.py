@@ -182,7 +182,16 @@ def _compile_show(
         inner = _compile_show(shown, key_place)
         return lambda row, values: inner(row, [*values, *[get(values) for get in computed]])
     keys = [n for n, (place, get) in enumerate(shown) if place == key_place and get is None]
-    gets = [(n, get) for n, (place, get) in enumerate(shown) if place is not None and get]
+    made: Dict[Tuple[int, Get], int] = {}
+    gets, copies = [], []
+    for n, (place, get) in enumerate(shown):
+        if place is not None and get:
+            first = made.setdefault((place, get), n)
+            # A column that is named twice is made once.
+            if first == n:
+                gets.append((n, get))
+            else:
+                copies.append((n, first))
     # A key is put behind the values.
     places = [-1 if n in keys else place for n, (place, _) in enumerate(shown)]
     if None in places or len(places) < 2:
@@ -198,6 +207,8 @@ def _compile_show(
         found = list(take(values))
         for n, get in gets:
             found[n] = get(found[n])
+        for n, first in copies:
+            found[n] = found[first]
         return tuple(found)
 
     return show

@@ -20,7 +20,7 @@ from cassandra_ros.query.binding import Binding, terms_of_condition, terms_of_st
 from cassandra_ros.query.builder import tree_builder
 from cassandra_ros.query.changes import Change, Delete
 from cassandra_ros.query.names import nearest
-from cassandra_ros.query.syntax import Expression, Literal, Select, StatementError
+from cassandra_ros.query.syntax import FUNCTIONS, Expression, Literal, Select, StatementError
 
 SHORT_TEXT = 1000
 """Texts up to here are not parsed twice."""
@@ -167,6 +167,9 @@ def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
     last = (getattr(error, "token_history", None) or [None])[-1]
     previous = "" if last is None else last.type
     found = _word(text[position:])
+    if found == "(" and previous == "NAME" and "DOT" in expected:
+        reason = f"there is no function {last}{nearest(str(last), FUNCTIONS)}; the functions are "
+        return last.start_pos or 0, f"{reason}{', '.join(FUNCTIONS)}"
     if found[:1] in "'\"" and found and text.count(found[0], position) == 1:
         return position, f"the quote {found[0]} is not closed"
     if text.startswith("/*", position):
@@ -196,8 +199,6 @@ def _hint(before: str, found: str, expected: set[str], previous: str) -> str:
         return " (messages are removed whole: DELETE FROM topic WHERE …)"
     if previous == "STAR" and found == ",":
         return " (* stands alone: it gives KEY and every field)"
-    if found == "(" and "_FROM" in expected:
-        return " (the functions are count, min, max, sum, avg, len, abs, sqrt, time and now)"
     if found.upper() == "NULL" and "NUMBER" in expected:
         return " (what is missing is found by IS NULL)"
     return ""

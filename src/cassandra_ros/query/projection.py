@@ -8,7 +8,7 @@ import logging
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
-from typing import Any, Iterator, Optional, Sequence, Tuple, Union
+from typing import Any, Iterable, Iterator, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
 from cassandra_ros.messages.stamps import Stamp
@@ -122,18 +122,20 @@ class Projection:
         t = row.t
         return (row.name if self.named else t, row.node, row.run if self.runs else "", t)
 
-    def values(self, row: Row) -> Sequence[Values]:
-        """Return the values of a row, once or for each unnested element; None = missing."""
+    def values(self, row: Row) -> Iterator[Values]:
+        """Yield the values of a row, once or for each unnested element; None = missing."""
         own = self.own(row)
         if self.extractor is None:
-            return [own]
+            yield own
+            return
         try:
-            return [(*own, *found) for found in self.extractor.values(row)]
+            for found in self.extractor.values(row):
+                yield (*own, *found)
         except MessageNotFound:
-            return []  # removed since its columns were read
+            return  # removed since its columns were read
         except CorruptMessage as exc:
             _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
-            return [(*own, *[None] * (self.width - OWN_WIDTH))]
+            yield (*own, *[None] * (self.width - OWN_WIDTH))
 
     def hits(self, row: Row) -> Iterator[bool]:
         """Say of each unnested element of a stored row whether it satisfies the condition."""
@@ -144,13 +146,13 @@ class Projection:
         found = None if self.compiled is None else self.compiled(row)
         return any(self.hits(row)) if found is None else bool(found)
 
-    def rows(self, row: Row) -> list[ResultRow]:
-        """Return the rows of the result that a stored row gives."""
+    def rows(self, row: Row) -> Iterable[ResultRow]:
+        """Return the rows of the result that a stored row gives, of elements one by one."""
         compiled = self.compiled
         found = None if compiled is None else compiled(row)
         if found is not None:
             return found
-        return [self._row(row, v) for v in self.values(row) if self.check(v) is True]
+        return (self._row(row, v) for v in self.values(row) if self.check(v) is True)
 
     def complete(self, values: Values) -> Values:
         """Return the values of a row, also those that are computed for the result."""
@@ -159,13 +161,19 @@ class Projection:
     def _row(self, row: Row, values: Values) -> ResultRow:
         values = self.complete(values)
         found: list[object] = []
+        made: dict[int, object] = {}
         for place, show in self.shown:
             if place is None:
                 found.append(None)
             elif place == KEY_PLACE and show is None:
                 found.append(row.key)
+            elif show is None:
+                found.append(values[place])
             else:
-                found.append(values[place] if show is None else show(values[place]))
+                # A column that is named twice is made once.
+                if place not in made:
+                    made[place] = show(values[place])
+                found.append(made[place])
         return tuple(found)
 
 

@@ -308,18 +308,24 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             if row.table is not table:
                 table = row.table
                 rows = self._projections.of(table).rows
-            found = rows(row)
-            if not found:
+            found = iter(rows(row))
+            values = next(found, None)
+            if values is None:
                 continue
             skip = place.skip if seen is not None and _is_at(row, seen, self._source) else 0
-            for number in range(skip, len(found)):
-                given += 1
-                # All rows of the message: go on behind it, without looking at it again.
-                self._given, self._skip = given, 0 if number + 1 == len(found) else number + 1
-                self._row = row
-                yield found[number]
-                if given == last:
-                    return
+            number = 0
+            while values is not None:
+                following = next(found, None)
+                number += 1
+                if number > skip:
+                    given += 1
+                    # All rows of the message: go on behind it, without looking at it again.
+                    self._given, self._skip = given, 0 if following is None else number
+                    self._row = row
+                    yield values
+                    if given == last:
+                        return
+                values = following
 
     def _stored(self, place: Place) -> Iterator[Row]:
         reverse, at, bounds = self.select.descending, place.position, self._bounds

@@ -146,6 +146,8 @@ ARITHMETIC = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3}
 AGGREGATES = ("count", "min", "max", "sum", "avg")
 """Made of all rows; of one array in a row all but count are, too."""
 QUANTIFIERS = ("any", "all")
+FUNCTIONS = (*AGGREGATES, "len", "abs", "sqrt", "time", "now", *QUANTIFIERS, "near")
+"""Those that a statement may name; ANY, ALL and NEAR stand in conditions alone."""
 
 
 @dataclass(frozen=True)

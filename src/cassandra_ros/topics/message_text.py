@@ -8,14 +8,17 @@ import json
 from base64 import b64encode
 from typing import Callable, Dict
 
-from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.json import CassandraTopic_json
 from cassandra_ros.messages.tree.echo import echo_printer
 from cassandra_ros.messages.tree.read import Budget, tree_reader
+from cassandra_ros.query.answer_bound import MOST_BYTES, AnswerBound
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 _NO_LIMIT = 2**62
+_REMEDY = (
+    "give elements and characters, which leave long arrays and strings out, or read it in Python"
+)
 _Print = Callable[[bytes], str]
 
 
@@ -27,11 +30,17 @@ class MessageText:
             as rostopic echo does.
         elements: Of longer arrays only type and length are said; None = of none.
         characters: Of longer strings only the length is said, in bytes; None = of none.
+        bounded: Write no text of more characters than an answer may have bytes.
     """
 
     def __init__(
-        self, as_json: bool, elements: int | None = None, characters: int | None = None
+        self,
+        as_json: bool,
+        elements: int | None = None,
+        characters: int | None = None,
+        bounded: bool = False,
     ) -> None:
+        self._most = MOST_BYTES if bounded else _NO_LIMIT
         self._json = as_json
         self._elements = _NO_LIMIT if elements is None else elements
         self._characters = _NO_LIMIT if characters is None else characters
@@ -41,6 +50,7 @@ class MessageText:
         """Return the text of a message.
 
         Raises:
+            AnswerTooLarge: The text is bounded, and would be longer.
             CorruptMessage: Its bytes are no message of the type.
         """
         printed = self._prints.get(row.table.name)
@@ -50,16 +60,23 @@ class MessageText:
 
     def _print_of(self, table: TopicTable) -> _Print:
         metadata, definition, as_json = table.metadata, table.definition, self._json
+        too_long = AnswerBound(f"the text of a message of topic {metadata.topic}", _REMEDY).error
         if definition is None:
-            return lambda wire: _bytes_alone(metadata.msg_type, wire, as_json)
+
+            def print_bytes(wire: bytes) -> str:
+                if as_json and len(wire) > self._most:
+                    raise too_long()
+                return _bytes_alone(metadata.msg_type, wire, as_json)
+
+            return print_bytes
         reader, show = tree_reader(definition), echo_printer(definition)
         if as_json:
             show = CassandraTopic_json(metadata.msg_type, metadata.md5sum, definition).print_tree
 
         def print_wire(wire: bytes) -> str:
-            tree = reader.read(wire, Budget(_NO_LIMIT, 1, self._elements, self._characters))
+            tree = reader.read(wire, Budget(self._most, 1, self._elements, self._characters))
             if tree is None:
-                raise CorruptMessage(f"{len(wire)} bytes of {metadata.msg_type} have no text")
+                raise too_long()
             return show(tree)
 
         return print_wire

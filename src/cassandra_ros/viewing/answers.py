@@ -8,9 +8,12 @@ meet them writes null or a text.
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Iterator, Mapping, Sequence, Union
+
+from cassandra_ros.query.answer_bound import AnswerBound
 
 Json = Union[None, bool, int, float, str, "Sequence[Json]", "Mapping[str, Json]"]
 
@@ -53,3 +56,40 @@ class SpooledFile:
 
 
 Answer = Union[Json, Bytes, Stream, SpooledFile]
+
+
+def json_bytes(answer: Json) -> bytes:
+    """Write the JSON of an answer, row by row.
+
+    Raises:
+        AnswerTooLarge: It has more bytes than one answer may have.
+    """
+    bound = AnswerBound("the answer", "ask for a shorter time, fewer topics or fewer columns")
+    parts: list[bytes] = []
+    for text in _texts(answer):
+        raw = text.encode("utf-8", "backslashreplace")
+        bound.take(len(raw))
+        parts.append(raw)
+    return b"".join(parts)
+
+
+def _texts(answer: Json) -> Iterator[str]:
+    """Yield the JSON of an answer, each row of the lists that an object holds by itself."""
+    if not isinstance(answer, Mapping):
+        yield _text(answer)
+        return
+    before = "{"
+    for name, value in answer.items():
+        yield f"{before}{_text(name)}:"
+        before = ","
+        if isinstance(value, list) and value and isinstance(value[0], list):
+            for number, row in enumerate(value):
+                yield ("," if number else "[") + _text(row)
+            yield "]"
+        else:
+            yield _text(value)
+    yield "}" if answer else "{}"
+
+
+def _text(value: Json) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))

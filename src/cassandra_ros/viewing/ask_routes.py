@@ -9,7 +9,12 @@ from dataclasses import replace
 from typing import Callable, Sequence
 
 from cassandra_ros.arrays.array_types import column_types
-from cassandra_ros.errors import CassandraRosError, InvalidOption, TopicNotFound
+from cassandra_ros.errors import (
+    AnswerTooLarge,
+    CassandraRosError,
+    InvalidOption,
+    TopicNotFound,
+)
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.complete import Known, complete
 from cassandra_ros.query.parse import parse_select
@@ -119,11 +124,16 @@ def _page(call: Call, result: QueryResult, limit: int) -> Json:
     times: list[Json] = []
     cursor = ""
     for row in result:
-        rows.append([cells.shown(value) for value in row])
+        try:
+            rows.append([cells.shown(value) for value in row])
+        except AnswerTooLarge:
+            if rows:
+                break  # the next page begins with it
+            raise
         at = result.position
         times.append(cells.time_in(row) if at is None else str(at.t))
         cursor = result.cursor
-        if len(rows) >= limit or cells.bytes >= PAGE_BYTES:
+        if len(rows) >= limit or cells.size >= PAGE_BYTES:
             break
     else:
         cursor = ""

@@ -9,9 +9,16 @@ import math
 from typing import Sequence
 
 from cassandra_ros.messages.stamps import is_time
+from cassandra_ros.query.answer_bound import AnswerBound
 from cassandra_ros.viewing.answers import Json
 
 _EXACT = 2**53
+_FLOAT_BYTES = 20
+"""About the length of a float with all its digits."""
+_FEWER = (
+    "select fewer columns, one element of an array as data[0], or len(…) of it, or give cut, which "
+    "shortens long values"
+)
 
 
 class Cells:
@@ -20,17 +27,21 @@ class Cells:
     Args:
         cut: Of longer arrays, texts and bytes only so many elements, as {first, of}; None = all.
 
-    Attributes:
-        bytes: About what the values so far take.
+    A value raises AnswerTooLarge where all of them would take more than one answer may.
     """
 
     def __init__(self, cut: int | None) -> None:
         self._cut = cut
-        self.bytes = 0
+        self._bound = AnswerBound("a row of the answer", _FEWER)
+
+    @property
+    def size(self) -> int:
+        """About what the values so far take, bytes."""
+        return self._bound.bytes
 
     def shown(self, value: object) -> Json:
-        """Return a value of a row."""
-        self.bytes += 8
+        """Return a value of a row; AnswerTooLarge: there is no room for it."""
+        self._bound.take(_FLOAT_BYTES if isinstance(value, float) else 8)
         if isinstance(value, (str, bytes, bytearray, list)):
             return self._several(value)
         if value is None or isinstance(value, bool):
@@ -48,7 +59,7 @@ class Cells:
         if isinstance(first, list):
             found: Json = [self.shown(element) for element in first]
         else:
-            self.bytes += len(first)
+            self._bound.take(len(first))
             text = first if isinstance(first, str) else base64.b64encode(first).decode("ascii")
             found = str(text)
         return found if first is value else {"first": found, "of": count}

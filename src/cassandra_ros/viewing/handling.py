@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import logging
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -21,7 +20,7 @@ from aiohttp import web
 from aiohttp.typedefs import Handler
 
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable
-from cassandra_ros.viewing.answers import Bytes, SpooledFile, Stream
+from cassandra_ros.viewing.answers import Bytes, SpooledFile, Stream, json_bytes
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.file_answer import send_file
 from cassandra_ros.viewing.route import Route
@@ -191,8 +190,7 @@ def _work(route: Route, call: Call) -> Union[Bytes, SpooledFile, _Chunks]:
         if call.gone.is_set():
             chunks.close()
         return chunks
-    text = json.dumps(answer, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return Bytes(text.encode("utf-8", "backslashreplace"), "application/json")
+    return Bytes(json_bytes(answer), "application/json")
 
 
 def _query(request: web.Request) -> Mapping[str, Sequence[str]]:

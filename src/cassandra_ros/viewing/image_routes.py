@@ -37,7 +37,8 @@ def _message(call: Call) -> Bytes:
         "name": row.name,
         "position": encode_cursor(row.position),
     }
-    text = MessageText(True, call.count("elements"), call.count("characters")).of(row)
+    elements, characters = call.count("elements"), call.count("characters")
+    text = MessageText(True, elements, characters, bounded=True).of(row)
     body = f'{json.dumps(known, ensure_ascii=False)[:-1]}, "message": {text}}}'
     return Bytes(body.encode("utf-8", "surrogatepass"), "application/json")
 
