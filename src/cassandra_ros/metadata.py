@@ -5,14 +5,23 @@
 from __future__ import annotations
 
 import json
+import logging
+import re
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Iterator, Mapping
+from functools import lru_cache, partial
+from typing import Any, Callable, Iterator, Mapping
 
 from cassandra_ros.errors import UnsupportedSchema
-from cassandra_ros.keys import NAMED_FORMATS
+from cassandra_ros.keys import KEY_FORMATS, NAMED_FORMATS
+
+_log = logging.getLogger(__name__)
 
 SCHEMA_VERSION = 1
 _OURS, _FILLING = "cassandra_ros", "cassandra_ros_filling"
+FORMAT_NAMES = ("binary", "string", "yaml", "json", "ros", "packed")
+"""In the table of formats they are the same."""
+MAX_LIFETIME_SEC = 20 * 365 * 86_400
+"""Largest time to live that Cassandra takes, s."""
 SHADOW = "_ix"
 """What the names of shadow columns begin with: SAI takes no dotted names."""
 
@@ -130,6 +139,8 @@ def shadow_column(number: int) -> str:
 def from_comment(comment: str, table: str) -> TopicMetadata | None:
     """Read the metadata out of the comment of any table; None where that is not one of ours.
 
+    Where the comment is ours but a field cannot be what it says, a warning names the table, once.
+
     Raises:
         UnsupportedSchema: A newer release wrote it.
     """
@@ -148,12 +159,96 @@ def from_comment(comment: str, table: str) -> TopicMetadata | None:
         )
     known = {f.name for f in fields(TopicMetadata)}
     kept = {name: value for name, value in values.items() if name in known}
+    missing = [name for name in _REQUIRED if name not in kept]
+    if missing:
+        _skip(table, f"{missing[0]} is missing")
+        return None
+    for name, value in kept.items():
+        if not _CHECKS[name](value):
+            _skip(table, f"{name} cannot be {value!r:.80}")
+            return None
     kept["columns"] = tuple(kept.get("columns", ()))
     kept["replaces"] = tuple(kept.get("replaces", ()))
+    return TopicMetadata(**kept)
+
+
+@lru_cache(maxsize=1024)
+def _skip(table: str, reason: str) -> None:
+    """Warn of a table that is left out; once, for comments are read every few seconds."""
+    _log.warning(
+        "table %s is left out: its comment was changed by hand or by another program, %s; put the "
+        "comment right to read its messages again",
+        table,
+        reason,
+    )
+
+
+def _is_text(value: object) -> bool:
+    """Say whether a value is a text that can be written as UTF-8."""
     try:
-        return TopicMetadata(**kept)
-    except TypeError:
-        return None  # as above: our version, but not our keys
+        return isinstance(value, str) and value.encode("utf-8") is not None
+    except UnicodeEncodeError:
+        return False
+
+
+def _is_name(value: object) -> bool:
+    return _is_text(value) and value != ""
+
+
+def _is_bool(value: object) -> bool:
+    return isinstance(value, bool)
+
+
+def _is_integer(value: object, least: int = 0, most: int = 2**63 - 1) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
+
+
+def _is_one_of(known: tuple[str, ...], value: object) -> bool:
+    return isinstance(value, str) and value in known
+
+
+def _is_mapping(value: object) -> bool:
+    """Say whether a value is a JSON object; its keys must be texts, its values may be anything."""
+    return isinstance(value, dict) and all(map(_is_text, value))
+
+
+def _is_texts(value: object) -> bool:
+    return isinstance(value, dict) and all(map(_is_text, (*value, *value.values())))
+
+
+def _is_indexes(value: object) -> bool:
+    """Say whether a value maps fields to shadow columns."""
+    return (
+        isinstance(value, dict)
+        and all(map(_is_text, value))
+        and all(isinstance(v, str) and _SHADOW_COLUMN.fullmatch(v) for v in value.values())
+    )
+
+
+def _is_list(each: Callable[[object], bool], value: object) -> bool:
+    return isinstance(value, (list, tuple)) and all(map(each, value))
+
+
+_REQUIRED = ("topic", "msg_type", "md5sum", "format", "bucket_ns")
+_SHADOW_COLUMN = re.compile(f"{SHADOW}[0-9]{{1,9}}")
+_CHECKS: Mapping[str, Callable[[object], bool]] = {
+    **dict.fromkeys(("topic",), _is_name),
+    **dict.fromkeys("msg_type md5sum definition key_part nodeID comment date".split(), _is_text),
+    "format": partial(_is_one_of, FORMAT_NAMES),
+    "key_format": partial(_is_one_of, KEY_FORMATS),
+    "bucket_ns": partial(_is_integer, least=1),
+    "ttl": partial(_is_integer, most=MAX_LIFETIME_SEC),
+    **dict.fromkeys(("generation", "span_ns"), _is_integer),
+    "index_count": partial(_is_integer, most=10**9),
+    "version": partial(_is_integer, least=1),
+    **dict.fromkeys(("own_time", "filling", "cut"), _is_bool),
+    "indexes": _is_indexes,
+    "index_names": _is_texts,
+    "columns": partial(_is_list, _is_mapping),
+    "replaces": partial(_is_list, _is_name),
+    "user": _is_mapping,
+}
+"""What a comment may say of each field."""
 
 
 FACTS = (

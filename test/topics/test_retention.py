@@ -30,13 +30,13 @@ STEP = SECOND_NS // 2
 NOW = T0 + COUNT * STEP
 
 
-def write(store, topic, messages, fmt, writer_id, latching=False, bucket_sec=10):
+def write(store, topic, messages, fmt, writer_id, latching=False, bucket_sec=10, node="r"):
     """Store (time, message), by one publisher."""
     kind = type(messages[0][1])
     header = {"type": kind._type, "md5sum": kind._md5sum, "message_definition": kind._full_text}
     header.update({"latching": "1"} if latching else {})
-    run = Run("r", writer_id, "recording", name=f"run{writer_id}")
-    with store.messageWriter(writer_id=writer_id, run=run, nodeID="r", format=fmt) as writer:
+    run = Run(node, writer_id, "recording", name=f"run{writer_id}")
+    with store.messageWriter(writer_id=writer_id, run=run, nodeID=node, format=fmt) as writer:
         handle = writer.connect(live_connection(topic, header), bucket_ns=bucket_sec * SECOND_NS)
         for n, (t, msg) in enumerate(messages):
             writer.write(handle, t, n, serialize(msg))
@@ -197,3 +197,21 @@ def test_as_it_is_typed(topics, cassandra, capsys, monkeypatch):
     assert left(topics, "/rows") == [40.0, *seconds(70, 89, 1), *seconds(90, 99.5)]
     assert call("--max-age", "1e9")[0] == call("--keep", "/a: b = 1")[0] == call()[0] == 2
     assert call("--max-size", "1T", "--yes", "-q") == (0, "", "")
+
+
+def test_a_hit_behind_the_cutoff_keeps_what_lies_before_it(topics):
+    """The battery is low at second 40, one second behind what is dropped."""
+    keep = {"/battery": "data < 11"}
+    topics.upkeep.retain("/rows", max_age=61, keep=keep, before=3, after=0, now=NOW)
+    assert left(topics, "/rows") == seconds(37, 99.5)
+
+
+def test_each_robot_is_thinned_by_itself(topics):
+    """Both publish over the same connection header, one a quarter of a second after the other."""
+    for node, writer, late in (("a", 11, 0), ("b", 12, STEP // 2)):
+        every = [(T0 + n * STEP + late, Int64(n)) for n in range(40)]
+        write(topics, "/both", every, "binary", writer, node=node)
+    topics.upkeep.retain("/both", thin=0.5, now=NOW)
+    for node in "ab":
+        rows = topics.getTopic("/both").items(nodeID=node)
+        assert [msg.data for _, msg in rows] == list(range(0, 40, 4))
