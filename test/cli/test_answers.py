@@ -211,4 +211,4 @@ def test_nothing_is_drawn_of_what_was_deleted(rosCas, call):
     topic.removeData(0, 2 * 10**18)
     status, out, err = call("info")
     assert (status, err) == (0, "")
-    assert "messages:  0 of 1 topics" in out and "activity" not in out
+    assert "messages:  0 of 1 topic" in out and "activity" not in out

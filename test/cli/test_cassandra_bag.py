@@ -207,7 +207,7 @@ def test_info_of_a_hundred_million_messages_reads_none_of_them(call, rosCas):
     assert json.loads(out)["topics"][0]["rate_hz"] == pytest.approx(4 / 3)
     status, out, _ = call("info", "/many")
     assert status == 0
-    assert "messages:  100000001 of 1 topics" in out
+    assert "messages:  100000001 of 1 topic\n" in out
     assert "duration:  277777hr 46:40s (1000000000s)" in out
 
 

@@ -10,7 +10,9 @@ from random import Random
 
 import pytest
 from bag.truth import read_with_rosbag, string_connection, string_wire
+from keyspaces import new_name
 
+from cassandra_ros import Cassandra
 from cassandra_ros.bag import allowance
 from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.writer import BagWriter
@@ -114,7 +116,7 @@ def test_salvage_of_a_bag_that_was_never_closed(call, tmp_path):
     status, out, err = call("import", left, "--salvage")
     assert (status, err.count("\n")) == (0, 1)
     assert "no message that the file holds is lost" in err
-    assert "50 messages of 1 topics" in out
+    assert "50 messages of 1 topic are" in out
     assert [m[1:] for m in read_with_rosbag(path)[1]] == [m[1:] for m in expected]
     target = tmp_path / "out.bag"
     assert call("export", "-o", target)[0] == 0
@@ -212,3 +214,62 @@ def test_large_chunks_need_an_option(call, tmp_path, monkeypatch):
     assert f"equal: {path}" in out
     assert call("verify", path, "--content", "--allow-large-chunks")[0] == 0
     assert call("verify", path, "--content")[0] == 1
+
+
+def test_all_bags_of_a_folder(call, tmp_path):
+    folder, inner = tmp_path / "drive", tmp_path / "drive" / "inner"
+    inner.mkdir(parents=True)
+    make_bag(folder / "b.bag", ("/b",), count=1)
+    make_bag(folder / "A.BAG", ("/a",), count=1)
+    make_bag(inner / "c.bag", ("/c",))
+    (folder / "notes.txt").write_text("none of these")
+    shutil.copyfile(inner / "c.bag", folder / "d.bag.active")
+    status, out, err = call("import", folder)
+    assert (status, err) == (0, "")
+    assert [line.split()[0] for line in out.splitlines()[-2:]] == [
+        str(folder / "A.BAG"),
+        str(folder / "b.bag"),
+    ]
+    assert f"{folder / 'b.bag'}: 1 message of 1 topic is in keyspace" in out
+    assert "/c" not in call("list")[1]
+    found = json.loads(call("import", folder, "-r", "--salvage", "--json")[1])
+    files = [str(folder / name) for name in ("A.BAG", "b.bag", "d.bag.active", "inner/c.bag")]
+    assert [each["path"] for each in found["files"]] == files
+    assert "/c" in call("list")[1]
+
+
+def test_a_folder_without_bags_says_so(call, tmp_path):
+    (tmp_path / "inner").mkdir()
+    make_bag(tmp_path / "inner" / "c.bag")
+    status, out, err = call("import", tmp_path)
+    assert (status, out, err.count("\n")) == (1, "", 1)
+    assert f"folder {tmp_path} holds no bag or MCAP file (.bag, .mcap); --recursive looks" in err
+    status, _, err = call("import", tmp_path / "inner", tmp_path, "--recursive", "-q")
+    assert (status, err) == (0, "")
+
+
+def test_a_keyspace_of_another_program_is_told(call, cassandra, tmp_path):
+    make_bag(tmp_path / "a.bag")
+    name = new_name()
+    with Cassandra(cassandra.host, cassandra.port) as cas:
+        cas.execute(
+            f"CREATE KEYSPACE {name} WITH replication = "
+            "{'class': 'SimpleStrategy', 'replication_factor': 1}",
+            what="making a keyspace",
+        )
+        try:
+            assert "another program" not in call("list", keyspace=name)[1]
+            cas.execute(f"CREATE TABLE {name}.carts (id int PRIMARY KEY)", what="making a table")
+            status, out, _ = call("list", keyspace=name)
+            text = f"keyspace {name} is of another program: its tables are carts"
+            assert (status, out) == (0, f"keyspace {name} holds no such topic; {text}\n")
+            status, _, err = call("import", tmp_path / "a.bag", keyspace=name)
+            assert (status, err) == (
+                0,
+                f"cassandra_bag: {text}; the topics are stored beside them\n",
+            )
+            # From now on it is ours, too.
+            assert call("import", tmp_path / "a.bag", keyspace=name)[2] == ""
+            assert "another program" not in call("list", "nothing", keyspace=name)[1]
+        finally:
+            cas.execute(f"DROP KEYSPACE {name}", what="dropping a keyspace")

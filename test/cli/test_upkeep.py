@@ -63,7 +63,7 @@ def test_rename_meta_truncate_and_keyspaces(topics, call, monkeypatch, new_keysp
         assert (status, out) == (1, "") and "Remove all 6 messages of 2 topics in keyspace" in err
         assert err.endswith("nothing was deleted\n")
     status, out, err = call("truncate", "/front", "--dry-run")
-    assert (status, err) == (0, "") and "3 messages of 1 topics" in out
+    assert (status, err) == (0, "") and "3 messages of 1 topic" in out
     assert topics.getTopic("/front").countTopicData() == 3
     monkeypatch.setattr(sys, "stdin", Terminal("y\n"))
     assert json.loads(call("truncate", "/front", "--json")[1]) == {"removed": {"/front": 3}}

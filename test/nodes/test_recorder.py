@@ -358,7 +358,7 @@ def test_simulated_time(roscore, recorder, rosCas):
     # rospy itself subscribes with a queue of one, and would let the others share it.
     assert sorted(wires(rosCas, "/clock")) == sorted(ticks)
     assert "1 lost: no clock: simulated time" in child.output
-    assert "1 messages were lost" in child.output
+    assert "1 message was lost" in child.output
 
 
 # -------------------------------------------------------------------- options

@@ -302,7 +302,7 @@ def test_a_status_line_only_on_a_terminal(roscore, cassandra, keyspace, rosCas):
     while b"0 lost" not in said:
         assert time.monotonic() < deadline
         said += os.read(ours, 4096)
-    assert b"recording line, 1 topics, 0 msg/s" in said
+    assert b"recording line, 1 topic, 0 msg/s" in said
     process.terminate()
     while True:
         try:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 
 from cassandra_ros.bag import mcap_format
@@ -17,6 +18,35 @@ from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError
 
 MCAP_ENDING = ".mcap"
+_ENDINGS = (".bag", MCAP_ENDING)
+_UNFINISHED = ".active"
+
+
+def files_of(path: str, recursive: bool = False, unfinished: bool = False) -> list[str]:
+    """List the bags and MCAP files of a folder, sorted; of anything else return the path itself.
+
+    Args:
+        recursive: Look into its subfolders, too; links to folders are not followed.
+        unfinished: Also those that a recorder has not closed, called *.active.
+
+    Raises:
+        BagError: There are none.
+    """
+    if not os.path.isdir(path) or os.path.exists(os.path.join(path, METADATA)):
+        return [path]
+    endings = tuple(
+        ending + more for ending in _ENDINGS for more in ("", _UNFINISHED)[: 1 + unfinished]
+    )
+    found = [
+        os.path.join(folder, name)
+        for folder, _, names in itertools.islice(os.walk(path), None if recursive else 1)
+        for name in names
+        if name.lower().endswith(endings)
+    ]
+    if not found:
+        hint = "" if recursive else "; --recursive looks into its subfolders"
+        raise BagError(f"folder {path} holds no bag or MCAP file ({', '.join(endings)}){hint}")
+    return sorted(found)
 
 
 def open_file(

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Callable, Iterator, Sequence
 
 from cassandra_ros.errors import ConnectionFailed, InvalidKey, InvalidOption, TlsMismatch
 from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
-from cassandra_ros.shown import shown_lines
+from cassandra_ros.shown import shown, shown_lines
 from cassandra_ros.store.address import (
     DEFAULT_HOST,
     DEFAULT_KEYSPACE,
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 RETRY_SEC = 1.0
 """How often a store is asked that is waited for."""
+_MOST_TABLES = 5
+"""Maximum number of tables of another program that are named."""
 _REMAPPING = re.compile(r"[A-Za-z0-9_~/]*:=")
 
 
@@ -164,6 +166,19 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
             ros_cas.close()
             raise
     return ros_cas
+
+
+def foreign_keyspace(ros_cas: RosCassandra, before: str = "") -> str:
+    """Say, after ``before``, that a keyspace holds tables of others alone; '' = it does not."""
+    from cassandra_ros.topics.keyspace_list import tables_of_others
+
+    tables = tables_of_others(ros_cas.cassandra, str(ros_cas.keyspace))
+    if not tables:
+        return ""
+    named = ", ".join(map(shown, tables[:_MOST_TABLES]))
+    more = ", …" if len(tables) > _MOST_TABLES else ""
+    whose = f"keyspace {ros_cas.keyspace} is of another program"
+    return f"{before}{whose}: its tables are {named}{more}"
 
 
 def _hurry_on_interrupt(outage: Outage) -> None:

@@ -40,6 +40,7 @@ from cassandra_ros.cli.readers import (
     seconds,
     whole_number,
 )
+from cassandra_ros.cli.text import counted
 from cassandra_ros.errors import InvalidName, InvalidOption
 from cassandra_ros.shown import shown, shown_lines
 
@@ -275,7 +276,7 @@ def closing_line(state: PlayerState) -> str:
     missed = sum(topic.missed for topic in state.topics)
     left_out = sum(topic.left_out for topic in state.topics)
     number = len(state.topics)
-    text = f"played {published} messages of {number} topic{'' if number == 1 else 's'}"
+    text = f"played {counted(published, 'message')} of {counted(number, 'topic')}"
     if missed:
         text += f"; slow subscribers missed {missed}"
     if left_out:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import shutil
 from typing import TYPE_CHECKING, Optional, Sequence, TextIO
 
-from cassandra_ros.cli.text import format_bytes, format_table, format_time
+from cassandra_ros.cli.text import counted, format_bytes, format_table, format_time
 from cassandra_ros.shown import shown, shown_lines
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def status_text(status: Status, rates: Rates) -> str:
     topics = status.topics
     parts = [
         f"{status.state} {shown(status.run)}".rstrip(),
-        f"{len(status.subscribed)} topics",
+        counted(len(status.subscribed), "topic"),
         f"{hertz:.0f} msg/s",
         f"{format_bytes(int(nbytes))}/s",
         f"{sum(report.stored for report in topics)} stored",
@@ -75,7 +75,7 @@ def status_text(status: Status, rates: Rates) -> str:
 def failures(reports: Sequence[TopicReport]) -> list[str]:
     """Say what was not recorded that should have been."""
     lost = sum(report.lost for report in reports)
-    found = [f"{lost} messages were lost"] if lost else []
+    found = [f"{counted(lost, 'message')} {'was' if lost == 1 else 'were'} lost"] if lost else []
     for report in reports:
         if report.unheard_sec:
             found.append(

@@ -59,6 +59,11 @@ def format_length(ns: int) -> str:
     return f"{ns} ns"
 
 
+def counted(count: int, noun: str) -> str:
+    """Write a number of things: 1 message, 2 messages."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
 def format_duration(ns: int) -> str:
     """Write a duration as rosbag info does: 37.9s, 1:38s (98s), 2hr 1:38s (7298s)."""
     total = ns // SECOND_NS

@@ -55,6 +55,19 @@ def list_keyspaces(cassandra: Cassandra) -> List[KeyspaceInfo]:
     ]
 
 
+def tables_of_others(cassandra: Cassandra, keyspace: str) -> List[str]:
+    """List the tables of a keyspace, sorted, where none is ours; [] = some are, or it is empty."""
+    names = "table_name, comment"
+    rows = cassandra.system_schema("tables", names, keyspace)
+    for table, comment in rows:
+        try:
+            if table in SIDE_TABLES or from_comment(comment or "", f"{keyspace}.{table}"):
+                return []
+        except UnsupportedSchema:
+            return []  # of a newer release
+    return sorted(table for table, _ in rows)
+
+
 def _copies(replication: Mapping[str, str]) -> Dict[str, int]:
     factors = {name: text for name, text in replication.items() if name != "class"}
     return {

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, add_time_options, open_store, read_times
-from cassandra_ros.cli.text import MessageBar, format_bytes, format_time
+from cassandra_ros.cli.text import MessageBar, counted, format_bytes, format_time
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.shown import shown
@@ -82,9 +82,9 @@ def _print(report: CheckReport, options: argparse.Namespace, seconds: float) -> 
         print(f"… and {report.found - len(report.damages)} more")
     if report.found or not options.quiet:
         print(
-            f"keyspace {options.keyspace}: {report.messages} messages, "
-            f"{format_bytes(report.bytes)} in {report.buckets} buckets read ({seconds:.1f} s); "
-            f"{report.found} damages, {report.mended} mended"
+            f"keyspace {options.keyspace}: {counted(report.messages, 'message')}, "
+            f"{format_bytes(report.bytes)} in {counted(report.buckets, 'bucket')} read "
+            f"({seconds:.1f} s); {counted(report.found, 'damage')}, {report.mended} mended"
         )
     if report.unsummed and not options.quiet:
         print(

@@ -20,7 +20,7 @@ import time
 
 from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.text import MessageBar
+from cassandra_ros.cli.text import MessageBar, counted
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.formats.table import FORMATS
@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
             if options.quiet or options.json:
                 continue
             if report.tables:
-                what = f"{report.messages} messages converted to format {report.format}"
+                what = f"{counted(report.messages, 'message')} converted to format {report.format}"
                 print(f"topic {shown(topic)}: {what} ({time.monotonic() - begun:.1f} s)")
             else:
                 print(f"topic {shown(topic)}: is kept in format {report.format} already")

@@ -31,7 +31,7 @@ from cassandra_ros.cli.options import (
     read_where,
 )
 from cassandra_ros.cli.parsers import error_line
-from cassandra_ros.cli.text import format_table
+from cassandra_ros.cli.text import counted, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.shown import shown
 
@@ -108,8 +108,9 @@ def _remove(ros_cas: RosCassandra, topics: list[str], dry_run: bool) -> dict[str
 def _sum(counts: dict[str, int], whole: bool) -> str:
     count = sum(counts.values())
     if whole:
-        return f"{len(counts)} topics with their {count} messages"
-    return f"{count} messages of {len([each for each in counts.values() if each])} topics"
+        return f"{counted(len(counts), 'topic')} with their {counted(count, 'message')}"
+    topics = sum(1 for each in counts.values() if each)
+    return f"{counted(count, 'message')} of {counted(topics, 'topic')}"
 
 
 def _table(counts: dict[str, int]) -> str:

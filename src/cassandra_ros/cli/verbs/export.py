@@ -32,7 +32,7 @@ from cassandra_ros.cli.options import (
     read_times,
     read_where,
 )
-from cassandra_ros.cli.text import MessageBar, format_bytes, format_table
+from cassandra_ros.cli.text import MessageBar, counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics_option, stored_topics
 from cassandra_ros.shown import shown
 
@@ -127,6 +127,7 @@ def _print_report(report: ExportReport, start: str | None, seconds: float) -> No
     if early:
         print(f"of these {early} were latched before {start}, and stand at that time")
     print(
-        f"{report.path}: {sum(report.messages.values())} messages of {len(rows)} topics, "
+        f"{report.path}: {counted(sum(report.messages.values()), 'message')} of "
+        f"{counted(len(rows), 'topic')}, "
         f"{format_bytes(report.bytes)} ({seconds:.1f} s)"
     )

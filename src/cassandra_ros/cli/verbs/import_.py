@@ -9,7 +9,11 @@ be kept (it holds a NUL) is left out: a warning says how many messages that are,
 is 1. So are the messages of an MCAP that are none of ROS 1, as JSON or protobuf.
 
   cassandra_bag import *.bag
+  cassandra_bag import /data/monday /data/tuesday --recursive
   cassandra_bag import crashed.bag.active --salvage
+
+Of a folder all bags and MCAP files are imported, sorted by name: those called *.bag and *.mcap,
+with --salvage also *.bag.active and *.mcap.active.
 
 Of several FILEs those that cannot be read are passed over; a table at the end tells what became of
 each: stored, salvaged (nothing that the file holds is missing), incomplete, failed or, where the
@@ -33,10 +37,11 @@ from cassandra_ros.cli.options import (
     add_format_option,
     add_large_chunks_option,
     add_store_options,
+    foreign_keyspace,
     open_store,
 )
 from cassandra_ros.cli.parsers import error_line
-from cassandra_ros.cli.text import MessageBar, format_bytes, format_table
+from cassandra_ros.cli.text import MessageBar, counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
 from cassandra_ros.errors import (
     BagError,
@@ -88,7 +93,10 @@ LOOK_SEC = 0.2
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add bags, format, selection and the store."""
     add = parser.add_argument
-    add("bags", nargs="+", metavar="FILE", help="bags of format 2.0, or MCAP files of ROS 1")
+    text = "bags of format 2.0, MCAP files of ROS 1, or folders of such (*.bag, *.mcap)"
+    add("bags", nargs="+", metavar="FILE", help=text)
+    text = "of a folder import also what lies in its subfolders (default: not these)"
+    add("-r", "--recursive", action="store_true", help=text)
     add_format_option(parser)
     add_topics_option(parser, "the FILEs")
     add(
@@ -119,8 +127,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Import one bag after the other; say at the end what became of each."""
-    outcomes = [_Outcome(path) for path in options.bags]
+    from cassandra_ros.bag.opening import files_of
+
+    outcomes = [
+        _Outcome(path)
+        for given in options.bags
+        for path in files_of(given, options.recursive, options.salvage)
+    ]
     with open_store(options, make=True) as ros_cas:
+        foreign = foreign_keyspace(ros_cas)
+        if foreign:
+            hint = f"{foreign}; the topics are stored beside them"
+            print(error_line("cassandra_bag", hint), file=sys.stderr)
         try:
             for outcome in outcomes:
                 _try(ros_cas, outcome, options)
@@ -197,8 +215,9 @@ def _print_report(report: ImportReport, keyspace: str, seconds: float) -> None:
     if rows:
         header = ("topic", "messages", "size", "format")
         print(format_table(header, rows, right=("messages", "size")))
+    what = f"{counted(report.messages, 'message')} of {counted(len(rows), 'topic')}"
     print(
-        f"{shown(report.path)}: {report.messages} messages of {len(rows)} topics are in keyspace "
+        f"{shown(report.path)}: {what} {'is' if report.messages == 1 else 'are'} in keyspace "
         f"{keyspace} ({seconds:.1f} s)"
     )
 

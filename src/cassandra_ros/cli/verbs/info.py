@@ -39,6 +39,7 @@ from cassandra_ros.cli.options import (
     store_place,
 )
 from cassandra_ros.cli.text import (
+    counted,
     format_bytes,
     format_duration,
     format_length,
@@ -226,7 +227,7 @@ def _print_summary(found: _Found) -> None:
         for name, ns in zip(("start", "end"), ends):
             print(f"{name + ':':<10} {iso_time(ns)} ({ns // SECOND_NS}.{ns % SECOND_NS:09d})")
     print(f"size:      {format_bytes(found.bytes)}")
-    print(f"messages:  {found.messages} of {len(names)} topics")
+    print(f"messages:  {found.messages} of {counted(len(names), 'topic')}")
     types = [(shown(name), shown(md5sum)) for name, md5sum in found.types]
     width = max((len(name) for name, _ in types), default=0)
     for number, (name, md5sum) in enumerate(types):

@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 
 from cassandra_ros.cli.answers import add_json_option, print_json
-from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.cli.options import add_store_options, foreign_keyspace, open_store
 from cassandra_ros.cli.text import format_table
 from cassandra_ros.shown import shown
 
@@ -40,10 +40,11 @@ def run(options: argparse.Namespace) -> int:
             for topic in ros_cas.getAllTopics(pattern)
             for table in topic.tables
         ]
+        told = "" if rows or options.json else foreign_keyspace(ros_cas, "; ")
     if options.json:
         print_json([dict(zip(_HEADER, row)) for row in rows])
     elif rows:
         print(format_table(_HEADER, [tuple(map(shown, row)) for row in rows]))
     else:
-        print(f"keyspace {options.keyspace} holds no such topic")
+        print(f"keyspace {options.keyspace} holds no such topic{told}")
     return 0

@@ -42,7 +42,7 @@ from cassandra_ros.cli.options import (
     read_times,
 )
 from cassandra_ros.cli.readers import factor, whole_number
-from cassandra_ros.cli.text import MessageBar
+from cassandra_ros.cli.text import MessageBar, counted
 from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound
 from cassandra_ros.shown import shown
 
@@ -260,8 +260,8 @@ def _text(made: MadeMap, files: list[str], options: argparse.Namespace) -> str:
     found = made.map
     across, up = found.width * found.resolution, found.height * found.resolution
     lines = [
-        f"map of {made.used} messages of {shown(options.topic)}, {across:.1f} x {up:.1f} m in "
-        f"frame {shown(found.frame)}, "
+        f"map of {counted(made.used, 'message')} of {shown(options.topic)}, "
+        f"{across:.1f} x {up:.1f} m in frame {shown(found.frame)}, "
         f"{found.width} x {found.height} cells of {found.resolution:g} m",
         f"poses: {shown('; '.join(made.sources), None)}",
     ]
@@ -269,13 +269,14 @@ def _text(made: MadeMap, files: list[str], options: argparse.Namespace) -> str:
     if others:
         told = ", ".join(f"{shown(o.topic)} ({_percent(o.share)} of the messages)" for o in others)
         lines.append(f"--odom takes another topic of poses: {told}")
+    without = counted(made.without_pose, "message")
     if made.without_pose:
-        lines.append(f"left out: {made.without_pose} messages, for no pose is known at their times")
+        lines.append(f"left out: {without}, for no pose is known at their times")
     if made.unreadable:
-        lines.append(f"left out: {made.unreadable} messages that cannot be read")
+        lines.append(f"left out: {counted(made.unreadable, 'message')} that cannot be read")
     if made.received:
         text = "by their reception, for nothing that was recorded has the stamps of their headers"
-        lines.append(f"placed {text}: {made.received} messages")
+        lines.append(f"placed {text}: {counted(made.received, 'message')}")
     if files:
         lines.append(f"written: {', '.join(files)}")
     if options.store:

@@ -34,7 +34,7 @@ from cassandra_ros.cli.options import (
     read_time,
 )
 from cassandra_ros.cli.readers import age, byte_size, factor, seconds
-from cassandra_ros.cli.text import MessageBar, format_table
+from cassandra_ros.cli.text import MessageBar, counted, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.shown import shown
 
@@ -118,14 +118,16 @@ def run(options: argparse.Namespace) -> int:
             found = retain("counting", dry_run=True)
         if not options.dry_run:
             if not options.yes and _gone(found):
-                confirm(f"Drop {_gone(found)} messages?", _table(found))
+                confirm(f"Drop {counted(_gone(found), 'message')}?", _table(found))
             found = retain("dropping", dry_run=False)
     if options.json:
         answer = [{"topic": e.topic, **{n: getattr(e, n) for n in _NUMBERS}} for e in found]
         print_json({"topics": answer, "dry_run": options.dry_run})
     elif not options.quiet:
         print(_table(found))
-        print(f"{_gone(found)} messages {'would be' if options.dry_run else 'are'} dropped")
+        gone = _gone(found)
+        ends = "would be" if options.dry_run else "is" if gone == 1 else "are"
+        print(f"{counted(gone, 'message')} {ends} dropped")
     return 0
 
 

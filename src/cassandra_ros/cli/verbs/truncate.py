@@ -16,7 +16,7 @@ import argparse
 from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.confirming import add_dry_run_option, add_yes_option, confirm
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.text import format_bytes, format_table
+from cassandra_ros.cli.text import counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.shown import shown
 
@@ -42,7 +42,8 @@ def run(options: argparse.Namespace) -> int:
         rows = [(shown(name), str(n), format_bytes(size)) for name, (n, size) in counts.items()]
         table = format_table(("topic", "messages", "size"), rows, right=("messages", "size"))
         total = sum(count for count, _ in counts.values())
-        what = f"{total} messages of {len(topics)} topics in keyspace {options.keyspace}"
+        what = f"{counted(total, 'message')} of {counted(len(topics), 'topic')}"
+        what += f" in keyspace {options.keyspace}"
         if not (options.dry_run or options.yes):
             confirm(f"Remove all {what}?", table)
         for name in [] if options.dry_run else topics:

@@ -26,7 +26,7 @@ from cassandra_ros.cli.options import (
     read_pair,
     read_times,
 )
-from cassandra_ros.cli.text import MessageBar
+from cassandra_ros.cli.text import MessageBar, counted
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
 from cassandra_ros.shown import shown
 
@@ -79,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
             what = "topic, time, type, md5sum, bytes, connection, order"
         print(
             f"equal: {report.path} and keyspace {options.keyspace}, "
-            f"{report.equal_messages} messages ({what})"
+            f"{counted(report.equal_messages, 'message')} ({what})"
         )
         _print_left_out(report)
     return 0
@@ -126,10 +126,8 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
 
 def _print_left_out(report: VerifyReport) -> None:
     if report.left_out:
-        print(
-            f"not compared: {report.left_out} messages that the export took from before its window,"
-            " for they were latched"
-        )
+        what = f"{counted(report.left_out, 'message')} that the export took from before its window"
+        print(f"not compared: {what}, as latched")
 
 
 def _print_differences(report: VerifyReport) -> None:
