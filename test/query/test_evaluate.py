@@ -186,6 +186,13 @@ def test_patterns_that_would_take_for_ever():
     assert matches(String("a" * 5000), "data like ?", ["%a_" * 50 + "%"])
 
 
+def test_parts_of_a_pattern_do_not_overlap():
+    for text, pattern in (("aba", "ab%ba"), ("a", "a%a"), ("abc", "ab%b%bc"), ("aa", "a%a%a")):
+        assert not matches(String(text), "data like ?", [pattern])
+        assert matches(String(text), "data not like ?", [pattern])
+    assert matches(String("abba"), "data like 'ab%ba'") and matches(String("aa"), "data like 'a%a'")
+
+
 def test_like_on_nodes():
     assert matches(Bool(True), "NODE like 'husky_%'", node="husky_1")
     assert not matches(Bool(True), "NODE like 'Husky%'", node="husky_1")

@@ -145,3 +145,15 @@ def test_a_text_that_may_be_missing_in_the_column_is_not_pushed():
     assert ways_of(held, "=", ["äbcd"]) is None
     assert ways_of(held, "=", ["\ud800"]) is None
     assert ways_of(held, "<", ["b"]) is None
+
+
+@pytest.mark.parametrize("cql_type", [*CODES, "varint"])
+def test_integers_at_the_edges_of_their_type(cql_type):
+    bits = BITS.get(cql_type)
+    low, high = (0, 2**64 - 1) if bits is None else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    for asked in (low - 1, low, low + 1, low + 0.5, high - 1, high, high + 1):
+        for sign, compare in OPERATORS.items():
+            ways = ways_of(Held("c", cql_type), sign, [asked])
+            for value in (low, low + 1, high - 1, high):
+                if compare(value, asked):
+                    assert serverSays(cql_type, value, ways), (sign, asked, value)
