@@ -17,8 +17,8 @@ from cassandra_ros.keys import decode_cursor, encode_cursor
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store import replacement
-from cassandra_ros.topics import convert
+from cassandra_ros.store import replacement, succession
+from cassandra_ros.topics import convert, copying
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -365,3 +365,40 @@ def test_equal_stamps_of_a_client_keep_their_order(rosCas, between):
     assert topic.getData(T0).data == "0"
     assert len({key.seq >> 32 for key, _ in topic.items()}) == 1
     assert topic.countTopicData() == sum(info.count for info in rosCas.info(["/t"])) == 4
+
+
+def test_what_is_deleted_between_copy_and_switch_does_not_come_back(rosCas, monkeypatch):
+    """As an earlier release deletes, which knows nothing of conversions."""
+    fill(rosCas, "ros", 20)
+    topic, compare, deleted = rosCas.getTopic("/t"), copying.Copy.compare, []
+
+    def compare_then_delete(self):
+        count = compare(self)
+        if not deleted:
+            with monkeypatch.context() as earlier:
+                earlier.setattr(succession.Listing, "check_staying", lambda self, table: None)
+                deleted.append(topic.removeData(T0, T0))
+        return count
+
+    monkeypatch.setattr(copying.Copy, "compare", compare_then_delete)
+    monkeypatch.setattr(convert, "DELETING_SEC", 0.0)
+    before = topic.countTopicData()
+    rosCas.convertTopic("/t", "json")
+    assert deleted[0] > 0
+    assert topic.countTopicData() == len(list(topic.rows())) == before - deleted[0]
+
+
+def test_what_is_added_after_a_conversion_lives_as_long_as_the_topic_says(rosCas, cql):
+    topic = rosCas.addTopic("/t", "ros", msg_type="std_msgs/String", ttl=2000)
+    old = topic.tables[0]
+    key = topic.addData(String("old"), key=T0)
+    cql.execute(
+        f'UPDATE {old.qualified} USING TTL 700 SET "_conn" = %s WHERE "_node" = %s AND '
+        '"_bucket" = %s AND "_t" = %s AND "_seq" = %s',
+        (next(topic.rows()).conn, "", old.bucket_of(T0), T0, key.seq),
+    )
+    rosCas.convertTopic("/t", "binary")
+    rosCas.getTopic("/t").addData(String("new"), key=T0 + 1)
+    (table,) = topic.tables
+    left = dict(cql.execute(f'SELECT "_t", TTL("_conn") FROM {table.qualified}').all())
+    assert left[T0] <= 700 and 1900 < left[T0 + 1] <= 2000
