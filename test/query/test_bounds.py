@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
 from campaign import campaign
 from hypothesis import given
@@ -12,6 +14,7 @@ from query.rows import row_of
 from std_msgs.msg import Int64
 
 from cassandra_ros.keys import MAX_NS
+from cassandra_ros.query.nearby import _united
 from cassandra_ros.query.run import Condition
 
 
@@ -76,3 +79,19 @@ def test_no_row_that_matches_lies_outside(text, t, node, data):
     assert inside or not matched
     if found.whole:
         assert inside == matched
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_time_ranges_of_several_conditions_are_united(reverse):
+    numbers = random.Random(7)
+    for _ in range(300):
+        every = []
+        for _ in range(numbers.randrange(2, 4)):
+            ends = sorted(numbers.sample(range(30), 2 * numbers.randrange(4)))
+            every.append(list(zip(ends[::2], ends[1::2])))
+        asked = [lambda low, high, back, s=spans: iter(s[::-1] if back else s) for spans in every]
+        found = list(_united(asked)(0, 30, reverse))
+        inside = {t for spans in every for low, high in spans for t in range(low, high + 1)}
+        assert {t for low, high in found for t in range(low, high + 1)} == inside
+        found = found[::-1] if reverse else found
+        assert all(before[1] + 1 < after[0] for before, after in zip(found, found[1:]))

@@ -282,3 +282,37 @@ def test_texts_in_one_element_are_not_looked_for_in_the_first():
     assert all(any(Projections(select, [table]).of(table).hits(r)) for r in rowsOf(wires, table))
     sift = compile_sift(select.condition, table.definition)
     assert sift is None or sift(blockOf(wires)) is None
+
+
+DEEP = "\n".join(
+    [
+        "sift_msgs/Item[] items\nint32[] ints\nstring text",
+        "=" * 80,
+        "MSG: sift_msgs/Item\nsift_msgs/Small[] more",
+        "=" * 80,
+        "MSG: sift_msgs/Small\nint32 a",
+    ]
+)
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [
+        *("ANY(ints) NOT IN (7)", "ALL(ints) NOT IN (6)", "ANY(ints) NOT BETWEEN 5 AND 5"),
+        *("items.more[1].a = 9", "items[1].more[0].a = 9", "items[0].more[1].a = 3"),
+        *("text = '\ufffd'", "text in ('\ufffd', 'b')"),
+    ],
+)
+def test_messages_that_match_are_never_sifted_out(condition, monkeypatch):
+    """Elements beside others, an element of an element, and a text that is not UTF-8."""
+    monkeypatch.setattr(stacked, "MIN_STACKED", 1)
+    types = Types("sift_msgs/Deep", DEEP)
+    item, small = (types.classes[f"sift_msgs/{name}"] for name in ("Item", "Small"))
+    made = types.root(ints=[5, 4], text="#")
+    made.items = [item(more=[small(1), small(3)]), item(more=[small(9), small(9)])]
+    wires = [serialized(made).replace(b"#", b"\xff")] * 20
+    table = tableOf(types)
+    select = parse_select(f"select KEY from topic where {condition}", ())
+    assert all(any(Projections(select, [table]).of(table).hits(r)) for r in rowsOf(wires, table))
+    sift = compile_sift(select.condition, table.definition)
+    assert sift is None or sift(blockOf(wires)) is None
