@@ -358,6 +358,73 @@ def test_three_nodes(tmp_path, monkeypatch, caplog):
     assert not any(status.pid for status in make(tmp_path).status())
 
 
+def count_on(cluster, number, table):
+    """Count the rows that one node has itself."""
+    host = cluster.settings.address(number)
+    profile = ExecutionProfile(WhiteListRoundRobinPolicy([host]), request_timeout=180)
+    driver = Cluster(
+        [host], port=cluster.settings.port, execution_profiles={EXEC_PROFILE_DEFAULT: profile}
+    )
+    try:
+        asked = SimpleStatement(
+            f"SELECT count(*) FROM {table}", consistency_level=ConsistencyLevel.ONE
+        )
+        return driver.connect().execute(asked).one()[0]
+    finally:
+        driver.shutdown()
+
+
+@pytest.mark.long
+def test_a_node_whose_data_are_lost_comes_back(tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster_module, "START_TIMEOUT_SEC", 600.0)
+    monkeypatch.setattr(cluster_module, "_NEIGHBOUR_TIMEOUT_SEC", 120.0)
+    cluster = make(tmp_path, nodes=3, host="127.0.0.21", port=free_port(), heap="256M")
+    try:
+        assert cluster.start(die_with_us=True)
+        with pytest.raises(ServerError, match="node 2 runs"):
+            cluster.replace(2)
+        with pytest.raises(ServerError, match="there is no node 4"):
+            cluster.replace(4)
+        pids = [status.pid for status in cluster.status()]
+        with connect(cluster) as rosCas:
+            topic = rosCas.addTopic("/t", format="ros", msg_type="std_msgs/String")
+            for number in range(20):
+                topic.addData(String(str(number)), key=number)
+            table = topic.tables[0].qualified
+            assert nodes_asked(rosCas) == 3
+        os.kill(pids[1], signal.SIGKILL)
+        while processes.command_line(pids[1]):
+            time.sleep(0.01)
+        with pytest.raises(ServerError, match="node 2 has data"):
+            cluster.replace(2)
+        shutil.rmtree(tmp_path / "node2" / "data")
+        shutil.rmtree(tmp_path / "node2" / "commitlog", ignore_errors=True)
+        cluster = make(tmp_path)
+        with pytest.raises(ServerError, match="bring it back with: local_cassandra replace N"):
+            cluster.start(die_with_us=True)
+        await_nodes(cluster, [1, 3])
+        with pytest.raises(ServerError, match="node 1 runs"):
+            cluster.replace(1)
+        cluster.replace(2, die_with_us=True)
+        await_answers(cluster)
+        assert [count_on(cluster, number, table) for number in (1, 2, 3)] == [20, 20, 20]
+        with connect(cluster) as rosCas:
+            assert nodes_asked(rosCas) == 3
+            assert [m.data for _, m in rosCas.getTopic("/t").items()] == [str(n) for n in range(20)]
+        # Its door for commands is closed again.
+        pid = cluster.status()[1].pid
+        assert "jmx.local.port" not in " ".join(processes.command_line(pid))
+    finally:
+        make(tmp_path).stop()
+
+
+def await_nodes(cluster, numbers):
+    """Wait until some nodes answer."""
+    deadline = time.monotonic() + 180
+    while not all(status.answers for status in cluster.status() if status.node.number in numbers):
+        assert time.monotonic() < deadline, cluster.status()
+
+
 @pytest.mark.long
 def test_two_starts_at_once_make_one_server(tmp_path):
     program = (

@@ -188,7 +188,20 @@ def clear(options: argparse.Namespace) -> int:
     return 0
 
 
-VERBS = {verb.__name__: verb for verb in (install, start, stop, status, run, clear)}
+def replace(options: argparse.Namespace) -> int:
+    """Bring a node back whose data are lost; the others must run.
+
+    They give it their copies, and all copies are compared. A keyspace that keeps one copy of each
+    row has lost what lay on that node.
+    """
+    cluster = open_cluster(options)
+    begun = time.monotonic()
+    cluster.replace(options.number)
+    say(f"node {options.number} has its data again after {time.monotonic() - begun:.0f} s")
+    return 0
+
+
+VERBS = {verb.__name__: verb for verb in (install, start, stop, status, run, replace, clear)}
 
 
 def _add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
@@ -202,6 +215,8 @@ def _add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
         help="where its data lie (default: $CASSANDRA_ROS_DIR, else $ROS_HOME/cassandra_ros, else "
         "~/.ros/cassandra_ros)",
     )
+    if name == "replace":
+        add("number", metavar="N", type=int, help="number of the node, from 1 on")
     if name in ("start", "run"):
         _add_server_options(parser)
     elif name == "status":

@@ -22,6 +22,7 @@ from cassandra_ros.local_server.jars import (
     jars_directory,
 )
 from cassandra_ros.local_server.nodes import Node, NodeStatus, with_visible_root
+from cassandra_ros.local_server.ports import free_port
 from cassandra_ros.local_server.preflight import explain_failure, log_since, log_size
 from cassandra_ros.local_server.processes import locked
 from cassandra_ros.local_server.security import SUPERUSER, Security
@@ -159,6 +160,72 @@ class LocalCluster:
                 self._await_end(node, pid)
                 node.pid_file.unlink(missing_ok=True)
         return bool(running)
+
+    def replace(self, number: int, *, die_with_us: bool = False) -> None:
+        """Bring back a node whose data are lost: the others give it their copies, and are compared.
+
+        Keyspaces with one copy of each row have lost what lay there.
+
+        Args:
+            number: Of the node, from 1 on.
+            die_with_us: As start.
+
+        Raises:
+            ServerError: It runs, has data, or one of the others does not answer; or it fails.
+        """
+        if not self.exists or not 1 <= number <= self.settings.nodes or self.settings.nodes < 2:
+            raise ServerError(
+                f"there is no node {number} that others could give its data: the cluster in "
+                f"{self.directory} has {self.settings.nodes if self.exists else 0} nodes"
+            )
+        node = replace(self.nodes[number - 1], jmx_port=free_port())
+        with locked(self.directory / "lock"):
+            self._check_replaceable(node)
+            for name in ("data", "commitlog", "hints", "saved_caches"):
+                shutil.rmtree(node.directory / name, ignore_errors=True)
+            offset, java = log_size(node), self._check([node])
+            self._say(f"node {number} at {node.address} gets its data from the others")
+            self._start_node(node, java, die_with_us)
+            self._await_answer(node, offset)
+            self._await_neighbours([number], {n.number: 0 for n in self.nodes})
+            self._say(f"comparing the data of node {number} with the other copies")
+            self._repair(node, java)
+            # Once more, as it will be from now on: without the door for commands.
+            pid = self._pid(node)
+            processes.terminate(pid)
+            self._await_end(node, pid)
+            offset = log_size(node)
+            self._start_node(self.nodes[number - 1], java, die_with_us)
+            self._await_answer(self.nodes[number - 1], offset)
+            self._await_neighbours([number], {n.number: offset for n in self.nodes})
+
+    def _check_replaceable(self, node: Node) -> None:
+        if pid := self._pid(node):
+            raise ServerError(f"Cassandra node {node.number} runs (pid {pid}): it needs no other")
+        # A start without them has made some of the server's own keyspaces.
+        data = node.directory / "data"
+        if any(not each.name.startswith("system") for each in data.glob("*/")):
+            raise ServerError(
+                f"Cassandra node {node.number} has data in {node.directory}: start it; where they "
+                "cannot be used move that folder away first"
+            )
+        silent = [other for other in self.nodes if other.number != node.number]
+        silent = [other for other in silent if not other.answers()]
+        if silent:
+            raise ServerError(
+                f"Cassandra node {silent[0].number} does not answer: all the others are needed; "
+                "start them with local_cassandra start, which ends at the node without data"
+            )
+
+    def _repair(self, node: Node, java: str) -> None:
+        command = node.repair_command(java, jars_directory())
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            lines = (done.stdout + done.stderr).strip().splitlines()[-5:]
+            raise ServerError(
+                f"Cassandra node {node.number} has its data and runs, but they could not be "
+                "compared with the other copies:\n" + "\n".join(lines)
+            )
 
     def clear(self) -> bool:
         """Delete data, logs and settings of the stopped cluster, not the jars.

@@ -65,6 +65,8 @@ class Node:
     directory: Path
     """Absolute and free of links, so that a process can be known by its command line."""
     settings: Settings
+    jmx_port: int = 0
+    """Of a node that takes the place of one whose data are lost: where it takes commands."""
 
     @property
     def address(self) -> str:
@@ -124,8 +126,10 @@ class Node:
     def render_yaml(self) -> str:
         """Return the text of the node's cassandra.yaml: the common part, and its own values."""
         settings = self.settings
-        numbers = range(1, settings.nodes + 1)
-        seeds = ",".join(f"{settings.address(n)}:{settings.storage_port}" for n in numbers)
+        numbers = set(range(1, settings.nodes + 1))
+        if self.jmx_port:  # a seed does not fetch data
+            numbers.remove(self.number)
+        seeds = ",".join(f"{settings.address(n)}:{settings.storage_port}" for n in sorted(numbers))
         seed_provider = "org.apache.cassandra.locator.SimpleSeedProvider"
         own = {
             "cluster_name": settings.cluster_name,
@@ -138,6 +142,8 @@ class Node:
             "memtable_heap_space": f"{settings.java_heap_mb * 3 // 16}MiB",
             "memtable_offheap_space": f"{max(128, settings.java_heap_mb // 4)}MiB",
         }
+        if self.jmx_port:
+            own["auto_bootstrap"] = True
         if settings.secure:
             own.update(self.security.yaml())
         common = server_file("cassandra.yaml").read_text(encoding="utf-8")
@@ -156,10 +162,11 @@ class Node:
         arguments.append(f"-XX:MaxDirectMemorySize={max(512, heap // 2)}M")
         arguments.append("-XX:+UseParallelGC" if heap <= _SMALL_HEAP_MB else "-XX:+UseG1GC")
         arguments += _JVM_FLAGS.split() + _LOCAL_FLAGS.split()
+        if self.jmx_port:
+            arguments.append(f"-Dcassandra.replace_address_first_boot={self.address}")
+            arguments.append(f"-Dcassandra.jmx.local.port={self.jmx_port}")
         arguments += [f"-javaagent:{agent}" for agent in sorted(jars.glob("jamm-*.jar"))[:1]]
-        for option, packages in (("--add-exports", _EXPORTS), ("--add-opens", _OPENS)):
-            for package in packages.split():
-                arguments += [option, f"{package}=ALL-UNNAMED"]
+        arguments += _doors()
         return [
             *arguments,
             f"-Djava.io.tmpdir={self.directory / 'tmp'}",
@@ -172,6 +179,21 @@ class Node:
             str(jars / "*"),
             "org.apache.cassandra.service.CassandraDaemon",
         ]
+
+    def repair_command(self, java: str, jars: Path) -> list[str]:
+        """Return the command line that compares all data of the node with the other copies."""
+        words = [java, "-Xmx128M", f"-Duser.home={self.directory / 'tmp'}", "-cp", str(jars / "*")]
+        words += [*_doors(), "org.apache.cassandra.tools.NodeTool", "-h", "127.0.0.1"]
+        return [*words, "-p", str(self.jmx_port), "repair", "-full"]
+
+
+def _doors() -> list[str]:
+    """Return the options that let Cassandra's classes use packages of Java itself."""
+    found = []
+    for option, packages in (("--add-exports", _EXPORTS), ("--add-opens", _OPENS)):
+        for package in packages.split():
+            found += [option, f"{package}=ALL-UNNAMED"]
+    return found
 
 
 @dataclass(frozen=True)

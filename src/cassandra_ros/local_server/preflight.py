@@ -122,6 +122,11 @@ _REASONS = (
         "the directory holds the data of another cluster; choose another --dir, or delete this "
         "data with: local_cassandra clear --yes",
     ),
+    (
+        "already exists, cancelling join",
+        "the other nodes know one at this address, whose data are gone here; bring it back with: "
+        "local_cassandra replace N, where N is its number",
+    ),
     ("No space left on device", "the disk is full; make room, or choose another --dir"),
     ("Address already in use", "a port is taken by another program; choose another --port"),
     (
