@@ -169,7 +169,7 @@ export class XY {
   }
 
   /**
-   * Return the place of the point that is nearest to a place on the canvas; null: there is none.
+   * Return the place of the point that is nearest to a place on the canvas; null: no point is there.
    * @param {number} left Pixels.
    * @param {number} top Pixels.
    */

@@ -34,8 +34,9 @@ def _real(path: str) -> str:
 def runs_meant(runs: Sequence[Run], name: str) -> list[Run]:
     """Return the runs that a file name of class Bag means; [] = no run.
 
-    The runs of that very file come first. Where there are none, the name is that of runs, or a
-    writer id, unless another file bears it here: that one is not stored.
+    The runs of that very file come first. Where no run has this file as its source, the name is
+    looked up among the names and writer ids of runs, unless a file of that name exists here: that
+    file is not stored.
     """
     found = runs_of_file(runs, name)
     if found or os.path.isfile(name):
@@ -44,7 +45,7 @@ def runs_meant(runs: Sequence[Run], name: str) -> list[Run]:
 
 
 def told_alike(runs: Sequence[Run], path: str) -> str:
-    """Name the runs of other files that have the base name of this one; '' = there are none."""
+    """Name the runs of other files that have this base name; '' = no other file has it."""
     name = os.path.basename(path)
     alike = [run for run in runs if run.name == name and name]
     told = [

@@ -30,7 +30,7 @@ def files_of(path: str, recursive: bool = False, unfinished: bool = False) -> li
         unfinished: Also those that a recorder has not closed, called *.active.
 
     Raises:
-        BagError: There are none.
+        BagError: The folder holds no bag or MCAP file.
     """
     if not os.path.isdir(path) or os.path.exists(os.path.join(path, METADATA)):
         return [path]

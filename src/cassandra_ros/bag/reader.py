@@ -70,7 +70,7 @@ class BagReader(BagIndex, MessageFile):
                 super().__init__(file, name, place)
                 self._allowance = Allowance(file_bytes, large_chunks)
                 self._counted = bytearray(self.chunk_count)
-                """Of each chunk 1 where the allowance has counted it: it may be read again."""
+                """A byte for each chunk: 1 = the allowance has counted it, if it is read again."""
                 opened.pop_all()
         except OSError as exc:
             raise BagError(f"{name} cannot be read: {exc.strerror}") from exc

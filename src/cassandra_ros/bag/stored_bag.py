@@ -139,8 +139,8 @@ class Bag:
             nearest names.
         BagError: Mode 'w', and an imported bag or a recording has this path or name: that is not
             overwritten.
-        InvalidOption: A mode, a compression, a threshold or a name that is none (as rosbag a
-            ValueError); mode 'w', and what a Bag writes to this path has not ended.
+        InvalidOption: An unknown mode or compression, a threshold or a name that cannot be used (a
+            ValueError, as in rosbag); mode 'w' while another Bag still writes to this path.
         ConnectionFailed: No store answers.
     """
 
@@ -468,7 +468,7 @@ class Bag:
     def reindex(self) -> Iterator[int]:
         """Make the index anew, and yield the chunks that are read for it.
 
-        The store keeps its index with each message that it stores: there is none to read.
+        The store keeps its index with each message, so this yields nothing.
         """
         self._require_open()
         return iter(())

@@ -66,7 +66,7 @@ class Node:
     """Absolute and free of links, so that a process can be known by its command line."""
     settings: Settings
     jmx_port: int = 0
-    """Of a node that takes the place of one whose data are lost: where it takes commands."""
+    """Port for commands (JMX) of a node that replaces one whose data are lost; 0 = closed."""
 
     @property
     def address(self) -> str:

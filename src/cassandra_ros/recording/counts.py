@@ -63,7 +63,7 @@ class TopicReport:
 
     @property
     def reasons(self) -> Mapping[LossKind, int]:
-        """Why messages were lost → how many; 0 = nobody knows how many."""
+        """Why messages were lost → how many; 0 = the number is not known."""
         return {kind: total.count for kind, total in self.losses.items()}
 
     @property

@@ -21,7 +21,7 @@ class LossTotal:
     """What was lost of a topic for one reason."""
 
     count: int
-    """Number of messages; 0 = nobody knows how many."""
+    """Number of messages; 0 = the number is not known."""
     first_ns: int
     """When the first of them came, ns; 0 = not known."""
     last_ns: int

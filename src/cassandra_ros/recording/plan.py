@@ -35,7 +35,7 @@ class PlannedTopic:
     differences: Sequence[str]
     """In which ways what is stored is not as the settings want it."""
     problem: str = ""
-    """Why its condition does not fit its type; '' = it does, or there is none."""
+    """Why the topic's condition does not fit its type; '' = it fits, or no condition is set."""
 
 
 def plan_topics(

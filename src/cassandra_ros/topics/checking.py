@@ -4,9 +4,9 @@
 
 Read are the messages of each bucket, with the checksums of blocks and of large messages, what rows
 of blocks say of the values in them, and the connections and definitions that they name. Counts and
-times are compared with the directory where nobody is writing. What can be told apart from a message
-that was stored so is damage; a number that somebody changed in a column of formats ``ros``,
-``json`` or ``yaml`` cannot.
+times are compared with the directory where no client is writing. A row that no message can have
+given is damage. A number that was changed in a column of formats ``ros``, ``json`` or ``yaml``
+cannot be told from a stored one.
 """
 
 from __future__ import annotations

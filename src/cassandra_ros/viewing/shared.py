@@ -37,7 +37,8 @@ class Shared:
         """Return what calls on a keyspace have in common; '' = that of the viewer.
 
         Raises:
-            InvalidName, KeyspaceNotFound: It is no name of a keyspace; there is none.
+            InvalidName: A keyspace cannot have this name.
+            KeyspaceNotFound: The store has no keyspace of this name.
         """
         if not keyspace or keyspace == self.store.keyspace:
             return self

@@ -96,7 +96,7 @@ class _Found:
     eras: list[Picture]
     """The same by eras; of a single one that of all time."""
     samples: list[MessageSample]
-    """Of each of infos, where YAML or JSON tells of them."""
+    """The sampled messages of each topic of ``infos``, filled for YAML and JSON only."""
 
     @property
     def ends(self) -> tuple[int, int] | None:

@@ -123,7 +123,7 @@ class Reader:
     ) -> Iterator[Tuple[TopicTable, List[int]]]:
         """Yield the times in the first bucket of each table and node, or in the last.
 
-        There are none where the directory does not tell: messages were deleted there.
+        A bucket in which messages were deleted gives no times: the directory does not know them.
         """
         slots = self.slots(tables)
         wanted = [
