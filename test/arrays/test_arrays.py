@@ -21,7 +21,12 @@ from cassandra_ros.arrays import table_values
 from cassandra_ros.arrays.gather import gather_fields, read_arrays
 from cassandra_ros.errors import CorruptMessage, InvalidQuery
 from cassandra_ros.formats.table import FORMATS, format_class
-from cassandra_ros.messages.classes import deserialize, installed_definition, message_class
+from cassandra_ros.messages.classes import (
+    deserialize,
+    installed_definition,
+    message_class,
+    serialize,
+)
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.query.names import Findings, all_fields
 from cassandra_ros.query.parse import parse_select
@@ -145,8 +150,11 @@ def test_every_kind_of_field(fmt, seed, odd):
         assert found[f"one_{kind}"].dtype == dtype
         assert found[f"three_{kind}"].dtype == dtype
         assert found[f"three_{kind}"].shape == (5, 3)
-        assert found[f"any_{kind}"].shape == (5,)
-        assert {array.dtype for array in found[f"any_{kind}"]} == {dtype}
+        rows = found[f"any_{kind}"]
+        lengths = {len(array) for array in rows}
+        assert rows.shape == ((5,) if len(lengths) > 1 else (5, *lengths))
+        assert rows.dtype == (dtype if len(lengths) == 1 else object)
+        assert {array.dtype for array in rows} == {dtype}
 
 
 @pytest.mark.parametrize("fmt", ["ros", "binary"])
@@ -341,6 +349,64 @@ def test_fixed_arrays_of_two_definitions():
     found = gather(rows, ["x"])["x"]
     assert found.dtype == object
     assert shown(found) == [[1, 2, 3], [1, 2, 3, 4]]
+
+
+LENGTHS = ([4] * 6, [0] * 6, [4], [4, 4, 4, 3, 3, 3], [3, 4] * 3, [])
+"""Number of elements in each message."""
+
+
+@pytest.mark.parametrize("fmt", FORMATS)
+@pytest.mark.parametrize("batch", [3, 4096])
+def test_arrays_of_one_length_have_two_dimensions(fmt, batch, monkeypatch):
+    """However many messages are read together: what counts is all that are returned."""
+    monkeypatch.setattr(table_values, "BATCH_ROWS", batch)
+    definition = parse_definition("pkg/Scan", "float32[] ranges\nstring[] names", None)
+    make, table = message_class(definition), Table(definition, fmt)
+    for lengths in LENGTHS:
+        messages = [
+            make(ranges=[n + i / 4 for i in range(size)], names=[f"{n}.{i}" for i in range(size)])
+            for n, size in enumerate(lengths)
+        ]
+        rows = [Row(table, serialize(message), n) for n, message in enumerate(messages)]
+        found = gather(rows, ["ranges", "names"], tables=[table])
+        same_length = len(set(lengths)) == 1
+        shape = (len(lengths), lengths[0]) if same_length else (len(lengths),)
+        assert found["ranges"].shape == found["names"].shape == shape
+        assert found["ranges"].dtype == (np.float32 if same_length else object)
+        assert found["names"].dtype == object
+        for name, array in found.items():
+            assert type(array) is np.ndarray
+            # One by one they are the same in both shapes.
+            assert shown(list(array)) == [getattr(message, name) for message in messages]
+        assert {array.dtype for array in found["ranges"]} <= {np.dtype(np.float32)}
+
+
+@pytest.mark.parametrize("other", ["float64[] x\nbool b", "float64[3] x", "float32[3] x"])
+def test_arrays_of_two_definitions_have_two_dimensions_where_their_lengths_agree(other):
+    tables = [
+        Table(parse_definition("pkg/A", text, None), name=text) for text in ("float32[] x", other)
+    ]
+
+    def row(table, values):
+        make = message_class(table.definition)
+        return Row(table, serialize(make(x=values)))
+
+    second = row(tables[1], [4, 5, 6])
+    found = gather([row(tables[0], [1, 2, 3]), second], ["x"])["x"]
+    assert found.dtype == (np.float64 if "float64" in other else np.float32)
+    assert found.tolist() == [[1, 2, 3], [4, 5, 6]]
+    found = gather([row(tables[0], [1, 2]), second], ["x"])["x"]
+    assert (found.shape, found.dtype) == ((2,), object)
+    assert shown(found) == [[1, 2], [4, 5, 6]]
+
+
+def test_arrays_that_some_messages_lack_lie_in_objects():
+    """None is an answer of its own, which no row of numbers can be."""
+    table, other = Table(INT64), Table(parse_definition("pkg/B", "int8 y", None), name="other")
+    rows = [Row(table, wire_of(1, [7, 8])), Row(other, b"\1", 1), Row(table, wire_of(2, [9, 9]), 2)]
+    found = gather(rows, ["some"])["some"]
+    assert (found.shape, found.dtype) == ((3,), object)
+    assert shown(found) == [[7, 8], None, [9, 9]]
 
 
 def test_a_message_that_cannot_be_read_is_missing(caplog):

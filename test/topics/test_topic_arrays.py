@@ -14,6 +14,7 @@ from geometry_msgs.msg import Twist, Vector3
 from std_msgs.msg import Int64, String
 
 from cassandra_ros import Stamp
+from cassandra_ros.arrays import table_values
 from cassandra_ros.errors import InvalidKey, InvalidQuery
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import message_class
@@ -139,6 +140,34 @@ def test_stretches_nodes_and_conditions(rosCas):
         data(where="date = 1")
     with pytest.raises(InvalidKey):
         data("yesterday")
+
+
+@pytest.mark.parametrize("fmt", ["packed", "ros", "binary"])
+def test_lengths_of_arrays_of_all_that_is_read(rosCas, monkeypatch, fmt):
+    """Two dimensions where all that is returned has one length, in however many batches."""
+    monkeypatch.setattr(table_values, "BATCH_ROWS", 16)
+    monkeypatch.setattr(table_values, "BATCH_MESSAGES", 16)
+    definition = parse_definition("pkg/Scan", "float32[] ranges\nfloat32[] intensities", None)
+    scans = [message_class(definition)(ranges=[n] * (4 + n // 40)) for n in range(60)]
+    topic = store(rosCas, "/scan", scans[:40], "r1", format=fmt)
+    store(rosCas, "/scan", scans[40:], "r2", format=fmt)
+    for options, numbers, length in [
+        ({"nodeID": "r1"}, range(40), 4),
+        ({"nodeID": "r2"}, range(40, 60), 5),
+        ({"where": "ranges[0] < 33"}, range(33), 4),
+        ({"where": "len(ranges) = 5"}, range(40, 60), 5),
+    ]:
+        found = topic.getArrays(["ranges", "intensities"], **options)
+        assert found["ranges"].dtype == found["intensities"].dtype == np.float32
+        assert sorted(found["ranges"].tolist()) == [[n] * length for n in numbers]
+        assert found["intensities"].shape == (len(numbers), 0)
+        frame = topic.toDataFrame(["ranges"], **options)
+        assert sorted(cell.tolist() for cell in frame.ranges) == [[n] * length for n in numbers]
+    found = topic.getArrays(["ranges", "intensities"])
+    assert (found["ranges"].shape, found["ranges"].dtype) == ((60,), object)
+    assert sorted(map(list, found["ranges"])) == [scan.ranges for scan in scans]
+    assert found["intensities"].shape == (60, 0)
+    assert topic.getArrays("ranges", where="ranges[0] > 99")["ranges"].shape == (0,)
 
 
 def test_what_is_missing_in_a_frame(rosCas):

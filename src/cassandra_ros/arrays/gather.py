@@ -13,7 +13,7 @@ from cassandra_ros.arguments import check_list
 from cassandra_ros.arrays.array_types import MIXED, AnyArray, ArrayType, unite_columns
 from cassandra_ros.arrays.stacked_values import MessageBlock
 from cassandra_ros.arrays.table_values import TableValues
-from cassandra_ros.arrays.values import empty_values, join_values
+from cassandra_ros.arrays.values import empty_values, join_values, stack_cells
 from cassandra_ros.errors import InvalidQuery, TopicNotFound
 from cassandra_ros.query.bounds import bounds_of
 from cassandra_ros.query.computed import INTEGER
@@ -140,11 +140,15 @@ def read_arrays(
     Arguments and errors are those of gather_fields.
     """
     found = gather_fields(topic, fields, where, read, blocks, node=node, writers=writers)
-    return {name: _masked(values, missing) for name, (_, values, missing) in found.items()}
+    # The cells of a column are freed when its rows are made: one column at a time lies twice.
+    return {name: _presented(*found.pop(name)) for name in list(found)}
 
 
-def _masked(values: AnyArray, missing: AnyArray) -> AnyArray:
+def _presented(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray:
     many = values.ndim > 1
+    if kind.depth == 1 and not many and not missing.any():
+        # Only here all messages are known: a batch must not tell what the others look like.
+        return stack_cells(values, kind)
     if not missing.any() or (values.dtype.kind == "O" and not many):
         return values
     mask = np.broadcast_to(missing[:, None], values.shape) if many else missing

@@ -285,3 +285,12 @@ def rows_of(values: AnyArray, missing: AnyArray) -> AnyArray:
     rows = objects_of(list(values))
     rows[missing] = None
     return rows
+
+
+def stack_cells(cells: AnyArray, kind: ArrayType) -> AnyArray:
+    """Return arrays of one length as the rows of one array; arrays of several lengths as given."""
+    lengths = set(map(len, cells))
+    if len(lengths) != 1:
+        return cells
+    rows = np.concatenate(cells.tolist()).reshape(len(cells), lengths.pop())
+    return rows if rows.dtype == kind.dtype else cells  # an element is missing inside of one

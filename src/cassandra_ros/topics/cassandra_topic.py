@@ -401,8 +401,12 @@ class CassandraTopic:
         * ``KEY``, times and durations are int64 nanoseconds: ``.view('datetime64[ns]')`` or
           ``.view('timedelta64[ns]')`` shows them as such. KEY is text where messages lie under
           names. ``secs`` and ``nsecs`` are int64, computed integers too where all of them fit.
-        * Arrays of fixed length have two dimensions, as (rows, 9); others give an array of objects,
-          an array a row; arrays inside of arrays of messages give lists.
+        * Arrays of fixed length have two dimensions, as (rows, 9). Other arrays, too, where every
+          row that is returned has one and all have the same length: scans of 360 ranges give
+          (rows, 360), empty arrays (rows, 0). Else, and where there is no row, they give an array
+          of objects, an array a row. ``list(found['ranges'])`` is the same in both cases, and what
+          a program uses that must not depend on the lengths.
+        * Arrays inside of arrays of messages give lists.
 
         What a message lacks (``ranges[5]`` of four, a field of another definition, bytes that are
         no message) is masked by a numpy.ma.MaskedArray, or None in an array of objects. Where
@@ -435,8 +439,9 @@ class CassandraTopic:
 
         The index ``KEY`` is their time, exact to the nanosecond, in UTC and without a zone; or
         their names. Columns are as getArrays returns them, but times are datetime64[ns] without a
-        zone, durations timedelta64[ns], and arrays lie in cells. What is missing is NaN, NaT,
-        None, or NA in a nullable type (Int32, UInt64, boolean), so that integers stay integers.
+        zone, durations timedelta64[ns], and arrays lie in cells, whatever their lengths. What is
+        missing is NaN, NaT, None, or NA in a nullable type (Int32, UInt64, boolean), so that
+        integers stay integers.
 
         Args:
             fields, key, to_key, where, nodeID, run: As getArrays takes them, and raises for them.
