@@ -346,6 +346,41 @@ def test_what_comes_into_the_old_table_after_all_is_taken_along(rosCas, connect,
     assert topic.getData(T0 + 5).header.seq == 99
 
 
+def test_what_comes_in_the_seconds_after_the_switch_is_taken_along(rosCas, connect, monkeypatch):
+    """The other client writes during the pause after the switch, at the latest before the drop."""
+    fill(rosCas, "ros", 20)
+    topic, settle, drop = rosCas.getTopic("/t"), convert.Conversion._settle, replacement.drop
+    written_into = []
+    with connect(keyspace=rosCas.keyspace) as other, other.messageWriter() as writer:
+        handle = writer.connect(next(topic.rows()).connection)
+        # As where it cannot read the comments, or is of an earlier release.
+        monkeypatch.setattr(other.parts.schema, "takes_rows", lambda table: True)
+
+        def write_once():
+            rosCas.parts.schema.tables(fresh=True)
+            if formats(rosCas) == ["json"] and not written_into:
+                written_into.append(handle.table.name)
+                writer.write(handle, T0 + 5, 1, serialize(joint_state(99)))
+                writer.flush()
+
+        def write_then_settle(conversion):
+            write_once()
+            settle(conversion)
+
+        def write_then_drop(*arguments):
+            write_once()
+            drop(*arguments)
+
+        monkeypatch.setattr(convert.Conversion, "_settle", write_then_settle)
+        monkeypatch.setattr(replacement, "drop", write_then_drop)
+        rosCas.convertTopic("/t", "json")
+    tables = [table.name for table in topic.tables]
+    assert len(written_into) == len(tables) == 1
+    assert written_into != tables
+    assert topic.countTopicData() == len(list(topic.rows())) == 41
+    assert topic.getData(T0 + 5).header.seq == 99
+
+
 @pytest.mark.parametrize("between", ["convert", "rename", "delete", "index"])
 def test_equal_stamps_of_a_client_keep_their_order(rosCas, between):
     topic = rosCas.addTopic("/t", "ros", msg_type="std_msgs/String")

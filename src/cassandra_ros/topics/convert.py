@@ -249,7 +249,7 @@ class Conversion:
     def _once(self) -> int:
         new = self._begin()
         try:
-            time.sleep(replacement.SETTLE_SEC)
+            self._settle()
             _await_writers(self._space, self._topic, self._olds)
             before = _state(self._space, self._olds)
             copy = Copy(self._space, self._olds, new, self._progress)
@@ -263,11 +263,20 @@ class Conversion:
         except BaseException:
             self._give_up(new)
             raise
-        time.sleep(replacement.SETTLE_SEC)
+        self._settle()
         if _state(self._space, self._olds) != before:
             copy.add_late()
         replacement.drop(self._space.schema, self._names)
         return count
+
+    def _settle(self) -> None:
+        """Wait until every client has read the changed comments.
+
+        Before the copy: no client of this release writes into the old tables afterwards. After the
+        switch: clients of earlier releases, and those that cannot read the comments, may write into
+        the old tables until they hear of the new one; ``add_late`` takes these messages along.
+        """
+        time.sleep(replacement.SETTLE_SEC)
 
     def _span(self, connections: int) -> int:
         """Choose how much time a block is to cover, ns; 0 = nobody knows, or a row is a message."""
