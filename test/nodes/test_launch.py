@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import re
 import signal
 import struct
+import subprocess
 import time
 import urllib.request
 import xml.etree.ElementTree as ElementTree
@@ -16,12 +18,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from nodes.children import Child, await_true
+from nodes.children import Child, await_true, start_client
 from nodes.raw_publisher import RawPublisher, header_of, message
 from nodes.raw_subscriber import RawSubscriber
 from std_msgs.msg import String, UInt32
 
+from cassandra_ros import RosCassandra
 from cassandra_ros.cli import player, recorder
+from cassandra_ros.local_server import free_port
 from cassandra_ros.messages.connection import live_connection
 
 LAUNCH = Path(__file__).resolve().parents[2] / "launch"
@@ -107,6 +111,54 @@ def test_cassandra_ros_launch_records_all_at_once(launched, roscore, rosCas):
     address = re.search(r"http://127\.0\.0\.1:\d+", child.await_line(" is at http"))[0]
     with urllib.request.urlopen(address + "/api/runs", timeout=180) as answer:  # noqa: S310 (our own)
         assert json.load(answer)["runs"][0]["run"] == "patrol"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "waits_before"),
+    [(["local:=true"], False), (["local:=true", "secure:=true"], True), (["local:=false"], False)],
+)
+def test_the_recorder_waits_by_itself_unless_it_needs_the_files_of_a_login(
+    ros_env, arguments, waits_before
+):
+    command = ["roslaunch", "--args", "/recorder", "cassandra_ros", "cassandra_ros.launch"]
+    done = subprocess.run(
+        [*command, *arguments], env=ros_env, stdout=subprocess.PIPE, text=True, check=True
+    )
+    assert "__name:=recorder" in done.stdout
+    assert ("status --wait" in done.stdout) == waits_before
+
+
+@pytest.mark.long
+def test_a_local_launch_records_what_comes_before_its_cassandra_answers(roscore, tmp_path):
+    folder, port = tmp_path / "data", free_port()
+    folder.mkdir()
+    env = {**roscore.env, "ROS_LOG_DIR": str(tmp_path)}
+    where = ["local:=true", f"dir:={folder}", f"port:={port}", "heap:=512M", "keyspace:=early"]
+    command = ["roslaunch", "--wait", "cassandra_ros", "cassandra_ros.launch", *where]
+    with (folder / "lock").open("w") as lock, start_client(roscore) as client:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # the Cassandra is not started before it is free
+        with Child([*command, "topics:=/early"], env) as child:
+            child.await_line("services under /recorder")
+            header = header_of(UInt32, "/numbers")
+            with RawPublisher(roscore.uri, "/early", header, "/numbers") as publisher:
+                publisher.await_subscribers().publish(*(struct.pack("<I", n) for n in range(5)))
+                await_true(lambda: received(client, "/early") == 5)
+            assert client.call("/recorder/status")["state"] == "waiting"
+            fcntl.flock(lock, fcntl.LOCK_UN)
+            child.await_line("the store answers after ", timeout_sec=180)
+            await_true(lambda: client.call("/recorder/status")["state"] == "recording")
+            with RosCassandra("127.0.0.1", port, keyspace="early") as store:
+                await_true(lambda: store.existTopic("/early"))
+                topic = store.getTopic("/early")
+                await_true(lambda: topic.countTopicData() == 5)
+                assert [row.message().data for row in topic.rows()] == list(range(5))
+            assert child.end(signal.SIGINT) == 0, child.output
+    xmlrpc.client.ServerProxy(roscore.uri).deleteParam("/test", "/recorder")
+
+
+def received(client, topic):
+    topics = client.call("/recorder/status")["topics"]
+    return sum(each["received"] for each in topics if each["topic"] == topic)
 
 
 def test_play_launch_plays(launched, roscore, rosCas):

@@ -15,6 +15,7 @@ from proxy import BATCH, EXECUTE, Proxy
 from std_msgs.msg import String
 
 from cassandra_ros import RosCassandra
+from cassandra_ros.cli.recorder import local_space
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.recording import series as series_module
 from cassandra_ros.recording.options import RecorderOptions
@@ -188,6 +189,16 @@ def test_names(monkeypatch):
     date = RecorderOptions().run_name(0)
     assert RecorderOptions(output_prefix="p").run_name(0)[:2] == "p_"
     assert len(date) == len("2014-07-10-18-03-11")
+
+
+def test_a_local_store_whose_folder_is_made_later_is_watched(monkeypatch, tmp_path):
+    folder = tmp_path / "data"
+    monkeypatch.setenv("CASSANDRA_ROS_DIR", str(folder))
+    assert local_space(["127.0.0.1", "10.0.0.1"]) is None
+    guard = SpaceGuard(local_space(["127.0.0.1"]), 1 << 62)
+    assert guard.refusal() == ""
+    folder.mkdir()
+    assert "are free where the store keeps its data, less than" in guard.refusal()
 
 
 def test_no_space_is_a_loss_that_is_told(rosCas):

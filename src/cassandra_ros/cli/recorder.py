@@ -292,12 +292,17 @@ def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -
     return RecorderOptions(**values, free_space=local_space(store_place(options)[0]))
 
 
-def local_space(hosts: Sequence[str]) -> Optional[Callable[[], int]]:
-    """Return what tells the free space of the local Cassandra; None where there is none."""
+def local_space(hosts: Sequence[str]) -> Optional[Callable[[], Optional[int]]]:
+    """Return what tells the free space of the local Cassandra, None while it has no data.
+
+    Returns:
+        None where the store is not on this machine.
+    """
     data = default_directory()
-    if not (all(each.startswith(_LOOPBACK) for each in hosts) and data.is_dir()):
+    if not all(each.startswith(_LOOPBACK) for each in hosts):
         return None
-    return lambda: shutil.disk_usage(data).free
+    # Looked for each time: a local Cassandra may be made while the recorder waits for it.
+    return lambda: shutil.disk_usage(data).free if data.is_dir() else None
 
 
 def main() -> int:

@@ -70,8 +70,8 @@ class RecorderOptions:
     """Tell on /diagnostics how it goes."""
     tcpnodelay: bool = False
     """Ask publishers to send at once."""
-    free_space: Optional[Callable[[], int]] = None
-    """Tells how many bytes are free where the store keeps its data; None = nobody knows."""
+    free_space: Optional[Callable[[], Optional[int]]] = None
+    """Tells how many bytes are free where the store keeps its data; None = it is not known."""
     min_space: int = 0
     """Store nothing while fewer bytes are free there."""
     places: bool = True

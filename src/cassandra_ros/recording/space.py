@@ -17,11 +17,11 @@ class SpaceGuard:
     """Says whether there is room to go on.
 
     Args:
-        free_space: Tells how many bytes are free; None = nobody knows.
+        free_space: Tells how many bytes are free, None = it is not known now; None = never.
         least: Bytes that must stay free.
     """
 
-    def __init__(self, free_space: Optional[Callable[[], int]], least: int) -> None:
+    def __init__(self, free_space: Optional[Callable[[], Optional[int]]], least: int) -> None:
         self._free_space, self._least = free_space, least
         self._warned = False
 
@@ -33,6 +33,8 @@ class SpaceGuard:
             free = self._free_space()
         except OSError as exc:
             _log.warning("the free space of the store is not known: %s", exc)
+            return ""
+        if free is None:
             return ""
         sizes = f"{free >> 20} MB are free where the store keeps its data"
         if free < self._least:
