@@ -22,6 +22,8 @@ FORMAT_NAMES = ("binary", "string", "yaml", "json", "ros", "packed")
 """In the table of formats they are the same."""
 MAX_LIFETIME_SEC = 20 * 365 * 86_400
 """Largest time to live that Cassandra takes, s."""
+ANY_MD5 = "*"
+"""Stands for the md5sum of a type whose definition cannot be used; it tells no types apart."""
 SHADOW = "_ix"
 """What the names of shadow columns begin with: SAI takes no dotted names."""
 
@@ -32,7 +34,7 @@ class TopicMetadata:
 
     topic: str
     msg_type: str
-    """Type of the first connection, 'pkg/Name'; others with the same md5 share the table."""
+    """Type of the first connection, 'pkg/Name'; others of the same kind share the table."""
     md5sum: str
     format: str
     """Name in the table of formats."""
@@ -73,6 +75,11 @@ class TopicMetadata:
     """Its blocks may begin at other messages than those of an import: it took the place of a table
     that was removed while it was written to."""
     version: int = SCHEMA_VERSION
+
+    @property
+    def kind(self) -> tuple[str, str]:
+        """What messages of one table have in common, see ``message_kind``."""
+        return message_kind(self.md5sum, self.msg_type)
 
     @property
     def named(self) -> bool:
@@ -129,6 +136,14 @@ class TopicMetadata:
     def with_(self, **changes: Any) -> TopicMetadata:
         """Return a copy with some values changed."""
         return replace(self, **changes)
+
+
+def message_kind(md5sum: str, msg_type: str) -> tuple[str, str]:
+    """Return the md5sum of messages, and their type where the md5sum tells no types apart.
+
+    Messages of one topic, kind and format share a table.
+    """
+    return md5sum, msg_type if md5sum == ANY_MD5 else ""
 
 
 def shadow_column(number: int) -> str:

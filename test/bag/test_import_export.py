@@ -14,8 +14,10 @@ import rosbag
 from bag.test_reader import READABLE
 from bag.truth import STRING_MD5, read_with_rosbag, string_connection, string_wire
 from campaign import LENGTH, sparing
+from mcap.writer import Writer
 from std_msgs.msg import String
 
+from cassandra_ros import metadata
 from cassandra_ros.bag import exporter
 from cassandra_ros.bag.exporter import export_bag
 from cassandra_ros.bag.identity import earlier_writer_id, read_content
@@ -230,6 +232,58 @@ def test_one_topic_of_two_types_and_two_names_of_one_type(rosCas, tmp_path, form
     assert verify_bag(rosCas, path).equal
     export_bag(rosCas, tmp_path / "out.bag")
     assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)
+
+
+def two_unusable_types(path):
+    """Write an MCAP with two types on one topic, neither with a definition that can be used."""
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start("ros1")
+        for name in ("odd_msgs/One", "odd_msgs/Two"):
+            schema = writer.register_schema(name, "ros1msg", b"what is this")
+            writer.register_channel("/odd", "ros1", schema)
+        for n in range(20):
+            writer.add_message(1 + n % 2, 10 + n, string_wire(str(n)), 10 + n)
+        writer.finish()
+    return path
+
+
+def tables_of(rosCas):
+    return sorted((info.type, info.md5sum, info.count) for info in rosCas.info(["/odd"]))
+
+
+def test_two_types_with_unusable_definitions_get_two_tables(rosCas, cql, tmp_path):
+    path = two_unusable_types(tmp_path / "a.mcap")
+    both = [("odd_msgs/One", "*", 10), ("odd_msgs/Two", "*", 10)]
+    import_bag(rosCas, path)
+    rows = stored_rows(rosCas)
+    assert [row.type for row in rosCas.getTopic("/odd").rows()] == [both[0][0], both[1][0]] * 10
+    import_bag(rosCas, path)
+    assert stored_rows(rosCas) == rows
+    assert rosCas.convertTopic("/odd", "ros").tables == 0  # they stay binary, and two
+    assert tables_of(rosCas) == both
+    assert counts_agree(rosCas, cql) == {"/odd": 20}
+    assert verify_bag(rosCas, path).equal
+    rosCas.truncateTopic("/odd")
+    assert len(rosCas.getTopic("/odd").tables) == 2
+    import_bag(rosCas, path)
+    assert tables_of(rosCas) == both
+
+
+def test_types_that_share_a_table_of_an_earlier_release_stay_there(
+    rosCas, connect, cql, tmp_path, monkeypatch
+):
+    path = two_unusable_types(tmp_path / "a.mcap")
+    with monkeypatch.context() as earlier:
+        earlier.setattr(metadata, "message_kind", lambda md5sum, msg_type: (md5sum, ""))
+        import_bag(rosCas, path)
+    rows = stored_rows(rosCas)
+    assert tables_of(rosCas) == [("odd_msgs/One", "*", 20)]
+    with connect(keyspace=rosCas.keyspace) as other:
+        import_bag(other, path)
+        assert stored_rows(other) == rows
+    assert counts_agree(rosCas, cql) == {"/odd": 20}
+    assert verify_bag(rosCas, path).equal
 
 
 def test_connection_numbers_of_32_bits(rosCas, connect, tmp_path):

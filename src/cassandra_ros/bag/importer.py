@@ -25,6 +25,7 @@ from cassandra_ros.bag.verify import holds_nothing_else
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_NS, MAX_WRITER, SECOND_NS
+from cassandra_ros.metadata import message_kind
 from cassandra_ros.store.directory import Lengths, bucket_for, span_for
 from cassandra_ros.store.registry import Run
 from cassandra_ros.store.row_table import CHUNK_BYTES
@@ -373,10 +374,10 @@ def table_lengths(reader: MessageFile, sizes: Mapping[int, int]) -> dict[int, Le
     sizes of the connections show it: a single stray stamp stretches the whole bag, but not all of
     its parts.
     """
-    # Topic and md5sum: what shares one table.
-    rates: dict[tuple[str, str], _Rate] = {}
+    # Topic and kind: what shares one table.
+    rates: dict[tuple[str, tuple[str, str]], _Rate] = {}
     means = {number: sizes[number] / count for number, count in reader.counts.items()}
-    keys = {number: (c.topic, c.md5sum) for number, c in reader.connections.items()}
+    keys = {n: (c.topic, message_kind(c.md5sum, c.type)) for n, c in reader.connections.items()}
     for chunk in range(reader.chunk_count):
         info = reader.chunk_info(chunk)
         seen = set()

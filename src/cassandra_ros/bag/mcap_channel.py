@@ -25,6 +25,7 @@ from cassandra_ros.messages.connection import (
     live_connection,
 )
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.metadata import ANY_MD5
 
 HEADER = "cassandra_ros.header"
 """The header in base64 without its definition, and at which byte that stood: ``20:EAAA…``."""
@@ -33,7 +34,6 @@ NUMBER = "cassandra_ros.number"
 
 _TRUTH = {"true": "1", "false": "0"}
 """How the profile writes the field ``latching``, and how ROS does."""
-_ANY_MD5 = "*"
 
 
 class ChannelText(NamedTuple):
@@ -118,7 +118,7 @@ def _md5sum(type_name: str, definition: bytes) -> str:
         )
         return known.md5sum
     except CassandraRosError:
-        return _ANY_MD5  # as a subscriber says who takes any
+        return ANY_MD5  # as a subscriber says who takes any
 
 
 def _kept_header(text: str, definition: bytes) -> bytes:

@@ -134,11 +134,11 @@ class Schema:
                     self.seen.add((metadata.topic, metadata.format))
         return found
 
-    def find(self, topic: str, md5sum: str, format_name: str) -> str | None:
-        """Return the table for new messages of one md5 and format, as far as it is cached."""
+    def find(self, topic: str, kind: tuple[str, str], format_name: str) -> str | None:
+        """Return the table for new messages of one kind and format, as far as it is cached."""
         listing = self.listing()
         for name, m in listing.visible.items():
-            if (m.topic, m.md5sum, m.format) == (topic, md5sum, format_name):
+            if (m.topic, m.kind, m.format) == (topic, kind, format_name):
                 if name not in listing.leaving:
                     return name
         return None
@@ -158,11 +158,11 @@ class Schema:
             listing.check_staying(name)
         return mine
 
-    def ensure_table(self, key: tuple[str, str, str], plan: Planner) -> str:
+    def ensure_table(self, key: tuple[str, tuple[str, str], str], plan: Planner) -> str:
         """Make the table of a topic, or find the one that somebody made before; return its name.
 
         Args:
-            key: Topic, md5sum and format.
+            key: Topic, kind and format.
             plan: Called where the table is to be made, under the lock, with what the comments of
                 the topic's other tables say.
         """
@@ -316,7 +316,7 @@ class Schema:
                 # Made anew under other names: a writer that has not heard of it must not go on.
                 read = [name for name in tables if name in listing.visible]
                 one_each = {
-                    (m.md5sum, m.format): (name, m.with_(replaces=(), cut=False))
+                    (m.kind, m.format): (name, m.with_(replaces=(), cut=False))
                     for name, m in tables.items()
                     if name in read
                 }

@@ -27,14 +27,15 @@ class ConnectionCache:
 
     def _store(self, table: str, connection: Connection) -> int:
         topic, number, md5sum = connection.topic, connection.number, connection.md5sum
-        # Identical headers under two numbers of a bag stay two connections.
-        text = f"{topic}\0{number}\0".encode("utf-8", "surrogateescape")
-        digest = hashlib.md5(text + connection.header).digest()
-        conn = int.from_bytes(digest[:8], "big", signed=True)
+        conn = _conn(connection)
         header, offset, definition = cut_definition(connection.header)
         row = StoredHeader(topic, number, header, offset, md5sum, definition)
         self._registry.put_header(table, conn, row)
         return conn
+
+    def has(self, table: str, connection: Connection) -> bool:
+        """Say whether a connection of a table, by its name, is stored."""
+        return self._registry.get_header(table, _conn(connection)) is not None
 
     def _read(self, table: str, conn: int) -> Connection:
         row = self._registry.get_header(table, conn)
@@ -49,6 +50,13 @@ class ConnectionCache:
         """Walk through the connections of some tables, by their names: (table, number, it)."""
         for table, conn, row in self._registry.headers(tables):
             yield table, conn, _joined(row)
+
+
+def _conn(connection: Connection) -> int:
+    # Identical headers under two numbers of a bag stay two connections.
+    text = f"{connection.topic}\0{connection.number}\0".encode("utf-8", "surrogateescape")
+    digest = hashlib.md5(text + connection.header).digest()
+    return int.from_bytes(digest[:8], "big", signed=True)
 
 
 def _joined(row: StoredHeader) -> Connection:

@@ -130,9 +130,9 @@ def _plans(space: Keyspace, report: Converted) -> List[_Plan]:
     tables = space.tables.of_topic(report.topic)
     if not tables:
         raise TopicNotFound(f"topic {report.topic} has no type yet: there is nothing to convert")
-    groups: Dict[str, List[TopicTable]] = {}
+    groups: Dict[Tuple[str, str], List[TopicTable]] = {}
     for table in tables:
-        groups.setdefault(table.metadata.md5sum, []).append(table)
+        groups.setdefault(table.metadata.kind, []).append(table)
     plans = []
     for olds in groups.values():
         newest = max(olds, key=lambda old: (old.metadata.date, old.name))

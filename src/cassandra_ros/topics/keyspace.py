@@ -121,7 +121,7 @@ class Keyspace:
     def make_table(
         self, metadata: TopicMetadata, definition: Optional[Definition], *, large: bool = False
     ) -> TopicTable:
-        """Find the table for a topic, md5 and format, or make it.
+        """Find the table for a topic, kind and format, or make it.
 
         Args:
             metadata: What its comment is to say; columns, date and what is '' or 0 are completed
@@ -133,7 +133,7 @@ class Keyspace:
         Raises:
             InvalidKey: The type has no such field as key_part, and the topic is new.
         """
-        key = (metadata.topic, metadata.md5sum, metadata.format)
+        key = (metadata.topic, metadata.kind, metadata.format)
         name = self.schema.ensure_table(key, self.planner(metadata, definition))
         found = self.tables.by_name(name)
         if found is None:
@@ -214,7 +214,7 @@ def _beside(metadata: TopicMetadata, others: Sequence[TopicMetadata]) -> TopicMe
     if not others:
         return metadata
     first = others[0]
-    if all(other.md5sum != metadata.md5sum for other in others):
+    if all(other.kind != metadata.kind for other in others):
         was, now = (f"{each.msg_type} [{each.md5sum}]" for each in (first, metadata))
         text = "topic %s was stored with type %s and goes on with %s in a table of its own; "
         _log.warning(text + "reading merges both", metadata.topic, was, now)

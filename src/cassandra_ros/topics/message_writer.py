@@ -38,7 +38,7 @@ from cassandra_ros.keys import COUNTER_BITS, MAX_NS, MAX_WRITER, new_writer_id
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection import Connection
 from cassandra_ros.messages.definition import Definition, parse_definition
-from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.metadata import ANY_MD5, TopicMetadata
 from cassandra_ros.store.blocks.builder import BlockBuilder
 from cassandra_ros.store.blocks.limits import FULL, Limits
 from cassandra_ros.store.registry import Run
@@ -207,10 +207,25 @@ class MessageWriter:
             span_ns=span_ns or 0,
             definition=definition.text if definition else connection.definition_text,
         )
-        table = self._keyspace.make_table(metadata, definition, large=large)
+        table = self._shared_table(connection, metadata.format)
+        if table is None:
+            table = self._keyspace.make_table(metadata, definition, large=large)
         warning = warning or self._other_ttl(table.metadata)
         conn = self._keyspace.connections.put(table.name, connection)
         return self._keep(key, Handle(connection, table, conn, node, key[1], warning))
+
+    def _shared_table(self, connection: Connection, format_name: str) -> Optional[TopicTable]:
+        """Return the table of several types into which an earlier release put this connection."""
+        if connection.md5sum != ANY_MD5:
+            return None
+        space = self._keyspace
+        for table in space.tables.of_topic(connection.topic):
+            name, metadata = table.name, table.metadata
+            if (metadata.md5sum, metadata.format) != (ANY_MD5, format_name):
+                continue
+            if space.schema.takes_rows(name) and space.connections.has(name, connection):
+                return table
+        return None
 
     def format_of(self, connection: Connection) -> str:
         """Return the format in which the topic of a connection is stored, or would be unasked."""
