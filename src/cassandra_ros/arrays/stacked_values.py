@@ -97,7 +97,7 @@ class StackedField(NamedTuple):
         base = self.column.field_type.partition("[")[0]
         if self.kind.depth:
             rows: AnyArray = np.ascontiguousarray(stack.array(path, base).T)
-            return rows.astype(self.kind.dtype)
+            return rows.astype(self.kind.dtype, copy=False)
         if ref.index is not None:
             every = stack.element(path, ref.index, base)
         else:

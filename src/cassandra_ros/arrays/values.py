@@ -150,8 +150,13 @@ def _size_of(kind: str) -> int:
 
 
 def _cells(kind: str, raws: Raws) -> Values:
+    missing = _absent(raws)
+    sizes = {0 if raw is None else len(raw) for raw in raws}
+    if len(sizes) == 1 and 0 not in sizes:  # as scans mostly have: they are read together
+        rows = _arrays(kind, sizes.pop() // _size_of(kind), raws).values
+        return Values(objects_of(list(rows)), missing)
     cells = [None if raw is None else _numbers_of(kind, raw) for raw in raws]
-    return Values(objects_of(cells), _absent(raws))
+    return Values(objects_of(cells), missing)
 
 
 def _arrays(kind: str, length: int, raws: Raws) -> Values:
