@@ -206,6 +206,14 @@ def _is_text(value: object) -> bool:
         return False
 
 
+def _is_escaped_text(value: object) -> bool:
+    """Say whether a value is a text in which bytes that are not UTF-8 stand as surrogates."""
+    try:
+        return isinstance(value, str) and value.encode("utf-8", "surrogateescape") is not None
+    except UnicodeEncodeError:
+        return False
+
+
 def _is_name(value: object) -> bool:
     return _is_text(value) and value != ""
 
@@ -248,7 +256,9 @@ _REQUIRED = ("topic", "msg_type", "md5sum", "format", "bucket_ns")
 _SHADOW_COLUMN = re.compile(f"{SHADOW}[0-9]{{1,9}}")
 _CHECKS: Mapping[str, Callable[[object], bool]] = {
     **dict.fromkeys(("topic",), _is_name),
-    **dict.fromkeys("msg_type md5sum definition key_part nodeID comment date".split(), _is_text),
+    **dict.fromkeys(("key_part", "nodeID", "comment", "date"), _is_text),
+    # They come from connection headers, whose bytes need not be UTF-8.
+    **dict.fromkeys(("msg_type", "md5sum", "definition"), _is_escaped_text),
     "format": partial(_is_one_of, FORMAT_NAMES),
     "key_format": partial(_is_one_of, KEY_FORMATS),
     "bucket_ns": partial(_is_integer, least=1),

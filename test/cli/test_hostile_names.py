@@ -15,6 +15,7 @@ from cassandra_ros.cli.recorder_report import closing_table
 from cassandra_ros.cli.text import format_table
 from cassandra_ros.errors import InvalidName, InvalidOption
 from cassandra_ros.recording.counts import TopicReport
+from cassandra_ros.recording.losses import LossTotal
 from cassandra_ros.recording.options import RecorderOptions
 from cassandra_ros.recording.series import Series
 from cassandra_ros.recording.settings import read_label
@@ -109,7 +110,8 @@ def test_tables_are_bounded_and_safe():
     assert max(map(len, text.splitlines())) <= 2 * MOST_CHARACTERS + 2
     assert not unsafe(text)
     kind = LossKind.BUFFER_FULL
-    report = TopicReport(TOPIC + LONG, (EVIL,), 3, 0, 3, {kind: 3}, {kind: EVIL}, None, 0, 0.0)
+    losses = {kind: LossTotal(3, 0, 0, EVIL)}
+    report = TopicReport(TOPIC + LONG, (EVIL,), 3, 0, 3, losses, None, 0, 0.0)
     assert not unsafe(closing_table([report]))
     assert max(map(len, closing_table([report]).splitlines())) < 1000
 
