@@ -402,7 +402,10 @@ class RowWriter:
                     self._heartbeats(now)
             except CassandraRosError as exc:
                 # The directory is behind, never wrong: its buckets still count as open.
-                _log.warning("the directory of buckets could not be updated: %s", exc)
+                # A program that ends while the store is silent says that itself.
+                ending = self._cassandra.outage.left_sec <= 0
+                level = logging.DEBUG if ending else logging.WARNING
+                _log.log(level, "the directory of buckets could not be updated: %s", exc)
                 if self._cassandra.closed:
                     return  # whoever closed it has forgotten us
 
